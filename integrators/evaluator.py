@@ -27,9 +27,9 @@ Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
 
 MOST_TAPES = 256
+PLANS = 8  # of a tape, for as many shapes of its arrays
 ROOM = 2**17  # numbers that the small tapes of a thread share, in the near caches
 # As many times more operations are one thread's in a pass of several kernels, which spares what is between them.
-PLANS = 8  # of a tape, for as many shapes of its arrays
 IN_ONE_PASS = 4.0
 _tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that was asked for at the end
 
@@ -205,7 +205,7 @@ class _OnTape(Evaluated):
         return tuple(_parts(written, plan.written))
 
     def _planned(self, key: tuple[Any, ...]) -> "tuple[_Plan, _Small | None]":
-        """What arrays of some shapes ask for; that of the last few is kept."""
+        """What arrays of some shapes ask for; a few of these are kept."""
         axes, *shapes = key
         plan = _Plan.of(axes, shapes, self.tape.shapes)
         if len(self._plans) == PLANS:

@@ -12,10 +12,10 @@ from .engine.diagnosis import Diagnostics
 TOO_COARSE = 0.1
 
 
-def _spread(values: np.ndarray) -> Any:
-    """Maximum minus minimum along the leading axis; NumPy takes them along the last one in a third of the time."""
-    columns = np.array(values.T, order="C")
-    return columns.max(axis=-1) - columns.min(axis=-1)
+def _spread(values: np.ndarray) -> float:
+    """The largest maximum minus minimum along the leading axis; along the last one NumPy takes a third of the time."""
+    columns = np.ascontiguousarray(values.T)
+    return float(np.max(columns.max(axis=-1) - columns.min(axis=-1)))
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ class Checks(ABC):
             stationarity=stationarity,
             violations={name: float(value) for name, value in diagnostics.violations.items()},
             hamiltonian=float(hamiltonians[0]),
-            hamiltonian_spread=float(_spread(hamiltonians)),
+            hamiltonian_spread=_spread(hamiltonians),
             hamiltonian_size=float(diagnostics.hamiltonian_size),
-            momentum_spreads={name: float(_spread(j).max()) for name, j in diagnostics.momenta.items()},
+            momentum_spreads={name: _spread(j) for name, j in diagnostics.momenta.items()},
             conserved={name: int((rates <= tolerance).sum()) for name, rates in diagnostics.brackets.items()},
             **more,
         )

@@ -1,12 +1,14 @@
-"""Guesses from which nothing but a search over the whole trajectory arrives: states drawn at random."""
+"""Guesses from which nothing but a search over the whole trajectory arrives: states drawn at random, flat costs."""
+
+from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Guess, OptimalControlProblem, Solver
+from retrax.integrators import Free, Guess, OptimalControlProblem, Solver
 from retrax.manifolds import SE, Euclidean, Product
-from retrax.retractions import Midpoint, default_retraction
+from retrax.retractions import Addition, Gauss, Midpoint, default_retraction
 from scipy.spatial.transform import Rotation
 
 STEPS = 30
@@ -48,3 +50,24 @@ def test_docking_arrives_from_scattered_states(docking, seed):
     # From so far off it takes 30 to 115 iterations, and rounding alone changes their number by twenty.
     solution = solver.solve(*ends, 5.0, guess=guess, throw=False, max_iterations=200)
     assert solution.success, solution.result
+
+
+@pytest.mark.parametrize("method", [Midpoint, partial(Gauss, 2), partial(Gauss, 3)], ids=["midpoint", "two", "three"])
+@pytest.mark.parametrize("current", [0.0, 0.2, 0.5, 0.9])
+def test_least_time_with_a_heading_needs_no_bounds_of_the_horizon(method, current):
+    """Zermelo's navigation around a vortex: the cost is flat in the controls, and saddles turn many times."""
+
+    def velocity(q, u):
+        x, y = q[0] - 2, q[1]
+        pull = current / (x**2 + y**2 + 0.5)
+        return jnp.stack([jnp.cos(u[0]) - pull * y, jnp.sin(u[0]) + pull * x])
+
+    plane = Euclidean(2)
+    solver = Solver(OptimalControlProblem(plane, velocity, lambda q, u: 1.0, 1), method(Addition(plane)), 20)
+    way = np.zeros(2), np.array([4.0, 0.0])
+    bounded = solver.solve(*way, Free(4.0, 0.5, 20.0))
+    for guess in (3.0, 4.0, 6.0):
+        found = solver.solve(*way, Free(guess))
+        assert found.checks.strict_minimum
+        assert found.statistics.iterations <= 40
+        np.testing.assert_allclose(found.horizon, bounded.horizon, rtol=1e-8)

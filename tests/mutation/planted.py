@@ -603,8 +603,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "a pursuit takes what a trial is refused for": Planted(
         f"{ENGINE}/pursuit_kernels.py",
-        "if not good or (limited and shift >= rules[9][3]):",
-        "if limited and shift >= rules[9][3]:",
+        "if not good or shift >= stiff:",
+        "if shift >= stiff:",
         (f"{PURSUIT}::test_what_is_refused_is_left_to_the_rest_of_the_iteration",),
     ),
     "a pass forgets the shift of the Hessians": Planted(
@@ -615,7 +615,7 @@ PLANTED: dict[str, Planted] = {
     ),
     "a pass keeps its shift to the end": Planted(
         f"{ENGINE}/pursuit_kernels.py",
-        "kept[SHIFT] = 0.0 if arrived else kept[SHIFT]",
+        "kept[SHIFT] = 0.0 if arrived and not last else kept[SHIFT]",
         "kept[SHIFT] = kept[SHIFT]",
         (PURSUIT,),
     ),

@@ -49,20 +49,20 @@ from .vectors import compiled, inner
 
 CENTRES, CONTROLS, ENDS, FRAMES, POINTS, BOTH = range(6)  # the tapes
 # What the kernels here work with, in the order of ``collocation_trial.OWN``.
-MOVED, RAISED = (F1, F1, F3, F3, F3, F2, F1, F4, F3), (F5, F4, F5)
+MOVED = F1, F1, F3, F3, F3, F2, F1, F4, F3
 POINT, END, TABLE = types.UniTuple(F4, 4), types.UniTuple(F3, 4), types.Tuple((F1, F2, F1))
 KEPT, BLOCKS, BOTH_SLOPES = types.Tuple((F3, array(2, WHOLE), F3)), types.UniTuple(F3, 6), types.UniTuple(F2, 2)
 WORK, ROWS = types.Tuple((F2, F2, F2, F1, F2)), types.UniTuple(F1, 3)
 (moved_of, points_of, both_of, kept_of, condensed_of), _after = laid_parts(
     MOVED, (F4, F4, F4, F4), (F3, F3, F3, F3), (F3, array(2, WHOLE), F3), (F3, F3, F3, F3, F3, F3), after=AFTER
 )
-(slopes_of, asked_of, work_of, stepped_of, sums_of, raised_of), _ = laid_parts(
+(slopes_of, asked_of, work_of, stepped_of, sums_of, limited_of), _ = laid_parts(
     (F3, F3, F2, (F2, F2), (F2, F2)),
     (F4, F4, F4, F3),
     (F2, F2, F2, F1, F2),
     (F2, F3, F2, (F1, F1, F1), (F2, F2)),
     (F2, F2, F2),
-    RAISED,
+    (F5, F4, F5),
     after=_after,
 )
 
@@ -275,7 +275,7 @@ def trial(
     )
     points, both = points_of(written, rows), both_of(written, rows)
     if limited:
-        hessian, at_points, columns = raised_of(written, rows)
+        hessian, at_points, columns = limited_of(written, rows)
         raise_points(calls, given, written, rows, (hessian, at_points), columns)
         _columns(defect, pull, points[3], both[3])
     _condense(calls[AT_OWN], (0, h.size, points, both, of, work_of(written, rows), kept, blocks))
@@ -295,13 +295,14 @@ def complete(calls: tuple, written: np.ndarray, setting: np.ndarray, rows: np.nd
     multipliers, change = multipliers_of(written, rows), change_of(written, rows)
     points, both, kept = points_of(written, rows), both_of(written, rows), kept_of(written, rows)
     (count, z), n, ways = w.shape, both[1].shape[1], ways_of(written, rows)
-    if points[2].shape[3] > 1:
-        _driven(raised_of(written, rows)[2], barrier_of(written, rows)[0], slopes)
+    limited = points[2].shape[3] > 1  # slopes have a second column
+    if limited:
+        _driven(limited_of(written, rows)[2], barrier_of(written, rows)[0], slopes)
     nodes = view(multipliers, 0, (count, n)), view(multipliers, n, (count, n))
     solved = w, nodes[0], nodes[1], z, slopes, pulls
     _expand(calls[AT_OWN + 3], (0, count, points, both, (h, matrix, b), room, kept, solved, found))
     (velocities, lambdas), inside = found, slopes_of(written, rows)[3]
-    if points[2].shape[3] > 1:
+    if limited:
         _ways(w, velocities, (h, matrix, b), ways)
     defect, change[0], change[1] = view(asked_of(written, rows)[0], 0, velocities.shape), 0.0, 0.0
     for k in range(count):

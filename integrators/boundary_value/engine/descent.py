@@ -33,7 +33,7 @@ from .widening import rewritten
 
 SHORTER = 0.5  # what a shift has to shorten a step to
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
-GAINED = 0.1  # times the residual: a step that leads to less is Newton's own, near what it leads to
+GAINED = 0.1  # times the residual: a step that leads to less is Newton's own, near what it leads to, be that a saddle
 SLOW = 1e-6  # a share of a step that is cut no further
 LARGEST_SHIFT = 1e10
 CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
@@ -82,6 +82,7 @@ class Descent:
             self.state = state
             self.fall.note(self.trials, state.member, state.assembled.cost)
             self.report(state, state.descends)
+            # Where all are done, as at the end of a pass, nothing else is asked.
             state = self.leave(state, state.done if state.done.all() else self.finished(state))
             if state is None or self.stopped:
                 return
@@ -94,9 +95,10 @@ class Descent:
         found = set_out(self.conditions, guess, self.max_iterations, self.tolerance)
         if found is None:
             return self.begun(guess)
-        state, trials, known = found
+        state, trials, costs, known = found
         if state is None:
             return self.begun(guess, known()[:2])
+        self.fall.note_all(1, state.member, costs)
         self.first, self.lost, self.trials = lambda: known()[:2], np.zeros(1, bool), trials + 1
         return self.settled_after(state, self.conditions)
 
@@ -109,7 +111,8 @@ class Descent:
         found = pursued(conditions, state, self.trials == 1, most, self.tolerance)
         if found is None:
             return None
-        state, trials = found
+        state, trials, costs = found
+        self.fall.note_all(self.trials + 1, state.member, costs)
         self.trials += trials
         return self.settled_after(state, conditions)
 
@@ -133,11 +136,11 @@ class Descent:
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
-        step, shift, descends = self.regularised(guess, assembled, zero, linear)
+        step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)
         guess = with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0) | ~step.strict)
         if guess is not bare[0]:
             assembled = conditions.assemble(guess)
-            step, shift, descends = self.regularised(guess, assembled, zero, linear)
+            step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)
         self.first, residuals = lambda: (guess, assembled), conditions.residuals(guess, assembled)
         merit = Merit.of(conditions, guess, assembled)
         if not self.lost.size:
@@ -178,12 +181,12 @@ class Descent:
         reached = before.isolated & good & arrived
         if not (again & ~reached).any():
             return state._replace(done=reached)
-        # This near to a solution, or where its steps gain a digit, Newton's method leads to it, be it a minimum or a
-        # saddle.
-        near = (residual <= np.sqrt(self.tolerance)) | (residual <= GAINED * before.residuals.largest)
-        keep = arrived | (good & near)
+        # This near to a solution, and while its steps are taken, Newton's method leads to it, be it a minimum or a
+        # saddle; where they gain a digit it does if they have positive curvature.
+        keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
+        gains = good & (residual <= GAINED * before.residuals.largest) & (trial.slacks is None)
         shift = np.where(arrived, 0.0, state.shift)
-        step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, conditions)
+        step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, gains, conditions)
         # No shift shortens what the constraints ask for: there the same step is cut further.
         vain = again & ~(good | lowered | wider) & before.descends & (before.fraction > SLOW)
         vain &= before.fraction / 2 < SHORTEST
@@ -268,16 +271,16 @@ class Descent:
         assembled: Assembled,
         shift: np.ndarray,
         keep: np.ndarray,
+        loose: np.ndarray,
         conditions: Conditions | None = None,
     ) -> tuple[Step, np.ndarray, np.ndarray]:
-        """Steps with the smallest tried shift of the Hessians that gives positive curvature; and whether it is
-        positive.
+        """Steps with the smallest tried shift of the Hessians that makes them descend; and whether they do.
 
-        Where ``keep`` the shift that came is used as it is.
+        Where ``keep`` the shift that came is used as it is, and where ``loose`` positive curvature is enough.
         """
         conditions = conditions or self.conditions
         step, curvature, size = conditions.eliminate(iterate, assembled, shift)
-        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX))
+        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX) | loose)
         while True:
             going = ~(descends | keep) & (shift < LARGEST_SHIFT)
             if not going.any():
@@ -288,7 +291,8 @@ class Descent:
             own, kept = taken((iterate, assembled), places)
             again, curvature, size = part.eliminate(own, kept, shift[places])
             step = put(step, places, again)
-            descends[places] = (curvature >= CURVATURE * size) & (again.convex | (shift[places] >= CONVEX))
+            convex = again.convex | (shift[places] >= CONVEX) | loose[places]
+            descends[places] = (curvature >= CURVATURE * size) & convex
 
     def settled(self, state: State, arrived: np.ndarray, conditions: Conditions | None = None) -> State:
         """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted

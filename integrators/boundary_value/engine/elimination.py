@@ -126,5 +126,9 @@ def is_strict_minimum(solution: BlockSolution, count: int) -> np.ndarray:
 
 def positive_definite(negative: np.ndarray, smallest: np.ndarray, count: int) -> np.ndarray:
     """The same from the number of negative eigenvalues of the pivots and the size of the smallest of these."""
-    clear = EPS**REGULAR * max(1.0, count / MANY)
-    return (negative == count) & (smallest > clear)
+    return (negative == count) & (smallest > clear_pivot(count))
+
+
+def clear_pivot(count: int) -> float:
+    """What a pivot that is more than rounding exceeds."""
+    return EPS**REGULAR * max(1.0, count / MANY)

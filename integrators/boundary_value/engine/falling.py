@@ -17,7 +17,12 @@ class Fall:
 
     def note(self, trials: int, members: np.ndarray, costs: np.ndarray) -> None:
         """Keep the costs of the members that are on their way after so many trials."""
-        self._seen.append((trials, members, costs))
+        self._seen.append((trials, members, np.array(costs)))  # of their own: others lie in the memory of a pass
+
+    def note_all(self, first: int, members: np.ndarray, costs: list[float]) -> None:
+        """The same of trials of a single member, the first of which is this one."""
+        for k, cost in enumerate(costs):
+            self.note(first + k, members, np.array([cost]))
 
     def lasts(self, which: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """Which members end with a cost that has fallen by far, and in the second half of their trials by no less than

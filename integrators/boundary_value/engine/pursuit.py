@@ -11,7 +11,8 @@ from .aside import FAR, MET, UNMET
 from .kkt_system import Iterate
 from .scaling import SOFTEST
 from .share import DIAMETER, UNCHANGED
-from .trial import Pursuit, Standing, Tried
+from .standing import Standing
+from .trial import Pursuit, Tried
 
 if TYPE_CHECKING:
     from .conditions import Conditions
@@ -21,14 +22,14 @@ CURVATURE = 1e-9  # relative: a step of less does not descend
 SHRINKS = 0.1
 EXACT = 64.0  # times eps: a residual that is rounding
 JAMMED = 1e-3  # a share of a step at which hard inequalities are made elastic
-STIFF = 1e2  # a shift at which they are
+STIFF = 1e2  # a shift at which hard inequalities are made elastic: no more than what counts as one that makes convex
 
 
 def set_out(
     conditions: "Conditions", guess: Iterate, most: int, tolerance: float
-) -> tuple[State | None, int, Callable[[], Tried]] | None:
-    """The state after whole steps from a guess, if the first is one, how many trials that took, and the guess with its
-    system, from which units are taken.
+) -> tuple[State | None, int, list[float], Callable[[], Tried]] | None:
+    """The state after whole steps from a guess, if the first is one, how many trials that took, the costs on the way,
+    and the guess with its system, from which units are taken.
 
     None where there is no compiled pass for it, as with inequalities, whose slacks are to be found first, or where ends
     of its steps are far apart.
@@ -43,15 +44,16 @@ def set_out(
     first, conditions.units, found = begun
     conditions.wider = None
     if found is None:
-        return None, 0, first
+        return None, 0, [], first
     state, trials = _reached(conditions, found) or (_state(first(), found), 0)
-    return state, trials, first
+    return state, trials, found.costs, first
 
 
 def pursued(
     conditions: "Conditions", state: State, first: bool, most: int, tolerance: float
-) -> tuple[State, int] | None:
-    """The state after whole steps, at most so many, and how many trials that took; None where there is none to take.
+) -> tuple[State, int, list[float]] | None:
+    """The state after whole steps, at most so many, how many trials that took, and the costs after each step; None
+    where there is none to take.
 
     The state is that of ``next``, but that the last one is not settled yet. ``first``: no trial was judged before.
     """
@@ -79,7 +81,7 @@ def pursued(
     if (reached := _reached(conditions, found)) is None:
         return None
     after, trials = reached
-    return after._replace(member=state.member, claimed=after.claimed | state.claimed), trials
+    return after._replace(member=state.member, claimed=after.claimed | state.claimed), trials, found.costs[1:]
 
 
 def _rules(conditions: "Conditions", tolerance: float) -> tuple[Any, ...]:

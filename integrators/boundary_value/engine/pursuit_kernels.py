@@ -92,16 +92,14 @@ def addresses(limited: bool) -> tuple[int, ...]:
 
 
 @inner
-def _accepted(
-    standing: np.ndarray, numbers: np.ndarray, cost: float, reach: float, limited: bool, rules: tuple
-) -> bool:
+def _accepted(standing: np.ndarray, numbers: np.ndarray, cost: float, reach: float, stiff: float, rules: tuple) -> bool:
     """Whether a whole step, as far as it may go, is taken and the next is to be a whole one, with inequalities by less
     of a shift than a stiff one; what stands then follows it."""
     made = True, standing[PROMISED], standing[TURNED], reach, 1.0, 1.0
     before, now = (standing[MISSING], standing[COST], standing[HELD]), (numbers[9, 0], numbers[10, 0], numbers[11, 0])
     reached = standing[FUNNEL], standing[BEST], standing[SHIFT], numbers[8, 0], numbers[13, 0], cost
     funnel, shift, _, best, good, _ = judged(made, before, now, reached, standing[FIRST] > 0, rules[0], rules[1])
-    if not good or (limited and shift >= rules[9][3]):
+    if not good or shift >= stiff:
         return False
     standing[MISSING], standing[COST], standing[HELD] = now
     standing[FUNNEL], standing[BEST], standing[FIRST], standing[SHIFT] = funnel, best, 0.0, shift
@@ -216,9 +214,11 @@ def _stepped(
     given: np.ndarray,
     written: np.ndarray,
     rows: np.ndarray,
+    least: float,
     rules: tuple,
 ) -> bool:
-    """Whether Newton's step on the system is one that may be made as a whole; then what it promises stands."""
+    """Whether Newton's step on the system is one that may be made as a whole, whose pivots exceed the least; then what
+    it promises stands."""
     hessian, left, right, _, _ = blocks_of(written, rows)
     slopes, lacks, steps, multipliers, finite, largest, told, _, _ = found_of(written, rows)
     curvature, sizes, (_, _, support) = curvature_of(written, rows), sizes_of(written, rows), spread_of(written, rows)
@@ -236,7 +236,10 @@ def _stepped(
     system, found = (hessian, left, right, slopes, lacks, start, end), (steps, multipliers, finite, largest)
     own = units, raised, rules[4], work_of(room, rows), factors_of(room, rows)
     solve(calls[AT_SOLVE], (0, 1, system, *own, found, told))
-    if not (finite[0, 0] and told[2][0] >= rules[0] * told[3][0] and told[0][0] == (count + 1) * n):
+    negative, smallest, curved, size = told
+    if not (
+        finite[0, 0] and smallest[0] > least and curved[0] >= rules[0] * size[0] and negative[0] == (count + 1) * n
+    ):
         return False
     groups = columns_of(setting, rows)
     points = view(x_of(written, rows), 0, (count, groups[0].size))
@@ -304,8 +307,8 @@ def _settled(
 
 @inner
 def _copied(to: np.ndarray, numbers: np.ndarray) -> None:
-    """Copy numbers."""
-    for i in range(numbers.size):
+    """Copy as many numbers as both have."""
+    for i in range(min(to.size, numbers.size)):
         to[i] = numbers[i]
 
 
@@ -328,7 +331,8 @@ def pursue(
     written, and is not one of those that are only followed here, or none is to be judged, ``most`` being 0; ``LOST``
     where the first step of a search is not, and ``APART`` where ends of steps of a guess are not near each other;
     ``ARRIVED`` where a trial meets the conditions whose step was Newton's last; ``CHANGED`` where a trial is one that
-    lowers the barrier, and is not gone on from; else ``GOING``.
+    lowers the barrier, and is not gone on from; else ``GOING``. ``standing``: what stands, and behind it the cost after
+    each step.
 
     Trials are written in turn in the first two places, each with the step from there where it was gone on from; in the
     third stands what the pass sets out from, with its step. ``fresh``: a guess stands in the second, and the search
@@ -337,14 +341,15 @@ def pursue(
     ``calls``: addresses; ``programs``, ``memory``: of the tapes, and what they work in; ``vectors``: what stays the
     same, what is given to this pass, and room; ``rows``: where all stands in these (``trial_kernels``); ``rules``: the
     tolerance; those of ``judge``; the least curvature of a step, the softest one of a coordinate, by which share of a
-    point's size a coordinate moves at most, by which share sizes differ, the weight of an elimination, and the share of
-    the way to the boundary that a step may go; those of ``_leads_on``; those of ``_settled``; a residual that is
-    rounding; from which share on ends are far apart, and what a multiplier is kept within; those of ``survey``; those
-    of ``measure``; the last barrier relative to the tolerance, those of ``lowered``, a share of a step at which it
-    jams, and a stiff shift.
+    point's size a coordinate moves at most, by which share sizes differ, the weight of an elimination, the share of the
+    way to the boundary that a step may go, and what pivots at a guess exceed; those of ``_leads_on``; those of
+    ``_settled``; a residual that is rounding; from which share on ends are far apart, and what a multiplier is kept
+    within; those of ``survey``; those of ``measure``; the last barrier relative to the tolerance, those of ``lowered``,
+    a share of a step at which it jams, and a stiff shift.
     """
     (setting, given, room), done, tolerance, end = vectors, 0, rules[0], 0
     before, limited = places[1] if fresh else places[2], price_of(given, rows).shape[3] > 0
+    stiff = rules[9][3] if limited else np.inf
     while True:
         written = places[2] if fresh else places[done % 2]
         barrier_of(written, rows)[0] = barrier_of(before, rows)[0]
@@ -358,16 +363,17 @@ def pursue(
         _copied(kept, standing)
         if fresh:
             set_out(kept, numbers)
-        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], reach, limited, rules):
+        elif most == 0 or not _accepted(kept, numbers, cost_of(written, rows)[0], reach, stiff, rules):
             return done, TRIED
         if limited:
             of = tolerance, rules[9][0], rules[9][1], rules[7], rules[8]
             end = lower(calls[AT_LOWER], (calls, setting, given, written, rows, kept, of))
         resting = _is_resting(numbers, lacking_of(written, rows), along_of(written, rows), tolerance)
         arrived = numbers[7, 0] <= tolerance
-        kept[SHIFT] = 0.0 if arrived else kept[SHIFT]
         last = arrived and kept[ISOLATED] > 0 and end != CHEAP
-        refused = end == CHEAP or not (last or _stepped(calls, room, setting, given, written, rows, rules[2]))
+        kept[SHIFT] = 0.0 if arrived and not last else kept[SHIFT]
+        least = rules[2][6] if fresh else -1.0
+        refused = end == CHEAP or not (last or _stepped(calls, room, setting, given, written, rows, least, rules[2]))
         if fresh and (refused or arrived or resting or not _leads_on(setting, given, written, rows, rules[3])):
             return done, LOST
         if refused:
@@ -376,6 +382,7 @@ def pursue(
         if last:
             return done, ARRIVED
         done += not fresh
+        standing[kept.size + done] = cost_of(written, rows)[0]
         jammed = limited and is_jammed(calls[AT_JAMMED], (written, given, rows, tolerance, rules[4][0], rules[9][2]))
         if not fresh and (done == most or resting or jammed):
             return done, GOING

@@ -17,7 +17,7 @@ from ...layout import Layout
 
 ASIDE = 0.05  # of the chord
 PIECES = 8  # of a curve, in which its unevenness is measured: it does not depend on the steps of a method
-PLACES = np.linspace(0.0, 1.0, PIECES + 1)
+ENDS = np.linspace(0.0, 1.0, PIECES + 1)  # of these
 UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps
 
 
@@ -69,7 +69,7 @@ class Start:
             self._curves.append(self._curve(retraction))
         leave, go = self._curves[place]
         vectors, lengths = leave.at(1, starts, ends)
-        (points,) = go.at(2, starts[:, None], vectors[:, None], PLACES[None, :, None])
+        (points,) = go.at(2, starts[:, None], vectors[:, None], ENDS[None, :, None])
         arrived = np.isfinite(lengths) & self._even(points)
         if not arrived.any():
             return np.empty((len(starts), len(fractions), self.layout.size)), arrived
@@ -96,8 +96,7 @@ class Start:
         change, arrays = points[:, 1:] - points[:, :-1], self.layout.in_arrays.T
         lengths = np.sqrt((change * change) @ arrays)
         size = np.sqrt(((points * points) @ arrays).max(axis=1, initial=0.0))
-        most = lengths.max(axis=1, initial=0.0)
-        return (most <= UNEVEN / PIECES * lengths.sum(axis=1) + default_tolerance() * size).all(axis=1)
+        return (lengths.max(axis=1) <= UNEVEN * lengths.mean(axis=1) + default_tolerance() * size).all(axis=1)
 
     def _walked(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A walk along the chord's tangential part, each time the share of its length that is due; and whether it

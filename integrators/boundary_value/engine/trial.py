@@ -17,7 +17,7 @@ import numpy as np
 from ....aligned import scratch
 from ...evaluator import Evaluated, Placed
 from .barrier import LAST, LOWERING, PRICES
-from .elimination import WEIGHT, positive_definite, work_shapes
+from .elimination import WEIGHT, clear_pivot, positive_definite, work_shapes
 from .extent import OF_POINTS, Extent
 from .fields import Fields, Place, Shapes
 from .inequalities import BOUNDARY, KEPT, VALUE, Held, Slacks, Surveyed, Turn
@@ -26,6 +26,7 @@ from .meeting import FAR
 from .programs import joined
 from .residuals import NUMBERS, SHARES, Appraisal
 from .scaling import Units, unit_shapes
+from .standing import STANDING, Standing, standing_with_costs
 from .transcription import Blocks, Nodes
 
 if TYPE_CHECKING:
@@ -79,22 +80,6 @@ class Tried(NamedTuple):
     surveyed: np.ndarray
 
 
-class Standing(NamedTuple):
-    """What stands between the trials of a pursuit, in the order of ``pursuit_kernels``."""
-
-    promised: float = 0.0
-    turned: float = 0.0
-    missing: float = 0.0
-    cost: float = 0.0
-    held: float = 0.0
-    funnel: float = 0.0
-    best: float = 0.0
-    first: bool = False  # no trial was judged before
-    correction: float = np.inf
-    isolated: bool = False
-    shift: float = 0.0
-
-
 class SetOut(NamedTuple):
     """The guess with its system when it is asked for, the units from there, and the pursuit, if its first step is a
     whole one."""
@@ -109,12 +94,13 @@ class Pursuit(NamedTuple):
     step that was not gone on from, if there is one; how the pass ended with it."""
 
     taken: int
-    last: Tried | None  # none where it set out from a known step and took no other, or has arrived
+    last: Tried | None  # none where it took no step, and where it has arrived
     step: Step
     standing: Standing
     ahead: Tried | None
     arrived: bool  # it is the last
     far: bool  # it takes more than a pass
+    costs: list[float]  # of the guess, if it set out from one, and after each step
 
 
 NOT_JUDGED = 0.0, ((0.0,) * 9, (0.0,) * 5), (0.0,) * 4, (0.0,) * 3, (0.0,) * 2, 0.0, (0.0,) * 2
@@ -133,6 +119,7 @@ class Trial(ABC):
 
         self._kernels, self.limited = pursuit_kernels, steps.inequalities > 0
         self._weight, (self._programs, of_programs, self._memory) = WEIGHT * count, joined(programs)
+        self._clear = clear_pivot((count + 1) * steps.manifold.dimension)
         self.written = Fields(self.shapes(steps, count) | _written(steps, count))
         self.setting = Fields(_setting(steps, count, self.tableau), SETTING_KINDS)
         self._given = Fields(_given(steps, count))
@@ -193,7 +180,7 @@ class Trial(ABC):
         to, known = self.written.place(), self._known(*before)
         known.v["part"][...] = part
         numbers, _ = self._given_for(conditions, iterate.slacks, setting.weights)
-        standing = np.array(Standing(), float)
+        standing = standing_with_costs(Standing(), 0)
         _, end = self._run(setting, numbers, [to, to, known], NOT_JUDGED, (standing, 0, False))
         return None if end == self._kernels.FAR else self._tried(to.v, iterate.slacks, setting.weights)
 
@@ -201,15 +188,14 @@ class Trial(ABC):
         """The guess with its system, units from there, and iterations with whole steps; None where ends of steps are
         far apart; ``going``: rules, and how many iterations at most."""
         places = [self.written.place(), self._known(guess, None, None), self.written.place()]
-        (numbers, v), stands, (rules, most) = self._given_for(None), np.array(Standing(), float), going
+        (numbers, v), stands, (rules, most) = self._given_for(None), standing_with_costs(Standing(), going[1]), going
         count, end = self._run(setting, numbers, places, rules, (stands, most, True))
         if end == self._kernels.APART:
             return None
         units, first = Units(v["unknowns"], v["nodes"], v["unit"]), partial(self._tried, places[2].v)
-        begun = self._step(places[2].v)
-        if end == self._kernels.LOST or not begun.strict[0]:  # what is flat asks for multipliers first
+        if end == self._kernels.LOST:
             return SetOut(first, units, None)
-        last = None if count else (first(), begun)
+        last = None if count else (None, self._step(places[2].v))
         return SetOut(first, units, self._pursuit(places, (count, end, stands), last))
 
     def pursue(
@@ -221,7 +207,7 @@ class Trial(ABC):
     ) -> Pursuit:
         """Iterations with whole steps; ``going``: rules, what stands, and how many at most."""
         (rules, standing, most), places = going, [self.written.place(), self.written.place(), self._known(*before)]
-        slacks, stands = before[0].slacks, np.array(standing, float)
+        slacks, stands = before[0].slacks, standing_with_costs(standing, most)
         numbers, _ = self._given_for(conditions, slacks, setting.weights)
         count, end = self._run(setting, numbers, places, rules, (stands, most, False))
         last = None if count else (None, before[2])
@@ -244,7 +230,9 @@ class Trial(ABC):
             last = None if arrived else self._tried(written, slacks, weights), self._step(written)
         is_tried = arrived or end == kinds.TRIED
         ahead = self._tried(places[count % 2].v, slacks, weights) if is_tried else None
-        return Pursuit(count, *last, Standing(*standing.tolist()), ahead, arrived, end == kinds.FAR)
+        numbers = standing.tolist()
+        stands, costs = Standing(*numbers[:STANDING]), numbers[STANDING : STANDING + count + 1]
+        return Pursuit(count, *last, stands, ahead, arrived, end == kinds.FAR, costs)
 
     def _known(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> Place:
         """What a trial sets out from; without a step, the iterate where it stays."""
@@ -295,6 +283,7 @@ class Trial(ABC):
         memory, room = scratch(((self._memory,), (self._room.size,)))
         room[: self._room.begins["kept"]] = 0.0  # others work there too
         judge, steps, *others = rules[1:]
+        steps = *steps, self._weight, BOUNDARY, self._clear
         return self._kernels.pursue(
             self._calls,
             self._programs,
@@ -302,7 +291,7 @@ class Trial(ABC):
             tuple([place.numbers for place in places]),
             (setting.numbers, given, room),
             self._rows,
-            (rules[0], judge, (*steps, self._weight, BOUNDARY), *others[:-1], *SIZES, (LAST, LOWERING, *others[-1])),
+            (rules[0], judge, steps, *others[:-1], *SIZES, (LAST, LOWERING, *others[-1])),
             *going,
         )
 
@@ -355,7 +344,7 @@ def _written(steps: Any, count: int) -> Shapes:
         "nodes": (*at, e), "gaps": (*at, e), "apart": at, "largest": (1, e), "work": (2, e),
         "covectors": ((count + 1) * e,), "cost": (1,), "pushed": (*each, 1, z, 2),
         "steps": (*each, z), "multipliers": (*at, n), "finite": (1, 1), "grown": (1, z),
-        "change": (2,), "standing": (len(Standing._fields),), **dict.fromkeys(TOLD, (1,)),
+        "change": (2,), "standing": (STANDING,), **dict.fromkeys(TOLD, (1,)),
         **dict.fromkeys(("s", "nu", "t", "turn_s", "turn_nu", "turn_t"), points),
         "part": (1,), "dual": (1,), "turned": (1, 4), "barrier": (1,), **({"driven": (*each, z)} if c else {}),
         "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
