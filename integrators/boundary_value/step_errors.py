@@ -146,7 +146,7 @@ class Estimator:
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
         values, slopes = self._limits.at(2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
-        bound = self.problem.with_parameters(parameters)
+        bound = self.problem.with_parameters(parameters).at_time(0.0)
         violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes | bound.node_sizes)
         size = np.max(np.abs(values), axis=(0, 1))
         free = np.max(np.abs(slopes), axis=(0, 1)) == 0

@@ -337,3 +337,15 @@ def test_a_minimum_that_touches_a_cone_is_shown_with_any_accuracy(degrees, accur
     solution = solve(problem, method, *ends, 5.0, 10, accuracy=accuracy)
     assert solution.checks.strict_minimum
     assert (solution.checks.active["outside"] > 0) == (degrees > 17)
+
+
+@pytest.mark.parametrize("kind", ["constraints", "node_constraints"])
+def test_constraints_with_an_explicit_time_are_looked_at_between_the_points(kind):
+    line = Euclidean(1)
+    tube = (lambda q, u, t: q[0] - 1 - t) if kind == "constraints" else (lambda q, t: q[0] - 1 - t)
+    problem = OptimalControlProblem(
+        line, lambda q, u, t: u, lambda q, u, t: u @ u / 2, 1, time_dependent=True, **{kind: {"tube": tube}}
+    )
+    found = solve(problem, Gauss(2, Addition(line)), np.zeros(1), np.ones(1), 1.0, 10, accuracy=1e-6)
+    assert found.cost == pytest.approx(0.5, rel=1e-9)
+    assert found.checks.between == {"tube": 0.0}

@@ -10,7 +10,7 @@ from ....manifolds.numerics.ambient import joined
 from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier
 from .beginning import in_units, started
-from .elimination import BlockSystem, eliminate, is_strict_minimum
+from .elimination import BlockSystem, clear_pivot, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, fitted, moved, turned
 from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, promised, steps_of_covectors, turned_by
@@ -300,7 +300,10 @@ class Conditions:
         scales = typical_curvatures(assembled.extent.curvature, self.measured) if free else None
         found = eliminate(self.system(iterate, assembled), self.measured, shift, scales)
         both, count = (found.steps[..., 0], found.multipliers[..., 0], found.largest), found.multipliers[0].size
-        step = Step(*both, is_strict_minimum(found, count), found.negative == count, found.finite[:, 0])
+        convex = found.negative == count
+        if free:  # an inertia that is hidden by rounding does not speak against it
+            convex |= found.smallest <= clear_pivot(count)
+        step = Step(*both, is_strict_minimum(found, count), convex, found.finite[:, 0])
         return self.completed(iterate, assembled, step), found.curvature, found.size
 
     def least_step(self, iterate: Iterate, assembled: Assembled) -> Step:

@@ -46,7 +46,7 @@ class Step(NamedTuple):
     multipliers: np.ndarray
     largest: np.ndarray  # of each unknown, shape (B, z)
     strict: np.ndarray  # positive definite on the null space of the constraints, beyond rounding
-    convex: np.ndarray  # the inertia is that of one that is
+    convex: np.ndarray  # the inertia is that of one that is, or without inequalities is hidden by rounding
     finite: np.ndarray
     inner: Any = None  # of what was condensed
     turn: Turn | None = None  # of the slacks

@@ -7,6 +7,8 @@ from .extent_kernels import larger
 from .lu import back_substitute, decompose
 from .vectors import add, compiled, entry, filled, inner, magnitude, put, put_entry, subtract, vector
 
+FARTHEST = 1e2
+
 Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -140,6 +142,19 @@ def _size(sums: tuple, own: np.ndarray, room: np.ndarray, push: np.ndarray, reac
     return most if 0 < most < asked else asked
 
 
+@inner
+def _within(size: float, own: np.ndarray, reach: np.ndarray, n: int) -> float:
+    """The size for the states: what these reach is so many times as far at most as they move themselves, in one of them.
+
+    What controls reach grows without bound where a plant is unstable: beside that nothing would count.
+    """
+    moved = 0.0
+    for a in range(n):
+        if reach[a] > 0:
+            moved = larger(moved, own[a] / reach[a])
+    return min(size, FARTHEST * moved) if moved > 0 else size
+
+
 @compiled
 def units(
     system: tuple, own: tuple, curved: np.ndarray, work: tuple, swaps: np.ndarray, rounding: float, out: tuple
@@ -167,8 +182,9 @@ def units(
             reached = _reached(gramians, a, 0)
             reach[a] = reached if reached > rounding * _reached(gramians, a, 1) else 0.0
         size, most = _size((curvature, slope), sizes[m], room[m], push, reach, convex), 0.0
+        farther = _within(size, sizes[m], reach, n)
         for i in range(z):
-            unit = larger(sizes[m, i], size * reach[i])
+            unit = larger(sizes[m, i], (farther if i < n else size) * reach[i])
             unit = _or_one(unit if unit > 0 else values[m, i])
             most = larger(most, larger(curvature[i] * unit * unit, slope[i] * unit))
             unknowns[m, i] = unit
