@@ -170,7 +170,7 @@ class Refinement:
         except RetraxError as error:
             return f"a finer mesh is not to be had: {error}"
         if not finer.success:
-            return f"it was not solved on a finer mesh of {len(lengths)} steps: {finer.result}"
+            return f"it was not solved on a finer mesh of {len(lengths)} steps: {finer.result.removesuffix('.')}"
         return self._judged(finer, structure, arcs)
 
     def _parts(self, found: _Found) -> np.ndarray:

@@ -619,6 +619,24 @@ PLANTED: dict[str, Planted] = {
         "kept[SHIFT] = kept[SHIFT]",
         (PURSUIT,),
     ),
+    "what controls reach has no end": Planted(
+        f"{ENGINE}/scaling_kernels.py",
+        "return min(size, FARTHEST * moved) if moved > 0 else size",
+        "return size",
+        ("tests/integrators/test_unstable_plants.py",),
+    ),
+    "rounding hides that a cost is flat": Planted(
+        f"{ENGINE}/descent.py",
+        "with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0) | ~step.strict)",
+        "with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0))",
+        ("tests/integrators/test_arrival.py",),
+    ),
+    "steps past saddles descend": Planted(
+        f"{ENGINE}/descent.py",
+        "descends[places] = (curvature >= CURVATURE * size) & convex",
+        "descends[places] = curvature >= CURVATURE * size",
+        ("tests/integrators/test_arrival.py", SOLVER, BARRIERS, UNREACHED),
+    ),
     "rounding refuses what leads to a solution": Planted(
         f"{ENGINE}/acceptance_kernels.py",
         "less = now[1] + now[2] <= least + rounded * (abs(before[1]) + abs(before[2]))",

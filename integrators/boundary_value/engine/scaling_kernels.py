@@ -144,7 +144,7 @@ def _size(sums: tuple, own: np.ndarray, room: np.ndarray, push: np.ndarray, reac
 
 @inner
 def _within(size: float, own: np.ndarray, reach: np.ndarray, n: int) -> float:
-    """The size for the states: what these reach is so many times as far at most as they move themselves, in one of them.
+    """The size for the states, at most so many times as far as one of them moves itself.
 
     What controls reach grows without bound where a plant is unstable: beside that nothing would count.
     """
