@@ -8,6 +8,7 @@ from .lu import back_substitute, decompose
 from .vectors import add, compiled, entry, filled, inner, magnitude, put, put_entry, subtract, vector
 
 FARTHEST = 1e2
+EXPLODES = 64.0  # times as far in twice the time: no chain of six integrators comes as far
 
 Work = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -114,6 +115,18 @@ def _reached(gramians: np.ndarray, a: int, t: int) -> float:
 
 
 @inner
+def _explodes(gramians: np.ndarray, a: int) -> bool:
+    """Whether controls move a coordinate much farther in half of the time than in a quarter of it."""
+    count = gramians.shape[1]
+    whole, half = count // 2, count // 4
+    if half < 1:
+        return False
+    far = min(gramians[0, whole - 1, a], gramians[2, whole, a])
+    near = min(gramians[0, half - 1, a], gramians[2, count - half, a])
+    return far > EXPLODES * EXPLODES * near
+
+
+@inner
 def _or_one(size: float) -> float:
     return size if size > 0 and np.isfinite(size) else 1.0
 
@@ -185,6 +198,8 @@ def units(
         farther = _within(size, sizes[m], reach, n)
         for i in range(z):
             unit = larger(sizes[m, i], (farther if i < n else size) * reach[i])
+            if i < n and sizes[m, i] > 0 and _explodes(gramians, i):
+                unit = min(unit, FARTHEST * sizes[m, i])
             unit = _or_one(unit if unit > 0 else values[m, i])
             most = larger(most, larger(curvature[i] * unit * unit, slope[i] * unit))
             unknowns[m, i] = unit
