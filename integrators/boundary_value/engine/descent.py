@@ -137,7 +137,8 @@ class Descent:
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)
-        guess = with_first_multipliers(conditions, guess, assembled, ~descends | (shift > 0) | ~step.strict)
+        flat = ~descends | (shift > 0) | (linear & ~step.strict)  # with inequalities the inertia has told already
+        guess = with_first_multipliers(conditions, guess, assembled, flat)
         if guess is not bare[0]:
             assembled = conditions.assemble(guess)
             step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)

@@ -156,16 +156,18 @@ def _size(sums: tuple, own: np.ndarray, room: np.ndarray, push: np.ndarray, reac
 
 
 @inner
-def _within(size: float, own: np.ndarray, reach: np.ndarray, n: int) -> float:
-    """The size for the states, at most so many times as far as one of them moves itself.
+def _farthest(own: np.ndarray, reach: np.ndarray, a: int, n: int) -> float:
+    """The largest unit of a coordinate of the states that controls move without bound, as where a plant is unstable.
 
-    What controls reach grows without bound where a plant is unstable: beside that nothing would count.
+    It is so many times what the coordinate moves itself, or, if it rests, what it moves while another one does.
     """
+    if own[a] > 0:
+        return FARTHEST * own[a]
     moved = 0.0
-    for a in range(n):
-        if reach[a] > 0:
-            moved = larger(moved, own[a] / reach[a])
-    return min(size, FARTHEST * moved) if moved > 0 else size
+    for b in range(n):
+        if reach[b] > 0:
+            moved = larger(moved, own[b] / reach[b])
+    return FARTHEST * moved * reach[a] if moved > 0 else np.inf
 
 
 @compiled
@@ -195,11 +197,10 @@ def units(
             reached = _reached(gramians, a, 0)
             reach[a] = reached if reached > rounding * _reached(gramians, a, 1) else 0.0
         size, most = _size((curvature, slope), sizes[m], room[m], push, reach, convex), 0.0
-        farther = _within(size, sizes[m], reach, n)
         for i in range(z):
-            unit = larger(sizes[m, i], (farther if i < n else size) * reach[i])
-            if i < n and sizes[m, i] > 0 and _explodes(gramians, i):
-                unit = min(unit, FARTHEST * sizes[m, i])
+            unit = larger(sizes[m, i], size * reach[i])
+            if i < n and _explodes(gramians, i):
+                unit = min(unit, _farthest(sizes[m], reach, i, n))
             unit = _or_one(unit if unit > 0 else values[m, i])
             most = larger(most, larger(curvature[i] * unit * unit, slope[i] * unit))
             unknowns[m, i] = unit
