@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver
-from retrax.manifolds import SE, Euclidean, Product
+from retrax.manifolds import SE, SO, Euclidean, Product, hat
 from retrax.retractions import Addition, Gauss, Midpoint, default_retraction
 from scipy.spatial.transform import Rotation
 
@@ -71,3 +71,16 @@ def test_least_time_with_a_heading_needs_no_bounds_of_the_horizon(method, curren
         assert found.checks.strict_minimum
         assert found.statistics.iterations <= 40
         np.testing.assert_allclose(found.horizon, bounded.horizon, rtol=1e-8)
+
+
+@pytest.mark.parametrize("place", ["start", "end", "beside"])
+def test_a_guess_at_rest_that_cannot_be_steered_from_is_no_flat_cost(place):
+    """Turns about two axes towards one about the third: at rest the ends depend on each other, and nothing is near."""
+    rotations, end = SO(3), Rotation.from_rotvec([0.4, -0.3, 1.6]).as_matrix()
+    problem = OptimalControlProblem(rotations, lambda q, u: q @ hat(jnp.append(u, 0.0)), lambda q, u: u @ u / 2, 2)
+    solver = Solver(problem, Midpoint(default_retraction(rotations)), 40)
+    at = {"start": np.eye(3), "end": end, "beside": Rotation.from_rotvec([1.0, 2.0, -0.5]).as_matrix()}[place]
+    guess = Guess(np.broadcast_to(at, (40, 3, 3)), np.zeros((40, 2)))
+    found = solver.solve(np.eye(3), end, 1.0, guess=guess, throw=False)
+    np.testing.assert_allclose(found.states[0], np.eye(3), atol=1e-9)
+    assert not found.success or found.cost > 7.148

@@ -627,7 +627,7 @@ PLANTED: dict[str, Planted] = {
     ),
     "rounding hides that a cost is flat": Planted(
         f"{ENGINE}/descent.py",
-        "flat = ~descends | (shift > 0) | (linear & ~step.strict)",
+        "flat = ~descends | (shift > 0) | (linear & ~step.strict & has_flat_controls(assembled))",
         "flat = ~descends | (shift > 0)",
         ("tests/integrators/test_arrival.py",),
     ),

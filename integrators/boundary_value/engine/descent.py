@@ -24,7 +24,7 @@ from .aside import aside, is_lost
 from .batches import merged, put
 from .conditions import Conditions
 from .falling import Fall
-from .first_multipliers import with_first_multipliers
+from .first_multipliers import has_flat_controls, with_first_multipliers
 from .found import Found, Iteration
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals, Step
@@ -137,7 +137,8 @@ class Descent:
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)
-        flat = ~descends | (shift > 0) | (linear & ~step.strict)  # with inequalities the inertia has told already
+        # With inequalities the inertia has told already.
+        flat = ~descends | (shift > 0) | (linear & ~step.strict & has_flat_controls(assembled))
         guess = with_first_multipliers(conditions, guess, assembled, flat)
         if guess is not bare[0]:
             assembled = conditions.assemble(guess)

@@ -32,6 +32,15 @@ def with_first_multipliers(conditions: Any, iterate: Any, assembled: Any, flat: 
     return merged(flat & step.finite, moved, iterate)
 
 
+def has_flat_controls(assembled: Any) -> np.ndarray:
+    """Whether the Hessian has no curvature at all in a control, shape (B,).
+
+    Where it has some and the system is singular all the same, constraints depend on each other.
+    """
+    parts = getattr(assembled, "parts", (assembled,))
+    return np.any([np.any(p.extent.curvature[:, p.gap.shape[2] :] == 0, axis=1) for p in parts], axis=0)
+
+
 def _is_convex(hessian: np.ndarray) -> np.ndarray:
     """Whether no block, of which the upper triangle counts, has a negative eigenvalue beyond rounding, shape (B,)."""
     values = np.linalg.eigvalsh(np.where(np.isfinite(hessian), hessian, 0.0), UPLO="U")
