@@ -23,6 +23,7 @@ from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, j
 from .aside import aside, is_lost
 from .batches import merged, put
 from .conditions import Conditions
+from .extent import ends_meet
 from .falling import Fall
 from .first_multipliers import has_flat_controls, with_first_multipliers
 from .found import Found, Iteration
@@ -82,7 +83,6 @@ class Descent:
             self.state = state
             self.fall.note(self.trials, state.member, state.assembled.cost)
             self.report(state, state.descends)
-            # Where all are done, as at the end of a pass, nothing else is asked.
             state = self.leave(state, state.done if state.done.all() else self.finished(state))
             if state is None or self.stopped:
                 return
@@ -380,6 +380,8 @@ class Descent:
             strict = self.conditions.is_isolated_minimum(whole.iterate, whole.assembled)
         missing, unit = whole.assembled.extent.lacking / self.conditions.judging.nodes, self.conditions.judging.cost
         claimed = whole.claimed & (whole.residuals.final <= self.tolerance)  # it may have gone on from where it was
+        if not self.conditions.joint:
+            claimed &= ends_meet(whole.assembled, self.conditions.at_nodes.layout.in_arrays, self.tolerance)
         ended = (
             strict & whole.isolated,
             iterations - 1,

@@ -1,6 +1,6 @@
 """How large a trajectory and the parts of its KKT system are, found in one pass."""
 
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,6 +11,8 @@ from ...layout import Layout
 from .arrays import plain
 from .transcription import Blocks
 
+MET = 1e-6  # of the largest entry of the states: ends that are no farther apart meet
+APART = 1e-3  # of the largest entry of an array: those that are farther do not
 OF_POINTS = 6  # rows of the survey of points that are condensed
 
 
@@ -85,3 +87,20 @@ def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: 
 
     in_threads(run, batch, count * (2 * n * (z + e)))
     return found
+
+
+def ends_meet(assembled: Any, in_arrays: Float[np.ndarray, "A E"], tolerance: float) -> Bool[np.ndarray, " B"]:
+    """Whether ends of steps are not as far apart as the arrays of the states are large, whatever gaps are measured by.
+
+    Where units have lost their meaning, as where controls reach next to nothing or next to everything, a gap in these
+    units says nothing.
+    """
+    extent, distance = assembled.extent, assembled.distance
+    values = np.maximum(extent.highest, extent.lowest)
+    worst, size = distance.max(axis=1, initial=0.0), values.max(axis=1, initial=0.0)
+    met = worst <= MET * size
+    if met.all():
+        return met
+    apart, own = (np.where(in_arrays > 0, entries[:, None], 0.0).max(axis=2) for entries in (distance, values))
+    far = (apart > max(APART, 10 * tolerance) * own) & (apart > MET * size[:, None])
+    return ~far.any(axis=1)

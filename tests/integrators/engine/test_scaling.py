@@ -1,9 +1,11 @@
 """Natural units of a batch of linearised trajectories."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from retrax.integrators.boundary_value.engine.elimination import BlockSystem
-from retrax.integrators.boundary_value.engine.extent import Extent
+from retrax.integrators.boundary_value.engine.extent import Extent, ends_meet
 from retrax.integrators.boundary_value.engine.scaling import natural_units
 from retrax.integrators.layout import Layout
 from retrax.manifolds import Sphere
@@ -71,3 +73,13 @@ def test_a_coordinate_moves_by_more_than_half_of_the_digits_of_its_column_or_not
     expected = np.array([[0.3, 0.9]]) * share * EPS**HALF * size
     np.testing.assert_allclose(moved, np.where([[share > 0.8 / 0.3, share > 1]], expected, 0.0), rtol=1e-6)
     np.testing.assert_allclose(sizes, size * np.array([[0.8, 0.9]]))
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-12, 1e-7, 0.9e-3, 1.1e-3, 0.1, 1.0, 1e9])
+def test_ends_that_are_apart_by_what_their_array_is_large_do_not_meet(apart):
+    """Whatever gaps are measured by; what is rounding beside the other arrays may be as large as its own array."""
+    values, in_arrays = np.array([[1.0, 0.5, 1e-9]]), np.array([[1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    extent = SimpleNamespace(highest=values, lowest=-values)
+    for distance, expected in (([apart, 0.0, 0.0], apart < 1e-3), ([0.0, 0.0, apart], apart < 1e-6)):
+        assembled = SimpleNamespace(extent=extent, distance=np.array([distance]))
+        assert ends_meet(assembled, in_arrays, 1e-11).tolist() == [expected]
