@@ -718,8 +718,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "inequalities at points do not see what velocities move these by": Planted(
         f"{ENGINE}/collocation_kernels.py",
-        "ways[0, k, i, a], ways[0, k, i, n + a] = w[k, a], along",
-        "ways[0, k, i, a], ways[0, k, i, n + a] = w[k, a], 0.0",
+        "place(ways[0, k, i], w[k], velocities[k], h[k], matrix[i], (n, q - 3 * n, i))",
+        "place(ways[0, k, i], w[k], velocities[k], 0.0, matrix[i], (n, q - 3 * n, i))",
         (PURSUIT,),
     ),
     "what points lack counts in the share of the barrier too": Planted(

@@ -10,6 +10,7 @@ from numba.core.typing.templates import signature
 from ....kernels import pasted
 from ....linked import address, array, called, put, view
 from . import condensing_kernels, extent_kernels
+from .condensing_kernels import place
 from .trial_kernels import (
     AFTER,
     AT_OWN,
@@ -209,14 +210,7 @@ def _ways(w: np.ndarray, velocities: np.ndarray, of: tuple, ways: np.ndarray) ->
     n = velocities.shape[1] // stages
     for k in range(count):
         for i in range(stages):
-            for a in range(n):
-                along = 0.0
-                for j in range(stages):
-                    along += h[k] * matrix[i, j] * velocities[k, j * n + a]
-                ways[0, k, i, a], ways[0, k, i, n + a] = w[k, a], along
-                ways[0, k, i, 2 * n + a] = velocities[k, i * n + a]
-            for b in range(q - 3 * n):
-                ways[0, k, i, 3 * n + b] = w[k, n + i * (q - 3 * n) + b]
+            place(ways[0, k, i], w[k], velocities[k], h[k], matrix[i], (n, q - 3 * n, i))
 
 
 @inner

@@ -152,7 +152,7 @@ def condense(
 
 
 @inner
-def _place(
+def place(
     e: np.ndarray, w: np.ndarray, nu: np.ndarray, h: float, weights: np.ndarray, sizes: tuple[int, int, int]
 ) -> None:
     """``(dx, sum_j weights_j nu_j, nu_i, u_i)``; the last two of point i, if there is one."""
@@ -225,7 +225,7 @@ def expand(
         for i in range(s + 1):
             at_ends = i == s
             weights, sizes = b if at_ends else matrix[i], (n, m, -1 if at_ends else i)
-            _place(e, w[t], nu, h[t], weights, sizes)
+            place(e, w[t], nu, h[t], weights, sizes)
             block, slope = (ends[0][t], pull) if at_ends else (points[0][t, i], slopes[t, i])
             _push(x, e, block, slope, h[t], weights, sizes)
         solve_transposed(kept[0][t], kept[1][t], x)
