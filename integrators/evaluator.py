@@ -5,6 +5,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any, Self, final
 
 import jax
@@ -22,6 +23,7 @@ from .program_keys import content_key
 
 if TYPE_CHECKING:
     from ..tape import Tape
+    from ..tape.program import Program
 
 Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
@@ -34,6 +36,13 @@ IN_ONE_PASS = 4.0
 _tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that was asked for at the end
 
 ALL_TRACED = "all functions are traced to scalar operations"
+
+
+def machine_code() -> int:
+    """How many tapes have become machine code so far: what was made of tapes is then to be made anew."""
+    from ..tape import Tape
+
+    return Tape.compiled
 
 
 class Evaluated(ABC):
@@ -58,7 +67,8 @@ class Evaluated(ABC):
 class Placed:
     """A tape for arrays of fixed shapes, one after the other in what it reads and in what it writes."""
 
-    code: tuple[np.ndarray, np.ndarray, np.ndarray]  # of the machine
+    tape: "Tape"
+    code: "Program"
     sources: np.ndarray  # the place of the number of the first point, and how far that of the next is
     targets: np.ndarray
     numbers: tuple[int, int]  # how many are read, and written
@@ -189,12 +199,13 @@ class _OnTape(Evaluated):
     """A tape with arguments and values in rows."""
 
     def __init__(self, tape: "Tape") -> None:
-        self.tape = tape
+        self.tape, self._code = tape, tape.program
         self._plans: dict[Any, tuple[_Plan, _Small | None]] = {}
-        _ = tape.program
 
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
         key = axes, *[a.shape for a in arguments]
+        if self._code is not self.tape.code:
+            self._code, self._plans = self.tape.code, {}
         plan, small = self._plans.get(key) or self._planned(key)
         if small is not None:
             return small.at(arguments)
@@ -215,9 +226,8 @@ class _OnTape(Evaluated):
 
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> Placed | None:
         plan = _Plan.of(axes, shapes, self.tape.shapes)
-        found, own = self.tape.alone(plan.count, IN_ONE_PASS), self.tape.program
-        code = own.codes, own.registers, own.values
-        return found and Placed(code, plan.sources, plan.targets, plan.numbers, found[1])
+        found = self.tape.alone(plan.count, IN_ONE_PASS)
+        return found and Placed(self.tape, found[0], plan.sources, plan.targets, plan.numbers, found[1])
 
 
 @final
@@ -235,8 +245,11 @@ _rooms: list[_Room] = []  # those that no tape runs in
 class _Small:
     """What a tape needs where its loop takes no longer than Python: all that shapes decide is made once."""
 
-    def __init__(self, run: Callable[..., None], registers: tuple[int, int], plan: _Plan) -> None:
-        self._run, self._registers, self._plan = run, registers, plan
+    def __init__(self, tape: "Tape", code: "Program", registers: tuple[int, int], plan: _Plan) -> None:
+        from ..tape.machine import run
+
+        self._tape, self._code, self._registers, self._plan = tape, code, registers, plan
+        self._run = partial(run, code.codes, code.registers, code.values)
         self._numbers = plan.numbers[1]
         # Fields of a structure are views that are made in less time than slices.
         self._fields = [str(k) for k in range(len(plan.written))]
@@ -251,8 +264,7 @@ class _Small:
         found, (read, written) = tape.alone(plan.count), plan.numbers
         if found is None or not written or math.prod(found[1]) + read + LINE > ROOM:
             return None
-        run, registers = found
-        return cls(run, registers, plan)
+        return cls(tape, *found, plan)
 
     def at(self, arguments: Arrays) -> Arrays:
         """The values for arrays of the shapes of the plan."""
@@ -265,6 +277,7 @@ class _Small:
             place[...] = a
         written, plan = np.empty(self._numbers), self._plan
         self._run(read, plan.sources, written, plan.targets, registers, 0, plan.count)
+        self._tape.ran(plan.count)
         _rooms.append(room)
         structure = np.ndarray((), self._structure, written)
         return tuple([structure[name] for name in self._fields])

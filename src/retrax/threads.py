@@ -7,6 +7,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cache
+from threading import main_thread
 from typing import TypeVar
 
 THREADS = 8  # of XLA, so many that its decompositions do not wait for one another
@@ -80,6 +81,16 @@ def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
     return _pool("parts").submit(copy_context().run, alone)
 
 
+def later(run: Callable[[], None]) -> None:
+    """Do something while others go on, one after the other, and nothing once Python ends."""
+    _pool("later", 1).submit(lambda: run() if main_thread().is_alive() else None)
+
+
+def settled() -> None:
+    """Wait until nothing is left to be done later."""
+    _pool("later", 1).submit(int).result()
+
+
 def ask_for_threads() -> None:
     """Ask XLA for eight threads where there are fewer processors, unless the user asks for some number.
 
@@ -92,8 +103,8 @@ def ask_for_threads() -> None:
 
 
 @cache
-def _pool(kind: str) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"retrax {kind}")
+def _pool(kind: str, most: int | None = None) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(most or os.cpu_count() or 1, thread_name_prefix=f"retrax {kind}")
 
 
 if hasattr(os, "register_at_fork"):  # the child of a fork has none of the threads that its pools believe to have

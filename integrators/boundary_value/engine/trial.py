@@ -118,6 +118,7 @@ class Trial(ABC):
         from . import pursuit_kernels
 
         self._kernels, self.limited = pursuit_kernels, steps.inequalities > 0
+        self._tapes, self._count = programs, count
         self._weight, (self._programs, of_programs, self._memory) = WEIGHT * count, joined(programs)
         self._clear = clear_pivot((count + 1) * steps.manifold.dimension)
         self.written = Fields(self.shapes(steps, count) | _written(steps, count))
@@ -284,7 +285,7 @@ class Trial(ABC):
         room[: self._room.begins["kept"]] = 0.0  # others work there too
         judge, steps, *others = rules[1:]
         steps = *steps, self._weight, BOUNDARY, self._clear
-        return self._kernels.pursue(
+        taken, end = self._kernels.pursue(
             self._calls,
             self._programs,
             memory,
@@ -294,6 +295,9 @@ class Trial(ABC):
             (rules[0], judge, steps, *others[:-1], *SIZES, (LAST, LOWERING, *others[-1])),
             *going,
         )
+        for own in self._tapes:
+            own.tape.ran(self._count * (taken + 1))
+        return taken, end
 
     def _tried(self, v: Any, slacks: Slacks | None = None, weights: np.ndarray | None = None) -> Tried:
         """What the kernel has written."""

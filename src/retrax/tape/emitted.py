@@ -7,7 +7,12 @@ from typing import Any
 from llvmlite import ir
 from numba.core import cgutils
 
-_FUSED = ("contract",)  # a product and a sum may be one instruction
+
+def _fused(b: Any, x: Any, y: Any, z: Any) -> Any:
+    """``x y + z``, rounded once where the processor has an instruction for it."""
+    suffix = f"v{x.type.count}f64" if isinstance(x.type, ir.VectorType) else "f64"
+    form = ir.FunctionType(x.type, [x.type] * 3)
+    return b.call(cgutils.get_or_insert_function(b.module, form, f"llvm.fmuladd.{suffix}"), [x, y, z])
 
 
 def _chosen(builder: Any, condition: Any, a: Any, b: Any) -> Any:
@@ -36,26 +41,21 @@ def _of_llvm(name: str) -> Callable[..., Any]:
     return emit
 
 
-def _product_and(b: Any, x: Any, y: Any, rest: Any) -> Any:
-    """``x y + rest``."""
-    return b.fadd(b.fmul(x(), y(), flags=_FUSED), rest, flags=_FUSED)
-
-
 # Instructions that are vector instructions of the processor: operands are loaded when they are called, ``v`` is the
 # constant.
 EMITTED: dict[str, Callable[..., Any]] = {
     "MUL": lambda b, v, x, y: b.fmul(x(), y()),
-    "MUL_ADD": lambda b, v, x, y, z: b.fadd(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
-    "MUL_SUB": lambda b, v, x, y, z: b.fsub(b.fmul(x(), y(), flags=_FUSED), z(), flags=_FUSED),
-    "SUB_MUL": lambda b, v, x, y, z: b.fsub(z(), b.fmul(x(), y(), flags=_FUSED), flags=_FUSED),
+    "MUL_ADD": lambda b, v, x, y, z: _fused(b, x(), y(), z()),
+    "MUL_SUB": lambda b, v, x, y, z: _fused(b, x(), y(), b.fneg(z())),
+    "SUB_MUL": lambda b, v, x, y, z: _fused(b, b.fneg(x()), y(), z()),
     "ADD_ADD": lambda b, v, x, y, z: b.fadd(b.fadd(x(), y()), z()),
-    "MUL_ADD_ADD": lambda b, v, x, y, z, t: b.fadd(_product_and(b, x, y, z()), t()),
-    "TWO_MUL": lambda b, v, x, y, z, t: _product_and(b, z, t, b.fmul(x(), y())),
-    "TWO_MUL_ADD": lambda b, v, x, y, s, z, t: _product_and(b, z, t, _product_and(b, x, y, s())),
-    "MUL_SUB_MUL": lambda b, v, x, y, z, t: b.fsub(b.fmul(z(), t(), flags=_FUSED), b.fmul(x(), y()), flags=_FUSED),
-    "THREE_MUL": lambda b, v, x, y, z, t, q, r: _product_and(b, q, r, _product_and(b, z, t, b.fmul(x(), y()))),
-    "THREE_MUL_ADD": lambda b, v, x, y, s, z, t, q, r: _product_and(
-        b, q, r, _product_and(b, z, t, _product_and(b, x, y, s()))
+    "MUL_ADD_ADD": lambda b, v, x, y, z, t: b.fadd(_fused(b, x(), y(), z()), t()),
+    "TWO_MUL": lambda b, v, x, y, z, t: _fused(b, z(), t(), b.fmul(x(), y())),
+    "TWO_MUL_ADD": lambda b, v, x, y, s, z, t: _fused(b, z(), t(), _fused(b, x(), y(), s())),
+    "MUL_SUB_MUL": lambda b, v, x, y, z, t: _fused(b, z(), t(), b.fneg(b.fmul(x(), y()))),
+    "THREE_MUL": lambda b, v, x, y, z, t, q, r: _fused(b, q(), r(), _fused(b, z(), t(), b.fmul(x(), y()))),
+    "THREE_MUL_ADD": lambda b, v, x, y, s, z, t, q, r: _fused(
+        b, q(), r(), _fused(b, z(), t(), _fused(b, x(), y(), s()))
     ),
     "ADD": lambda b, v, x, y: b.fadd(x(), y()),
     "SUB": lambda b, v, x, y: b.fsub(x(), y()),

@@ -15,16 +15,15 @@ from numba.core import cgutils
 from ..kernels import kernel, kernel_part, pasted
 from ..linked import array
 from .emitted import EMITTED, operands_of
-from .program import CODES, FOUR, NAMES, OPERANDS
+from .program import CODES, FOUR, NAMES, OPERANDS, VECTOR, Program
 
 LANES = 64  # points that an instruction acts on at once where nobody says how many
 MOST_LANES = 256  # enough to hide the choice of an instruction
 MEMORY = 2**17  # registers of all lanes, few enough for the near caches
-VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 
 (
     ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_ADD, MUL_ADD_ADD, TWO_MUL, TWO_MUL_ADD, MUL_SUB_MUL, THREE_MUL,
-    THREE_MUL_ADD, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT, IF_ELSE_ZERO, POW,
+    THREE_MUL_ADD, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT, CALL, READ, WRITE, IF_ELSE_ZERO, POW,
     CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT, NEG, SQ, TWICE, SQRT, INV, ASSIGN, NOT,
     FLOOR, CEIL, FABS, SIGN, SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, ERF, SINH, COSH, TANH, ASINH, ACOSH, ATANH,
     LOG1P, EXPM1,
@@ -148,33 +147,29 @@ def _turning(write: bool) -> Any:
     """What reads or writes four neighbouring numbers of each of four points."""
 
     @_intrinsic
-    def turn(
-        typing: Any, w: Any, j: Any, registers: Any, k: Any, operand: Any, data: Any, begin: Any, step: Any
-    ) -> Any:
-        """``turn(w, j, registers, k, operand, data, begin, step)``: those of the points from the lane ``j`` on, the
-        first of them at ``begin`` and each ``step`` further, in the registers that are the ``operand`` of the
-        instructions ``k`` to ``k + 3``."""
+    def turn(typing: Any, w: Any, j: Any, rows: Any, data: Any, begin: Any, step: Any) -> Any:
+        """``turn(w, j, rows, data, begin, step)``: those of the points from the lane ``j`` on, the first of them at
+        ``begin`` and each ``step`` further, in four registers."""
         kind = ir.VectorType(ir.DoubleType(), FOUR)
 
         def generate(context: Any, b: Any, signature: Any, arguments: Any) -> Any:
-            arrays = [context.make_array(signature.args[i])(context, b, arguments[i]) for i in (0, 2, 5)]
-            (_, j, _, k, operand, _, begin, step), (w, registers, data) = arguments, (array.data for array in arrays)
-            width, number = b.extract_value(arrays[0].shape, 1), lambda n: ir.Constant(k.type, n)
+            arrays = [context.make_array(signature.args[i])(context, b, arguments[i]) for i in (0, 3)]
+            (_, j, rows, _, begin, step), (w, data) = arguments, (array.data for array in arrays)
+            width = b.extract_value(arrays[0].shape, 1)
 
             def lanes(n: int) -> Any:
-                place = b.add(b.mul(b.add(k, number(n)), number(1 + OPERANDS)), operand)
-                row = b.mul(b.zext(b.load(b.gep(registers, [place])), k.type), width)
-                return b.bitcast(b.gep(w, [b.add(row, j)]), kind.as_pointer())
+                row = b.zext(b.extract_value(rows, n), j.type)
+                return b.bitcast(b.gep(w, [b.add(b.mul(row, width), j)]), kind.as_pointer())
 
             def point(n: int) -> Any:
-                return b.bitcast(b.gep(data, [b.add(begin, b.mul(step, number(n)))]), kind.as_pointer())
+                return b.bitcast(b.gep(data, [b.add(begin, b.mul(step, step.type(n)))]), kind.as_pointer())
 
             given, found = (lanes, point) if write else (point, lanes)
             for n, column in enumerate(_columns(b, [b.load(given(n), align=8) for n in range(FOUR)])):
                 b.store(column, found(n), align=8)
             return context.get_dummy_value()
 
-        return types.void(w, j, registers, k, operand, data, begin, step), generate
+        return types.void(w, j, rows, data, begin, step), generate
 
     return turn
 
@@ -191,6 +186,19 @@ def _columns(builder: Any, rows: list[Any]) -> list[Any]:
 
 
 _read_four, _write_four = _turning(write=False), _turning(write=True)
+
+
+@_intrinsic
+def _call(typing: Any, address: Any, w: Any) -> Any:
+    """``_call(address, w)``: call machine code on the registers."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(signature.args[1])(context, builder, arguments[1]).data
+        form = ir.FunctionType(ir.VoidType(), [data.type])
+        builder.call(builder.inttoptr(arguments[0], form.as_pointer()), [data])
+        return context.get_dummy_value()
+
+    return types.void(address, w), generate
 
 
 @kernel_part()
@@ -267,6 +275,55 @@ def _other(c: int, x: float, y: float) -> float:
 
 
 @pasted
+def _column(registers: Any, k: int, operand: int) -> Any:
+    """An operand of four instructions."""
+    return registers[k, operand], registers[k + 1, operand], registers[k + 2, operand], registers[k + 3, operand]
+
+
+@kernel_part()
+def _read_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, s: int, m: int) -> None:
+    """Read the inputs of ``m`` points from ``s`` on into the first registers."""
+    i, count = 0, places.shape[0]
+    while i < count:
+        step = places[i, 1]
+        begin = places[i, 0] + s * step
+        if m >= FOUR and i + FOUR <= count and _together(places, i):
+            for first in range(0, m, FOUR):
+                j = min(first, m - FOUR)
+                _read_four(w, j, (i, i + 1, i + 2, i + 3), data, begin + j * step, step)
+            i += FOUR
+        else:
+            for j in range(m):
+                w[i, j] = data[begin + j * step]
+            i += 1
+
+
+@kernel_part()
+def _write_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s: int, m: int) -> None:
+    """Write the outputs of ``m`` points from ``s`` on, which stand in the registers from ``row`` on."""
+    i, count = 0, places.shape[0]
+    while i < count:
+        step, r = places[i, 1], row + i
+        begin = places[i, 0] + s * step
+        if m >= FOUR and i + FOUR <= count and _together(places, i):
+            for first in range(0, m, FOUR):
+                j = min(first, m - FOUR)
+                _write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + j * step, step)
+            i += FOUR
+        else:
+            for j in range(m):
+                data[begin + j * step] = w[r, j]
+            i += 1
+
+
+@pasted
+def _together(places: Any, i: int) -> bool:
+    """Whether four numbers stand beside each other: places ascend."""
+    last = i + FOUR - 1
+    return places[last, 0] - places[i, 0] == FOUR - 1 and places[last, 1] == places[i, 1]
+
+
+@pasted
 def _moved(codes: Any, registers: Any, values: Any, data: Any, places: Any, w: Any, s: int, m: int, k: int) -> int:
     """Read inputs, or write outputs, of ``m`` points from ``s`` on; the number of instructions that this was."""
     code, place = codes[k], int(values[k])
@@ -282,9 +339,9 @@ def _moved(codes: Any, registers: Any, values: Any, data: Any, places: Any, w: A
         for i in range(0, m, FOUR):
             j = min(i, m - FOUR)  # the last four points, some of them for the second time
             if code == INPUT:
-                _read_four(w, j, registers, k, 0, data, begin + j * step, step)
+                _read_four(w, j, _column(registers, k, 0), data, begin + j * step, step)
             else:
-                _write_four(w, j, registers, k, 1, data, begin + j * step, step)
+                _write_four(w, j, _column(registers, k, 1), data, begin + j * step, step)
         return FOUR
     for j in range(m):
         if code == INPUT:
@@ -294,9 +351,11 @@ def _moved(codes: Any, registers: Any, values: Any, data: Any, places: Any, w: A
     return 1
 
 
-def lanes_for(count: int, size: int) -> int:
-    """How many lanes ``count`` points have best, in programs with so many registers."""
-    blocks = -(-count // max(LANES, min(MOST_LANES, MEMORY // max(1, size))))
+def lanes_for(count: int, program: Program) -> int:
+    """How many lanes ``count`` points have best."""
+    if program.engine is not None:
+        return VECTOR
+    blocks = -(-count // max(LANES, min(MOST_LANES, MEMORY // max(1, program.size))))
     return -(-count // (blocks * VECTOR)) * VECTOR
 
 
@@ -329,6 +388,15 @@ def run(
             elif c in (INPUT, OUTPUT):
                 data, places = (inputs, sources) if c == INPUT else (outputs, targets)
                 k += _moved(codes, registers, values, data, places, w, s, m, k)
+            elif c == CALL:
+                _call(int(values[k]), w)
+                k += 1
+            elif c == READ:
+                _read_all(inputs, sources, w, s, m)
+                k += 1
+            elif c == WRITE:
+                _write_all(outputs, targets, w, sources.shape[0], s, m)
+                k += 1
             else:  # its own time hides the choice
                 o, x, y = registers[k, 0], registers[k, 1], registers[k, 2]
                 for j in range(m):

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -12,13 +13,14 @@ from ..errors import RetraxError
 NAMES = (
     "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_ADD", "MUL_ADD_ADD", "TWO_MUL", "TWO_MUL_ADD",
     "MUL_SUB_MUL", "THREE_MUL", "THREE_MUL_ADD", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT", "CONST",
-    "INPUT", "OUTPUT", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR", "FMOD", "COPYSIGN",
+    "INPUT", "OUTPUT", "CALL", "READ", "WRITE", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR", "FMOD", "COPYSIGN",
     "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR", "CEIL", "FABS",
     "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH",
     "ATANH", "LOG1P", "EXPM1",
 )  # fmt: skip
 COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
 OPERANDS = 7  # at most
+VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 FOUR = 4  # inputs or outputs that stand together: the machine reads and writes as many at once
 SUMMANDS = {"ADD": (0, 1), "MUL_ADD": (2,), "MUL_SUB": (2,)}  # the operands of sums that may be sums themselves
 SUMS = {
@@ -62,6 +64,7 @@ class Program:
     inputs: int
     outputs: int
     size: int  # registers
+    engine: Any = None  # what keeps the machine code alive that it calls, if it is one that does
 
 
 def assembled(inputs: ca.SX, outputs: ca.SX, *, window: int | None = WINDOW) -> Program:

@@ -5,21 +5,24 @@ import math
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 from types import ModuleType
-from typing import Any, Self, final
+from typing import Any, ClassVar, Self, final
 
 import casadi as ca
 import jax
 import numpy as np
 
 from ..aligned import scratch
-from ..threads import in_threads, worth_threads
+from ..threads import in_threads, later, worth_threads
 from ..undisturbed import put_off
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
 from .program import Program, assembled
 from .trace import Flat, flat, trace
+
+OFTEN = 100_000  # points at which the machine has taken half the time that machine code takes to be made
+FASTER = 4.0
 
 Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
 
@@ -45,14 +48,19 @@ class Tape:
 
     ``Tape.trace(f, *examples)`` reads a JAX function; the shapes of the examples count, their values do not, and all
     numbers are double precision. A tape is called with the arrays of many points, the axis of the points last. Nothing
-    is compiled for it: a new function runs some milliseconds after it was written.
+    is compiled for it: a new function runs some milliseconds after it was written. One that has run at very many points
+    is made machine code meanwhile, and gives the same numbers.
     """
+
+    compiled: ClassVar[int] = 0  # how many tapes are machine code
 
     def __init__(self, graph: Graph, values: list[Entries], arguments: tuple[list[Leaf], Any], structure: Any) -> None:
         self.graph, self.structure = graph, structure
         self._leaves, self._arguments = arguments
         self._values = values
         self._results = [Leaf(tuple(v.shape), isinstance(v, Complex)) for v in values]
+        self._native: Program | None = None
+        self._points, self._asked = 0, False
 
     @classmethod
     def trace(cls, function: Callable[..., Any], *examples: Any) -> Self:
@@ -98,8 +106,32 @@ class Tape:
 
     @cached_property
     def program(self) -> Program:
-        """What the machine runs."""
+        """The instructions."""
         return assembled(self.inputs, self.graph.unmarked([self.outputs])[0])
+
+    @property
+    def code(self) -> Program:
+        """What the machine runs: the instructions, or machine code in their place."""
+        return self._native or self.program
+
+    @property
+    def work(self) -> float:
+        """Operations of a point, in those of the machine."""
+        return self.instructions / (1.0 if self._native is None else FASTER)
+
+    def ran(self, points: int) -> None:
+        """Tell that it has run at so many points: after very many another thread makes machine code of it."""
+        self._points += points
+        if self._points > OFTEN and not self._asked:
+            self._asked = True
+            later(self.compile)
+
+    def compile(self) -> None:
+        """Make machine code of it, now: that takes some twenty microseconds an instruction and gives the same
+        numbers."""
+        from .native import native
+
+        self._native, Tape.compiled = native(self.program), Tape.compiled + 1
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
         """The matrix of the derivatives of all values by arguments, by default by all, both flat in order, as a
@@ -246,25 +278,26 @@ class Tape:
         if machine is None:
             self._run_slowly(count, *ends)
             return
-        p = self.program
+        p = self.code
+        self.ran(count)
 
         def run(part: range) -> None:
-            (registers,) = scratch(((p.size, machine.lanes_for(len(part), p.size)),))
+            (registers,) = scratch(((p.size, machine.lanes_for(len(part), p)),))
             machine.run(p.codes, p.registers, p.values, *ends, registers, part.start, part.stop)
 
         if count:
-            in_threads(run, count, self.instructions, machine.VECTOR)
+            in_threads(run, count, self.work, machine.VECTOR)
 
-    def alone(self, count: int, saved: float = 1.0) -> tuple[Callable[..., None], tuple[int, int]] | None:
-        """What runs the program on so few points that one thread does: ``run(*ends, registers, 0, count)``, with the
-        shape of the registers; None where they are more, or none, and without Numba.
+    def alone(self, count: int, saved: float = 1.0) -> tuple[Program, tuple[int, int]] | None:
+        """The code for so few points that one thread does, and the shape of its registers; None where they are more, or
+        none, and without Numba.
 
         ``saved``: how many times as many it may be where one thread saves other work.
         """
-        machine, p = _machine(), self.program
-        if machine is None or not count or worth_threads(count, self.instructions / saved):
+        machine, p = _machine(), self.code
+        if machine is None or not count or worth_threads(count, self.work / saved):
             return None
-        return partial(machine.run, p.codes, p.registers, p.values), (p.size, machine.lanes_for(count, p.size))
+        return p, (p.size, machine.lanes_for(count, p))
 
     def _run_slowly(
         self, count: int, inputs: np.ndarray, sources: np.ndarray, outputs: np.ndarray, targets: np.ndarray

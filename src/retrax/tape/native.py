@@ -1,0 +1,176 @@
+"""Programs as machine code: straight lines of the processor's instructions, which LLVM writes without optimising.
+
+The machine chooses each instruction and leaves every value in memory. Code does neither: it takes a fourth of the time,
+and some twenty microseconds to write for each instruction, so it is for programs that have shown to run often. Its
+numbers are the machine's to the last bit.
+"""
+
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import binding, ir
+
+from .emitted import EMITTED, operands_of
+from .program import CODES, NAMES, OPERANDS, VECTOR, Program
+
+PIECE = 100  # instructions of a function: LLVM leaves registers to values as they come, and forgets them at its end
+KIND = f"<{VECTOR} x double>"
+
+
+class _Line(NamedTuple):
+    """An instruction, with the instructions that make its operands."""
+
+    name: str
+    inputs: list[int]
+    value: float
+
+    @property
+    def is_code(self) -> bool:
+        """Whether it becomes a line of the code; the machine does what is left."""
+        return self.name in EMITTED or self.name == "OUTPUT"
+
+
+def native(program: Program) -> Program:
+    """A program for the machine that calls machine code, but for instructions that are functions anyway."""
+    lines = _lines(program)
+    pieces = list(_pieces(lines))
+    rows, size = _rows(program, lines, pieces)
+    text = [_function(f"piece{k}", piece, lines, rows) for k, piece in enumerate(pieces) if lines[piece[0]].is_code]
+    engine = _engine("\n".join([_words({lines[k].name for piece in pieces for k in piece}), *text]))
+    found: list[tuple[str, list[int], float]] = [("READ", [], 0.0)]
+    for k, piece in enumerate(pieces):
+        first = lines[piece[0]]
+        if first.is_code:
+            found.append(("CALL", [], float(engine.get_function_address(f"piece{k}"))))
+        else:
+            found.append((first.name, [rows[piece[0]], *(rows[i] for i in first.inputs)], first.value))
+    codes = np.array([CODES[name] for name, _, _ in [*found, ("WRITE", [], 0.0)]], np.uint8)
+    registers, values = np.zeros((len(codes), 1 + OPERANDS), np.uint32), np.zeros(len(codes))
+    for k, (_, places, value) in enumerate(found):
+        registers[k, : len(places)], values[k] = places, value
+    return Program(codes, registers, values, program.inputs, program.outputs, size, engine)
+
+
+def _lines(program: Program) -> list[_Line]:
+    """The instructions, which name those that make their operands."""
+    found, made = [], dict[int, int]()
+    for k, (code, (to, *operands), value) in enumerate(
+        zip(program.codes.tolist(), program.registers.tolist(), program.values.tolist(), strict=True)
+    ):
+        name = NAMES[code]
+        found.append(_Line(name, [made[i] for i in operands[: _operands(name)]], value))
+        if name != "OUTPUT":
+            made[to] = k
+    return found
+
+
+def _operands(name: str) -> int:
+    if name in EMITTED:
+        return operands_of(EMITTED[name])
+    return 0 if name == "INPUT" else 1 if name == "OUTPUT" or CODES[name] >= CODES["NEG"] else 2
+
+
+def _pieces(lines: list[_Line]) -> Iterator[list[int]]:
+    """The instructions that become functions of their own, and between them those that the machine does."""
+    piece: list[int] = []
+    for k, line in enumerate(lines):
+        if line.name == "INPUT":
+            continue
+        if piece and (len(piece) == PIECE or not line.is_code):
+            yield piece
+            piece = []
+        if line.is_code:
+            piece.append(k)
+        else:
+            yield [k]
+    if piece:
+        yield piece
+
+
+def _rows(
+    program: Program, lines: list[_Line], pieces: list[list[int]]
+) -> tuple[dict[int, int], int]:
+    """Where inputs, outputs, and values that one piece leaves to others stand, and the number of these rows."""
+    piece_of = {k: number for number, piece in enumerate(pieces) for k in piece}
+    last = {i: piece_of[k] for k, line in enumerate(lines) for i in line.inputs if line.name != "INPUT"}
+    before = {"INPUT": 0, "OUTPUT": program.inputs}
+    rows = {k: before[line.name] + int(line.value) for k, line in enumerate(lines) if line.name in before}
+    size, free, ends = program.inputs + program.outputs, list[int](), dict[int, list[int]]()
+    for number, piece in enumerate(pieces):
+        for k in piece:
+            stays = last.get(k, number) > number or not lines[k].is_code
+            if stays and k not in rows:
+                if not free:
+                    free, size = [size], size + 1
+                rows[k] = free.pop()
+                ends.setdefault(max(last.get(k, number), number), []).append(rows[k])
+        free += ends.pop(number, [])
+    return rows, size
+
+
+def _function(name: str, piece: list[int], lines: list[_Line], rows: dict[int, int]) -> str:
+    """A piece as a function of the rows, in the language of LLVM."""
+    text, own = [f"define void @{name}(ptr noalias %w) noinline nounwind {{"], set(piece)
+    known = set[int]()
+
+    def place(k: int, word: str) -> str:
+        text.append(f"%{word}{k} = getelementptr double, ptr %w, i64 {VECTOR * rows[k]}")
+        return f"ptr %{word}{k}, align 8"
+
+    for k in piece:
+        line = lines[k]
+        for i in line.inputs:
+            if i not in own and i not in known:
+                text.append(f"%v{i} = load {KIND}, {place(i, 'r')}")
+                known.add(i)
+        if line.name == "OUTPUT":
+            text.append(f"store {KIND} %v{line.inputs[0]}, {place(k, 'o')}")
+            continue
+        operands = ", ".join(f"{KIND} %v{i}" for i in line.inputs)
+        constant = f"double {_number(line.value)}"
+        text.append(f"%v{k} = call {KIND} @{line.name}({', '.join([constant, operands] if operands else [constant])})")
+        if k in rows:
+            text.append(f"store {KIND} %v{k}, {place(k, 'w')}")
+    return "\n".join([*text, "ret void", "}"])
+
+
+def _number(value: float) -> str:
+    """A number as LLVM reads it without rounding."""
+    return f"0x{np.float64(value).view(np.uint64):016x}"
+
+
+def _words(names: Iterable[str]) -> str:
+    """The instructions that are used, as functions that are pasted where they are called."""
+    module = ir.Module()
+    module.triple = binding.get_process_triple()
+    kind = ir.VectorType(ir.DoubleType(), VECTOR)
+    for name in sorted(EMITTED.keys() & names):
+        form = ir.FunctionType(kind, [ir.DoubleType(), *[kind] * operands_of(EMITTED[name])])
+        function = ir.Function(module, form, name)
+        function.linkage = "internal"
+        function.attributes.add("alwaysinline")
+        builder = ir.IRBuilder(function.append_basic_block())
+        first = builder.insert_element(ir.Constant(kind, ir.Undefined), function.args[0], ir.IntType(32)(0))
+        mask = ir.Constant(ir.VectorType(ir.IntType(32), VECTOR), None)
+        constant = builder.shuffle_vector(first, first, mask)
+        builder.ret(EMITTED[name](builder, constant, *(lambda a=a: a for a in function.args[1:])))
+    return str(module)
+
+
+def _engine(text: str) -> Any:
+    """The machine code of a module."""
+    module = binding.parse_assembly(text)
+    machine = binding.Target.from_triple(module.triple).create_target_machine(
+        cpu=binding.get_host_cpu_name(),
+        features=binding.get_host_cpu_features().flatten(),
+        opt=0,
+        codemodel="jitdefault",
+        jit=True,
+    )
+    options = binding.create_pipeline_tuning_options(speed_level=0)
+    builder = binding.create_pass_builder(machine, options)
+    builder.getModulePassManager().run(module, builder)
+    engine = binding.create_mcjit_compiler(module, machine)
+    engine.finalize_object()
+    return engine
