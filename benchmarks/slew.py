@@ -32,6 +32,7 @@ from pathlib import Path
 COLD = "--cold"
 CASES = ("warm", "limited", "fastest", "new", "cold", "many", "batch", "long")
 ROW = 10  # calls
+WARM_UP = 1.0  # seconds, in which tapes that run often become machine code
 TOLERANCE = 1e-8  # relative, as IPOPT and FATROP are asked for
 LIMIT, STRONG, OF_A_BATCH = 10.0, 50.0, 12.0  # N m
 BATCH = 256  # slews
@@ -48,7 +49,11 @@ def timed(call):
 
 
 def in_turns(calls, repeats, row=1):
-    """Median seconds of each call, some in a row."""
+    """Median seconds of each call, some in a row, after each side has run for a while."""
+    for call in calls.values():
+        began = time.perf_counter()
+        while time.perf_counter() - began < WARM_UP:
+            call()
     seconds = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():

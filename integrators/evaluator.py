@@ -38,13 +38,6 @@ _tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that w
 ALL_TRACED = "all functions are traced to scalar operations"
 
 
-def machine_code() -> int:
-    """How many tapes have become machine code so far: what was made of tapes is then to be made anew."""
-    from ..tape import Tape
-
-    return Tape.compiled
-
-
 class Evaluated(ABC):
     """A function of flat vectors, evaluated at many points."""
 
@@ -55,6 +48,11 @@ class Evaluated(ABC):
     @abstractmethod
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
         """The values for arrays with some leading axes in common, of length 1 where an array is shared."""
+
+    @property
+    def compiled(self) -> int:
+        """How many tapes have become machine code so far: what was made of any before is to be made anew."""
+        return 0
 
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> "Placed | None":
         """What a kernel needs to evaluate it by itself for arrays of these shapes; None if it is not a tape, or takes
@@ -223,6 +221,10 @@ class _OnTape(Evaluated):
             self._plans = {}
         found = self._plans[key] = plan, _Small.of(self.tape, plan)
         return found
+
+    @property
+    def compiled(self) -> int:
+        return self.tape.compiled
 
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> Placed | None:
         plan = _Plan.of(axes, shapes, self.tape.shapes)

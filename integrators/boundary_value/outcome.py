@@ -38,7 +38,7 @@ def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.nd
     largest = found.residuals.largest
     finite = np.isfinite(largest) & np.isfinite(found.assembled.cost)
     success = found.claimed & finite
-    if np.all(success):
+    if success.all():
         return success, [sentence("successful")] * len(success)
     meets = np.max(np.abs(found.missing), axis=1) <= tolerance
     apart = (found.residuals.stationarity <= tolerance) & meets & (found.residuals.gap > np.sqrt(tolerance))

@@ -124,7 +124,8 @@ class Posing:
         if request.guesses is None:
             request.ends.require_known(request.given.start)
             slacks, states = None, self._start.states(*rows, self._places).reshape(*shape, size)
-            controls = np.broadcast_to(self._resting, (*shape, self.control.size))
+            controls = np.empty((*shape, self.control.size))
+            controls[...] = self._resting
             costates, known = np.zeros((count, shape[1] + 1, size)), None
         else:
             own = request.guesses.of(count)

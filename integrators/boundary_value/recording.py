@@ -81,7 +81,7 @@ class Recording:
     ) -> dict[str, Any]:
         """Times, states, costates and controls of a batch, of which those at the stages are given together."""
         times = np.zeros((len(nodes), nodes.shape[1]))
-        np.cumsum(steps, axis=1, out=times[:, 1:])
+        steps.cumsum(axis=1, out=times[:, 1:])
         between = times[:, :-1, None] + steps[:, :, None] * self.stages
         return {
             "times": times,

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Gauss, default_retraction
-from ...evaluator import Arrays, Evaluator, machine_code
+from ...evaluator import Arrays, Evaluator
 from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from .arrays import plain
@@ -114,7 +114,7 @@ class Collocation:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
         if self.at_nodes:
             return None
-        known, key = self._trial, (count, machine_code())
+        known, key = self._trial, (count, self._ends.compiled)
         if known is None or known[0] != key:
             from .collocation_trial import CollocationTrial
 

@@ -69,11 +69,9 @@ class Start:
             self._curves.append(self._curve(retraction))
         leave, go = self._curves[place]
         vectors, lengths = leave.at(1, starts, ends)
-        (points,) = go.at(2, starts[:, None], vectors[:, None], ENDS[None, :, None])
-        arrived = np.isfinite(lengths) & self._even(points)
-        if not arrived.any():
-            return np.empty((len(starts), len(fractions), self.layout.size)), arrived
-        (states,) = go.at(2, starts[:, None], vectors[:, None], fractions[None, :, None])
+        (points,) = go.at(2, starts[:, None], vectors[:, None], np.concatenate([ENDS, fractions])[None, :, None])
+        states = points[:, len(ENDS) :]
+        arrived = np.isfinite(lengths) & self._even(points[:, : len(ENDS)])
         return states, arrived & np.isfinite(states).all(axis=(1, 2))
 
     def _curve(self, retraction: Retraction) -> tuple[Evaluated, Evaluated]:
@@ -96,7 +94,8 @@ class Start:
         change, arrays = points[:, 1:] - points[:, :-1], self.layout.in_arrays.T
         lengths = np.sqrt((change * change) @ arrays)
         size = np.sqrt(((points * points) @ arrays).max(axis=1, initial=0.0))
-        return (lengths.max(axis=1) <= UNEVEN * lengths.mean(axis=1) + default_tolerance() * size).all(axis=1)
+        even = UNEVEN / PIECES * lengths.sum(axis=1) + default_tolerance() * size
+        return (lengths.max(axis=1) <= even).all(axis=1)
 
     def _walked(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A walk along the chord's tangential part, each time the share of its length that is due; and whether it

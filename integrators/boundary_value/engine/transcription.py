@@ -12,7 +12,7 @@ from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....retractions import DiscretizationMap, default_retraction
 from ...constraints import entry_words
-from ...evaluator import Arrays, Automatic, Evaluated, Evaluator, machine_code
+from ...evaluator import Arrays, Automatic, Evaluated, Evaluator
 from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
@@ -134,7 +134,7 @@ class OneStage:
 
     def trial(self, nodes: "Nodes", count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
-        known, key = self._trial, (count, machine_code())
+        known, key = self._trial, (count, self._ends.compiled)
         if known is None or known[0] != key:
             from .one_stage_trial import OneStageTrial
 

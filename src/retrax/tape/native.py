@@ -6,6 +6,7 @@ numbers are the machine's to the last bit.
 """
 
 from collections.abc import Iterable, Iterator
+from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,15 +37,23 @@ def native(program: Program) -> Program:
     lines = _lines(program)
     pieces = list(_pieces(lines))
     rows, size = _rows(program, lines, pieces)
-    text = [_function(f"piece{k}", piece, lines, rows) for k, piece in enumerate(pieces) if lines[piece[0]].is_code]
-    engine = _engine("\n".join([_words({lines[k].name for piece in pieces for k in piece}), *text]))
-    found: list[tuple[str, list[int], float]] = [("READ", [], 0.0)]
+    groups = [[*group] for _, group in groupby(range(len(pieces)), lambda k: lines[pieces[k][0]].is_code)]
+    text = [_words({line.name for line in lines})]
     for k, piece in enumerate(pieces):
-        first = lines[piece[0]]
-        if first.is_code:
-            found.append(("CALL", [], float(engine.get_function_address(f"piece{k}"))))
-        else:
-            found.append((first.name, [rows[piece[0]], *(rows[i] for i in first.inputs)], first.value))
+        if lines[piece[0]].is_code:
+            text.append(_function(f"piece{k}", piece, lines, rows))
+    for group in groups:
+        if lines[pieces[group[0]][0]].is_code:
+            calls = [f"call void @piece{k}(ptr %w)" for k in group]
+            text.append("\n".join([f"define void @from{group[0]}(ptr %w) {{", *calls, "ret void", "}"]))
+    engine = _engine("\n".join(text))
+    found: list[tuple[str, list[int], float]] = [("READ", [], 0.0)]
+    for group in groups:
+        if lines[pieces[group[0]][0]].is_code:
+            found.append(("CALL", [], float(engine.get_function_address(f"from{group[0]}"))))
+            continue
+        for k in (pieces[number][0] for number in group):
+            found.append((lines[k].name, [rows[k], *(rows[i] for i in lines[k].inputs)], lines[k].value))
     codes = np.array([CODES[name] for name, _, _ in [*found, ("WRITE", [], 0.0)]], np.uint8)
     registers, values = np.zeros((len(codes), 1 + OPERANDS), np.uint32), np.zeros(len(codes))
     for k, (_, places, value) in enumerate(found):
@@ -111,7 +120,7 @@ def _rows(
 
 def _function(name: str, piece: list[int], lines: list[_Line], rows: dict[int, int]) -> str:
     """A piece as a function of the rows, in the language of LLVM."""
-    text, own = [f"define void @{name}(ptr noalias %w) noinline nounwind {{"], set(piece)
+    text, own = [f"define internal void @{name}(ptr noalias %w) noinline nounwind {{"], set(piece)
     known = set[int]()
 
     def place(k: int, word: str) -> str:
