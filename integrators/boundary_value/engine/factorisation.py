@@ -104,22 +104,25 @@ def _where(left: np.ndarray, first: int, last: int, r: int, size: float) -> int:
 
 @inner
 def _chosen(
-    v: np.ndarray, left: np.ndarray, pivots: Pivots, base: int, k: int, ends: tuple[int, int]
+    v: np.ndarray, left: np.ndarray, pivots: Pivots, base: int, k: int, ends: tuple[int, int], begin: tuple[int, int]
 ) -> tuple[int, int]:
     """Rows of the next pivot, equal where it is of size one: the entry is the largest in both its rows.
 
     Such a search bounds the factor, so that the smallest pivot tells how near to singular the matrix is; that of Bunch
-    and Kaufman does not [Ashcraft, Grimes, Lewis 1998].
+    and Kaufman does not [Ashcraft, Grimes, Lewis 1998]. ``begin``: the row where it begins, and one where it looks for
+    the largest entry there first: where these are known, the processor does not wait for what is found.
     """
     first, last = ends
-    i, r, size = first, first, 0.0
+    i, r, size = begin[0], begin[0], 0.0
     while True:
         most = _largest(v, left, pivots, base, r, k, first)
         if abs(entry(v, r, r)) >= BALANCE * most:
             return r, r
         if not most > size:
             return i, r
-        other = _where(left, first, last, r, most)
+        other = begin[1]
+        if size > 0 or entry(left, 1, other) != most:
+            other = _where(left, first, last, r, most)
         if other == i:  # rounding in one of the rows is not that in the other
             return i, r
         i, r, size = r, other, most
@@ -158,13 +161,14 @@ def _take(left: np.ndarray, r: int) -> None:
 
 
 @inner
-def factorise(v: np.ndarray, left: np.ndarray, pivots: Pivots, base: int, last: int) -> tuple[int, float]:
+def factorise(v: np.ndarray, left: np.ndarray, pivots: Pivots, base: int, last: int, known: int) -> tuple[int, float]:
     """Factorise the first ``last`` of the rows, and the number of negative pivots and the size of the smallest.
 
     ``left``: room for two rows; ``pivots``: from row ``base`` on their rows, divided; room for as many rows as they
-    were; from ``base`` on which ones they are; and room for a number of each row of the front.
+    were; from ``base`` on which ones they are; and room for a number of each row of the front. ``known``: how many rows
+    before are the pivots of a front like this one, whose order is tried first.
     """
-    negative, smallest, k, first = 0, np.inf, np.int64(0), np.int64(0)
+    negative, smallest, k, first, order = 0, np.inf, np.int64(0), np.int64(0), pivots[2]
     for j in range(0, left.shape[1], LANES):
         put(left, 0, j, within(filled(1.0), j, 0, last))
     for i in range(v.shape[0]):
@@ -172,7 +176,10 @@ def factorise(v: np.ndarray, left: np.ndarray, pivots: Pivots, base: int, last: 
     while k < last:
         while entry(left, 0, first) == 0:
             first += 1
-        i, r = _chosen(v, left, pivots, base, k, (first, last))
+        begin = first, first
+        if k + 1 < known and entry(left, 0, order[base - known + k]) != 0:
+            begin = order[base - known + k], order[base - known + k + 1]
+        i, r = _chosen(v, left, pivots, base, k, (first, last), begin)
         a, b, c = entry(v, i, i), entry(v, i, r), entry(v, r, r)
         _divided(v, pivots, base, k, i, r, first)
         pivots[2][base + k] = i
