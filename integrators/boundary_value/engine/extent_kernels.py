@@ -2,7 +2,9 @@
 
 import numpy as np
 
-from .vectors import compiled, inner
+from ....linked import view
+from .arrays import LANES
+from .vectors import add, compiled, filled, higher, inner, magnitude, part, plus, put_part, scaled
 
 
 @inner
@@ -64,40 +66,45 @@ def meet(
     return any_far
 
 
+@inner
+def _raise(out: np.ndarray, m: int, x: np.ndarray, k: int, sign: float) -> None:
+    """Raise the entries of a row to those of another, times a sign, or to their sizes if that is zero."""
+    for j in range(0, out.shape[1], LANES):
+        own = part(x, k, j)
+        put_part(out, m, j, higher(part(out, m, j), magnitude(own) if sign == 0 else scaled(sign, own)))
+
+
 @compiled
 def survey(first: int, last: int, trajectory: tuple, blocks: tuple, out: tuple) -> None:
     """Survey the members ``first`` to ``last``.
 
     ``trajectory``: nodes, frames, coordinates of the multipliers, gaps; ``blocks``: Hessian, left, right, slope,
-    gradient of the cost; ``out``: the fields of the extent, which come as the least that they can be, and room for two
-    sums.
+    gradient of the cost; ``out``: the fields of the extent, which come as the least that they can be.
     """
     (nodes, frames, coordinates, gap), (hessian, left, right, slope, gradient) = trajectory, blocks
-    highest, lowest, support, sizes, missing, lacking, held, parts, slopes, curvature, sums = out
+    highest, lowest, support, sizes, missing, lacking, held, parts, slopes, curvature = out
     (_, count, n, size), z = frames.shape, slope.shape[2]
     for m in range(first, last):
+        own = view(support, m * n * size, (1, n * size))
+        of_nodes = view(frames, m * count * n * size, (count, n * size))
         for k in range(count):
-            for e in range(size):
-                highest[m, e], lowest[m, e] = (
-                    larger(highest[m, e], nodes[m, k, e]),
-                    larger(lowest[m, e], -nodes[m, k, e]),
-                )
+            _raise(highest, m, nodes[m], k, 1.0)
+            _raise(lowest, m, nodes[m], k, -1.0)
+            _raise(own, 0, of_nodes, k, 0.0)
             for a in range(n):
                 missing[m, a] += abs(gap[m, k, a])
                 held[m] += coordinates[m, k, a] * gap[m, k, a]
                 lacking[m, a] = larger(lacking[m, a], abs(gap[m, k, a]))
-                for e in range(size):
-                    support[m, a, e] = larger(support[m, a, e], abs(frames[m, k, a, e]))
         for k in range(count - 1):
+            for j in range(0, z, LANES):
+                before, after = filled(0.0), filled(0.0)
+                for a in range(n):
+                    before = add(before, coordinates[m, k, a], part(left[m, k], a, j))
+                    after = add(after, coordinates[m, k + 1, a], part(right[m, k], a, j))
+                total = plus(magnitude(part(gradient[m], k, j)), plus(magnitude(before), magnitude(after)))
+                put_part(parts, m, j, higher(part(parts, m, j), total))
+            _raise(slopes, m, slope[m], k, 0.0)
             for i in range(z):
-                sums[0, i], sums[1, i] = 0.0, 0.0
-            for a in range(n):
-                for i in range(z):
-                    sums[0, i] += left[m, k, a, i] * coordinates[m, k, a]
-                    sums[1, i] += right[m, k, a, i] * coordinates[m, k + 1, a]
-            for i in range(z):
-                parts[m, i] = larger(parts[m, i], abs(gradient[m, k, i]) + abs(sums[0, i]) + abs(sums[1, i]))
-                slopes[m, i] = larger(slopes[m, i], abs(slope[m, k, i]))
                 curvature[m, i] = larger(curvature[m, i], abs(hessian[m, k, i, i]))
         for a in range(n):
             for e in range(size):

@@ -41,7 +41,7 @@ OUT = (
     *("begins", "finishes", "work", "covectors", "frames", "gap", "coordinates", "costates"),
     *("nodes", "gaps", "apart", "largest", "hessian", "left", "right", "slopes", "gradient"),
     *("hessian.", "slopes.", "limits", "pushes", "costs", "cost", *Extent._fields),
-    *("along", "entries", "numbers", "surveyed", "points", "s", "nu", "t", "pushed", "sums", "zeros"),
+    *("along", "entries", "numbers", "surveyed", "points", "s", "nu", "t", "pushed", "zeros"),
     *("driven|", "lacks|", "steps|", "multipliers|", "finite", "grown", *TOLD, "change", "standing"),
     *("x/", "u/", "part", "dual", "turn_s", "turn_nu", "turn_t", "turned", "barrier", "ways"),
 )
@@ -351,7 +351,7 @@ def _written(steps: Any, count: int) -> Shapes:
         "change": (2,), "standing": (STANDING,), **dict.fromkeys(TOLD, (1,)),
         **dict.fromkeys(("s", "nu", "t", "turn_s", "turn_nu", "turn_t"), points),
         "part": (1,), "dual": (1,), "turned": (1, 4), "barrier": (1,), **({"driven": (*each, z)} if c else {}),
-        "sums": (2, z), "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
+        "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
         "points": (1, OF_POINTS, n),
         # These come as zeros.
         "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1),

@@ -54,7 +54,7 @@ def laid_parts(*forms: Any, after: int) -> tuple[list[Any], int]:
 (extent_of, told_of, held_of, found_of, _, turned_of, ways_of), _after = laid_parts(
     EXTENT,
     (F2, F2, F2, F2, F3),
-    ((F4, F4, F4), F5, F2, F1),
+    ((F4, F4, F4), F5, F1),
     (F4, F4, F4, F4, array(2, TRUTH), F2, (F1, F1, F1, F1), F1, F1),
     (F1, F1),
     ((F1, F1), (F4, F4, F4), F2, F1),
@@ -131,7 +131,7 @@ MEET = signature(
     F2,
     types.Tuple((F3, F3, array(2, TRUTH), F2)),
 )
-SURVEY = signature(types.none, WHOLE, WHOLE, TRAJECTORY, BLOCKS, types.Tuple((*EXTENT, F2)))
+SURVEY = signature(types.none, WHOLE, WHOLE, TRAJECTORY, BLOCKS, types.Tuple(EXTENT))
 MEASURE = signature(
     types.none,
     types.Tuple((*EXTENT[:3], *EXTENT[4:])),
@@ -302,7 +302,7 @@ def raise_points(
 @pasted
 def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarray, sizes: tuple) -> None:
     """What is largest in what is written; ``sizes``: what measures values and prices of inequalities."""
-    (_, _, sums, zeros), limits, extent = held_of(written, rows), limits_of(given, rows), extent_of(written, rows)
+    (_, _, zeros), limits, extent = held_of(written, rows), limits_of(given, rows), extent_of(written, rows)
     costs, cost = paid_of(written, rows)
     clear(zeros)
     for i in range(extent[0].size):
@@ -320,7 +320,7 @@ def survey(calls: tuple, written: np.ndarray, given: np.ndarray, rows: np.ndarra
         coordinates_of(written, rows),
         gap_of(written, rows),
     )
-    _survey(calls[AT_SURVEY], (0, 1, trajectory, blocks_of(written, rows), (*extent, sums)))
+    _survey(calls[AT_SURVEY], (0, 1, trajectory, blocks_of(written, rows), extent))
 
 
 @pasted

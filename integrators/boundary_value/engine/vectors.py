@@ -74,6 +74,11 @@ def _larger(builder: Any, a: Any, b: Any) -> Any:
     return builder.select(builder.fcmp_ordered(">", a, b), a, b)
 
 
+def _higher(builder: Any, a: Any, b: Any) -> Any:
+    is_larger, is_none = builder.fcmp_ordered(">", b, a), builder.fcmp_unordered("uno", b, b)
+    return builder.select(builder.or_(is_larger, is_none), b, a)
+
+
 def _folded(join: Callable[..., Any]) -> Callable[..., Any]:
     """All lanes joined into one number, half after half."""
 
@@ -134,6 +139,7 @@ over = _operation(lambda b, x, f: b.fdiv(x, _filled(b, f)), LINE, FLOAT)
 add = _operation(lambda b, y, f, x: _sum(b, y, _product(b, _filled(b, f), x)), LINE, FLOAT, LINE)
 subtract = _operation(lambda b, y, f, x: _difference(b, y, _product(b, _filled(b, f), x)), LINE, FLOAT, LINE)
 larger = _operation(_larger, LINE, LINE)
+higher = _operation(_higher, LINE, LINE)  # what is not a number stays
 magnitude = _operation(lambda b, x: _called(b, f"fabs.v{LANES}f64", x), LINE)
 root = _operation(lambda b, x: _called(b, f"sqrt.v{LANES}f64", x), LINE)
 inverse = _operation(_inverse, LINE)  # ones where there is none
@@ -162,17 +168,36 @@ def vector(typing: Any, x: Any, i: Any, j: Any) -> Any:
     return LINE(x, INTEGER, INTEGER), generate
 
 
+def _masked(context: Any, builder: Any, kind: Any, *place: Any) -> tuple[Any, Any, Any]:
+    """Where the vector begins, how it is aligned, and which of its lanes are within the row."""
+    pointer, width = _place(context, builder, kind, *place)
+    inside = builder.icmp_signed("<", _places(builder, place[2]), _filled(builder, width, PLACES))
+    return pointer, ir.Constant(ir.IntType(32), 8), inside
+
+
 @intrinsic
 def part(typing: Any, x: Any, i: Any, j: Any) -> Any:
     """``x[i, j : j + LANES]`` of a row that is not padded: zero after its end."""
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        place, width = _place(context, builder, signature.args[0], *values)
-        inside = builder.icmp_signed("<", _places(builder, values[2]), _filled(builder, width, PLACES))
-        align, none = ir.Constant(ir.IntType(32), 8), ir.Constant(VECTOR, None)
-        return _called(builder, f"masked.load.v{LANES}f64.p0", place, align, inside, none)
+        place = _masked(context, builder, signature.args[0], *values)
+        return _called(builder, f"masked.load.v{LANES}f64.p0", *place, ir.Constant(VECTOR, None))
 
     return LINE(x, INTEGER, INTEGER), generate
+
+
+@intrinsic
+def put_part(typing: Any, y: Any, i: Any, j: Any, x: Any) -> Any:
+    """``y[i, j : j + LANES] = x`` in a row that is not padded, up to its end."""
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        place = _masked(context, builder, signature.args[0], *values[:3])
+        kind = ir.FunctionType(ir.VoidType(), [VECTOR, *(value.type for value in place)])
+        name = f"llvm.masked.store.v{LANES}f64.p0"
+        builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [values[3], *place])
+        return context.get_dummy_value()
+
+    return types.void(y, INTEGER, INTEGER, LINE), generate
 
 
 @intrinsic

@@ -280,22 +280,31 @@ def _column(registers: Any, k: int, operand: int) -> Any:
     return registers[k, operand], registers[k + 1, operand], registers[k + 2, operand], registers[k + 3, operand]
 
 
+@pasted
+def _beside(places: Any, i: int) -> int:
+    """How many numbers from this one on stand beside each other for sure, in fours: places ascend."""
+    for length in (4 * FOUR, FOUR):
+        last = i + length - 1
+        if last < places.shape[0] and places[last, 0] - places[i, 0] == length - 1 and places[last, 1] == places[i, 1]:
+            return length
+    return 0
+
+
 @kernel_part()
 def _read_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, s: int, m: int) -> None:
     """Read the inputs of ``m`` points from ``s`` on into the first registers."""
     i, count = 0, places.shape[0]
     while i < count:
-        step = places[i, 1]
+        step, length = places[i, 1], _beside(places, i) if m >= FOUR else 0
         begin = places[i, 0] + s * step
-        if m >= FOUR and i + FOUR <= count and _together(places, i):
+        for r in range(i, i + length, FOUR):
             for first in range(0, m, FOUR):
                 j = min(first, m - FOUR)
-                _read_four(w, j, (i, i + 1, i + 2, i + 3), data, begin + j * step, step)
-            i += FOUR
-        else:
+                _read_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + r - i + j * step, step)
+        if length == 0:
             for j in range(m):
                 w[i, j] = data[begin + j * step]
-            i += 1
+        i += max(length, 1)
 
 
 @kernel_part()
@@ -303,24 +312,17 @@ def _write_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s:
     """Write the outputs of ``m`` points from ``s`` on, which stand in the registers from ``row`` on."""
     i, count = 0, places.shape[0]
     while i < count:
-        step, r = places[i, 1], row + i
+        step, length = places[i, 1], _beside(places, i) if m >= FOUR else 0
         begin = places[i, 0] + s * step
-        if m >= FOUR and i + FOUR <= count and _together(places, i):
+        for k in range(i, i + length, FOUR):
+            r = row + k
             for first in range(0, m, FOUR):
                 j = min(first, m - FOUR)
-                _write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + j * step, step)
-            i += FOUR
-        else:
+                _write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k - i + j * step, step)
+        if length == 0:
             for j in range(m):
-                data[begin + j * step] = w[r, j]
-            i += 1
-
-
-@pasted
-def _together(places: Any, i: int) -> bool:
-    """Whether four numbers stand beside each other: places ascend."""
-    last = i + FOUR - 1
-    return places[last, 0] - places[i, 0] == FOUR - 1 and places[last, 1] == places[i, 1]
+                data[begin + j * step] = w[row + i, j]
+        i += max(length, 1)
 
 
 @pasted
