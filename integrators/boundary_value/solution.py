@@ -252,7 +252,7 @@ def _write_protect(value: Any) -> None:
     elif isinstance(value, dict):
         for part in value.values():
             _write_protect(part)
-    elif isinstance(value, (tuple, list)):
+    elif isinstance(value, tuple | list):
         for part in value:
             _write_protect(part)
 

@@ -36,6 +36,7 @@ PARTS = f"{TESTS}/test_step_parts.py"
 NO_MINIMUM = f"{TESTS}/test_no_minimum.py"
 NUMERICS = "tests/manifolds/test_numerics.py"
 TAPE = "tests/tape/test_tape.py"
+NATIVE = "tests/tape/test_native.py"
 PRIMITIVES = "tests/tape/test_primitives.py"
 
 
@@ -293,9 +294,33 @@ PLANTED: dict[str, Planted] = {
     ),
     "fused products are added where they are subtracted": Planted(
         "src/retrax/tape/emitted.py",
-        '"SUB_MUL": lambda b, v, x, y, z: b.fsub(z(), b.fmul',
-        '"SUB_MUL": lambda b, v, x, y, z: b.fadd(z(), b.fmul',
+        '"SUB_MUL": lambda b, v, x, y, z: _fused(b, b.fneg(x()), y(), z()),',
+        '"SUB_MUL": lambda b, v, x, y, z: _fused(b, x(), y(), z()),',
         (TAPE, PRIMITIVES),
+    ),
+    "rows of machine code are given away while others need them": Planted(
+        "src/retrax/tape/native.py",
+        "ends.setdefault(max(last.get(k, number), number), []).append(rows[k])",
+        "ends.setdefault(number, []).append(rows[k])",
+        (NATIVE,),
+    ),
+    "machine code writes what it reads": Planted(
+        "src/retrax/tape/machine.py",
+        "data[begin + j * step] = w[row + i, j]",
+        "data[begin + j * step] = w[i, j]",
+        (NATIVE,),
+    ),
+    "machine code reads the points of the first vector for all": Planted(
+        "src/retrax/tape/machine.py",
+        "_read_all(inputs, sources, w, s, m)",
+        "_read_all(inputs, sources, w, 0, m)",
+        (f"{NATIVE}::test_any_number_of_points",),
+    ),
+    "machine code is made of tapes that run once": Planted(
+        "src/retrax/tape/tape.py",
+        "if self._points > OFTEN and not self._asked:",
+        "if not self._asked:",
+        (f"{NATIVE}::test_it_is_made_after_so_many_points",),
     ),
     "lanes write one point too few": Planted(
         "src/retrax/tape/machine.py",
@@ -549,7 +574,7 @@ PLANTED: dict[str, Planted] = {
     # The compiled pass of a trial.
     "covectors of a trial are those before the step": Planted(
         f"{ENGINE}/trial_kernels.py",
-        "f = coordinates[0, k, a] + part * multipliers[0, k, a, 0]",
+        "f = coordinates[0, k, a] + share * multipliers[0, k, a, 0]",
         "f = coordinates[0, k, a]",
         (TRIAL,),
     ),

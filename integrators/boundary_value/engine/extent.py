@@ -83,7 +83,7 @@ def extent(nodes: np.ndarray, frames: np.ndarray, coordinates: np.ndarray, gap: 
     arrays = tuple(map(plain, (blocks.hessian, blocks.left, blocks.right, blocks.slope, blocks.gradient)))
 
     def run(part: range) -> None:
-        extent_kernels.survey(part.start, part.stop, trajectory, arrays, found)
+        extent_kernels.survey(part.start, part.stop, trajectory, arrays, tuple(found))
 
     in_threads(run, batch, count * (2 * n * (z + e)))
     return found

@@ -121,7 +121,7 @@ def _chosen(
         if not most > size:
             return i, r
         other = begin[1]
-        if size > 0 or entry(left, 1, other) != most:
+        if size > 0 or other < first or entry(left, 1, other) != most:
             other = _where(left, first, last, r, most)
         if other == i:  # rounding in one of the rows is not that in the other
             return i, r

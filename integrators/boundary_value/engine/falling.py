@@ -13,7 +13,7 @@ class Fall:
     """The costs of the members of a batch, trial after trial."""
 
     def __init__(self) -> None:
-        self._seen: list[tuple[int, np.ndarray, np.ndarray]] = []
+        self._seen: list[tuple[int, np.ndarray, np.ndarray | float]] = []
 
     def note(self, trials: int, members: np.ndarray, costs: np.ndarray) -> None:
         """Keep the costs of the members that are on their way after so many trials."""
@@ -21,8 +21,7 @@ class Fall:
 
     def note_all(self, first: int, members: np.ndarray, costs: list[float]) -> None:
         """The same of trials of a single member, the first of which is this one."""
-        for k, cost in enumerate(costs):
-            self.note(first + k, members, np.array([cost]))
+        self._seen += [(first + k, members, cost) for k, cost in enumerate(costs)]
 
     def lasts(self, which: np.ndarray, unit: np.ndarray) -> np.ndarray:
         """Which members end with a cost that has fallen by far, and in the second half of their trials by no less than
@@ -32,7 +31,7 @@ class Fall:
         """
         found = np.zeros(len(which), bool)
         for member in np.flatnonzero(which):
-            own = [(trials, costs[members == member]) for trials, members, costs in self._seen]
+            own = [(trials, np.atleast_1d(costs)[members == member]) for trials, members, costs in self._seen]
             trials, costs = np.array([(k, cost[0]) for k, cost in own if cost.size]).reshape(-1, 2).T
             if not trials.size:  # it was interrupted before
                 continue

@@ -15,8 +15,9 @@ from ....kernels import kernel_part, pasted
 from ....linked import address, array, called, laid, leaves, put, view
 from ....tape import machine
 from . import elimination_kernels, extent_kernels, scaling_kernels
+from .arrays import LANES
 from .trial import OUT
-from .vectors import inner
+from .vectors import add, filled, inner, part, put_part
 
 REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean
 F1, F2, F3, F4, F5 = map(array, range(1, 6))
@@ -212,17 +213,18 @@ def clear(numbers: np.ndarray) -> None:
 
 @inner
 def covectors(
-    coordinates: np.ndarray, frames: np.ndarray, multipliers: np.ndarray, part: float, out: np.ndarray
+    coordinates: np.ndarray, frames: np.ndarray, multipliers: np.ndarray, share: float, out: np.ndarray
 ) -> None:
-    """The covectors at the nodes after a part of the steps of their multipliers."""
-    _, count, n, size = frames.shape
+    """The covectors at the nodes after a share of the steps of their multipliers."""
+    (_, count, n, size), of_nodes = frames.shape, frames[0]
+    moved = view(out, 0, (count, size))
     for k in range(count):
-        for e in range(size):
-            out[k * size + e] = 0.0
-        for a in range(n):
-            f = coordinates[0, k, a] + part * multipliers[0, k, a, 0]
-            for e in range(size):
-                out[k * size + e] += f * frames[0, k, a, e]
+        for j in range(0, size, LANES):
+            row = filled(0.0)
+            for a in range(n):
+                f = coordinates[0, k, a] + share * multipliers[0, k, a, 0]
+                row = add(row, f, part(of_nodes[k], a, j))
+            put_part(moved, k, j, row)
 
 
 @pasted

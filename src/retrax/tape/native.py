@@ -97,9 +97,7 @@ def _pieces(lines: list[_Line]) -> Iterator[list[int]]:
         yield piece
 
 
-def _rows(
-    program: Program, lines: list[_Line], pieces: list[list[int]]
-) -> tuple[dict[int, int], int]:
+def _rows(program: Program, lines: list[_Line], pieces: list[list[int]]) -> tuple[dict[int, int], int]:
     """Where inputs, outputs, and values that one piece leaves to others stand, and the number of these rows."""
     piece_of = {k: number for number, piece in enumerate(pieces) for k in piece}
     last = {i: piece_of[k] for k, line in enumerate(lines) for i in line.inputs if line.name != "INPUT"}

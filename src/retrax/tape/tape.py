@@ -22,7 +22,8 @@ from .program import Program, assembled
 from .trace import Flat, flat, trace
 
 OFTEN = 100_000  # points at which the machine has taken half the time that machine code takes to be made
-FASTER = 4.0
+FEW = 20  # points, of which less take no less time, as it goes into the choice of instructions
+FASTER = 4.0  # than the machine
 
 Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
 
@@ -121,7 +122,7 @@ class Tape:
 
     def ran(self, points: int) -> None:
         """Tell that it has run at so many points: after very many another thread makes machine code of it."""
-        self._points += points
+        self._points += max(points, FEW)
         if self._points > OFTEN and not self._asked:
             self._asked = True
             later(self.compile)

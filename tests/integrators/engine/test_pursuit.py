@@ -25,6 +25,7 @@ from tests.integrators.test_long_steps import TURNED, N, rotation, turning
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 ROUND = 1e-8  # of a way up: a way round beside it is as short but for rounding
+ROUNDED = 1e-13  # a residual that is rounding
 CHAOTIC = 40  # iterations, after which rounding has grown into another way
 
 
@@ -45,9 +46,9 @@ def alike(one: Any, other: Any, atol: float = 1e-11) -> None:
     """Two solutions are the same one."""
     given = ((own.states, own.costates, own.controls, own.cost) for own in (one, other))
     same(*given, atol)
-    assert (one.success, one.result, one.statistics.iterations) == (
-        other.success, other.result, other.statistics.iterations
-    )  # fmt: skip
+    assert (one.success, one.result) == (other.success, other.result)
+    left = max(own.stationarity for own in (one.checks, other.checks))  # of rounding there may be a step less or more
+    assert abs(one.statistics.iterations - other.statistics.iterations) <= (left < ROUNDED)
     assert one.checks.strict_minimum == other.checks.strict_minimum
 
 

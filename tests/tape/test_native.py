@@ -1,0 +1,192 @@
+"""Machine code gives the numbers of the machine, to the last bit, and takes its place while others go on."""
+
+import gc
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax import threads
+from retrax.integrators import OptimalControlProblem, Solver
+from retrax.manifolds import SE, SO, Euclidean
+from retrax.retractions import Cayley, Gauss, Midpoint
+from retrax.tape import Tape, native
+from retrax.tape import tape as module
+
+from .functions import SMOOTH, SPECIAL
+
+HARD = np.array([0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1e308, 5e-324, 0.5, -2.5])
+
+
+def points(of, count=5):
+    """Arguments of a function of three numbers, and some at which its values are no numbers."""
+    hard = np.random.default_rng(1).choice(HARD, (3, 9))
+    ordinary = 0.05 + 0.9 * np.random.default_rng(0).random((3, count))
+    return np.concatenate([ordinary, hard], axis=1) if of is None else of
+
+
+CASES = {
+    **{name: (f, points(None)) for name, f in SMOOTH.items()},
+    **{n: (f, x[:, None]) for n, (f, x) in SPECIAL.items()},
+}
+
+
+def both(tape, *arguments):
+    """The values before it is machine code, and after."""
+    before = tape(*arguments)
+    tape.compile()
+    return before, tape(*arguments)
+
+
+def equal(before, after):
+    """The numbers are the same ones; what is not a number has no sign."""
+    for one, other in zip(*map(jax.tree.leaves, (before, after)), strict=True):
+        np.testing.assert_array_equal(one, other)
+        numbers = ~np.isnan(one)
+        np.testing.assert_array_equal(np.signbit(np.real(one))[numbers], np.signbit(np.real(other))[numbers])
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_values_and_two_derivatives_are_the_same_numbers(name):
+    function, x = CASES[name]
+    value = Tape.trace(lambda y: jnp.sum(jnp.sin(jnp.arange(1.0, 4.0) * function(y))), x[:, 0])
+    with np.errstate(all="ignore"):
+        for tape in (Tape.trace(function, x[:, 0]), value.second_order()):
+            equal(*both(tape, x))
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 7, 8, 9, 15, 16, 17, 100, 257])
+def test_any_number_of_points(count):
+    """From less than a vector of the processor to many, of functions with one array, and with several."""
+    cayley, draw = Cayley(SE(3)), np.random.default_rng(count).standard_normal
+    tape = Tape.trace(lambda x, v, s: cayley(x, s * v), np.eye(4), np.zeros((4, 4)), 0.0)
+    equal(*both(tape, draw((4, 4, count)), draw((4, 4, count)), draw(count)))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 10, 33, 100, 10_000])
+def test_pieces_of_any_length(size, monkeypatch):
+    """From an instruction to all of them: what one piece leaves to others stands where these look for it."""
+    monkeypatch.setattr(native, "PIECE", size)
+    x = np.random.default_rng(2).standard_normal((3, 11))
+    tape = Tape.trace(lambda w: jax.scipy.linalg.expm(jnp.cross(jnp.eye(3), w)) @ jnp.exp(w) + jnp.sin(w) / w, x[:, 0])
+    before, after = both(tape.jacobian(), x)
+    equal(before, after)
+
+
+def test_arguments_that_are_values_constants_and_arguments_that_nothing_uses():
+    x = np.arange(12.0).reshape(4, 3)
+    odd = {
+        "the same": lambda a: a,
+        "backwards": lambda a: a[::-1],
+        "constants": lambda a: jnp.array([1.0, 0.0, 2.0**70]),
+        "one of four": lambda a: a[2] + 1.0,
+        "nothing": lambda a: jnp.zeros(0),
+        "constants of functions": lambda a: jnp.sin(a[:1]) ** jnp.array([1.5, 2.5]),
+    }
+    for function in odd.values():
+        tape = Tape.trace(function, x[:, 0])
+        equal(*both(tape, x))
+
+
+def test_threads_change_nothing(monkeypatch):
+    x = np.random.default_rng(3).standard_normal((3, 4001))
+    tape = Tape.trace(lambda w: jnp.cross(w, jnp.exp(w)), x[:, 0])
+    tape.compile()
+    alone = tape(x)
+    monkeypatch.setattr(threads, "WORTH_A_THREAD", 100)
+    monkeypatch.setattr(threads.os, "cpu_count", lambda: 4)
+    equal(alone, tape(x))
+
+
+def test_code_lives_as_long_as_what_calls_it():
+    x = np.random.default_rng(4).standard_normal((3, 8))
+    tape = Tape.trace(lambda w: jnp.cross(w, w[::-1]) ** 2, x[:, 0])
+    before, after = both(tape, x)
+    code = tape.code
+    assert code is not tape.program
+    del tape
+    gc.collect()
+    equal(before, after)
+    assert code.engine is not None
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.999, 1.0, 1.001, 2.0])
+def test_it_is_made_after_so_many_points(share, monkeypatch):
+    """Points are counted through the number after which it is made, call by call and all at once."""
+    monkeypatch.setattr(module, "OFTEN", 1000)
+    x = np.random.default_rng(5).standard_normal((3, 50))
+    for calls in (1, 20):
+        made, tape = Tape.compiled, Tape.trace(lambda w: jnp.cross(w, w[::-1]) * calls, x[:, 0])
+        size = max(int(1000 * share) // calls, 1)
+        for _ in range(calls):
+            tape(np.resize(x, (3, size)))
+        threads.settled()
+        assert (tape.code is not tape.program) == (calls * max(size, module.FEW) > 1000)
+        assert Tape.compiled == made + (tape.code is not tape.program)
+
+
+def test_calls_go_on_while_it_is_made(monkeypatch):
+    """From several threads, which all ask for it: it is made once."""
+    monkeypatch.setattr(module, "OFTEN", 100)
+    x = np.random.default_rng(6).standard_normal((3, 40))
+    tape = Tape.trace(lambda w: jax.scipy.linalg.expm(jnp.cross(jnp.eye(3), w)), x[:, 0])
+    expected, made = tape(x), Tape.compiled
+    with ThreadPoolExecutor(4) as pool:
+        for found in pool.map(lambda _: tape(x), range(400)):
+            equal(expected, found)
+    threads.settled()
+    assert Tape.compiled == made + 1
+    equal(expected, tape(x))
+
+
+def spun(scale):
+    """A rigid body that is turned at the least cost."""
+    space, inertia = SO(3) * Euclidean(3), scale * np.array([1.0, 2.0, 3.0])
+
+    def dynamics(q, u):
+        return q[0] @ jnp.cross(-jnp.eye(3), q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
+
+    return OptimalControlProblem(space, dynamics, lambda q, u: u @ u / 2, controls=3), Cayley(space)
+
+
+@pytest.mark.parametrize("stages", [1, 3])
+@pytest.mark.parametrize("limit", [None, 4.0])
+def test_solutions_are_the_same_numbers(stages, limit, monkeypatch):
+    """One trajectory and a batch, with limits and without, before machine code takes over and after."""
+    monkeypatch.setattr(module, "OFTEN", np.inf)
+    problem, cayley = spun(1.0 + stages / 7)
+    if limit is not None:
+        problem = OptimalControlProblem(
+            problem.manifold, problem.dynamics, problem.running_cost, controls=3, control_bounds=(-limit, limit)
+        )
+    solver = Solver(problem, Midpoint(cayley) if stages == 1 else Gauss(stages, cayley), 12)
+    turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    rest = np.zeros(3)
+
+    def solved():
+        alone = solver.solve((np.eye(3), rest), (turn, rest), 3.0)
+        starts = np.stack([np.eye(3)] * 40), np.zeros((40, 3))
+        many = solver.solve_many(starts, (turn, rest), np.linspace(2.5, 4.0, 40))
+        return [(own.states, own.costates, own.controls, own.cost) for own in (alone, many)]
+
+    before, made = solved(), Tape.compiled
+    monkeypatch.setattr(module, "OFTEN", 1)
+    solved()
+    threads.settled()
+    assert Tape.compiled > made
+    equal(before, solved())
+
+
+def test_a_process_may_end_while_it_is_made():
+    script = """
+import jax.numpy as jnp, numpy as np
+from retrax.tape import Tape, tape
+tape.OFTEN = 1
+for k in range(30):
+    Tape.trace(lambda w: jnp.exp(w @ w.T) * (1.0 + k), np.eye(4))(np.ones((4, 4, 10)))
+"""
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
+    assert (ended.returncode, ended.stderr) == (0, "")
