@@ -7,6 +7,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any, Self, final
+from weakref import WeakSet
 
 import jax
 import jax.numpy as jnp
@@ -101,6 +102,10 @@ class Evaluator(ABC):
             return self._made(function, sizes[1:], first=sizes[0])
 
     @abstractmethod
+    def compile(self) -> None:
+        """Make machine code of the tapes among the functions that it has made; those of XLA are compiled anyway."""
+
+    @abstractmethod
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
         """The function of many points; with derivatives by an argument of the size ``first``, if there is one."""
 
@@ -108,6 +113,9 @@ class Evaluator(ABC):
 @final
 class TapeEvaluator(Evaluator):
     """Runs functions as tapes of scalar instructions, in double precision; nothing is compiled for a problem."""
+
+    def __init__(self) -> None:
+        self._tapes = WeakSet["Tape"]()
 
     @property
     def name(self) -> str:
@@ -121,7 +129,13 @@ class TapeEvaluator(Evaluator):
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
         d = [] if first is None else [np.zeros(first)]
-        return _OnTape(_tape(function, [*d, *(np.zeros(size) for size in sizes)], first is not None))
+        tape = _tape(function, [*d, *(np.zeros(size) for size in sizes)], first is not None)
+        self._tapes.add(tape)
+        return _OnTape(tape)
+
+    def compile(self) -> None:
+        for tape in list(self._tapes):
+            tape.compile()
 
 
 def _tape(function: Function, examples: list[np.ndarray], expanded: bool) -> "Tape":
@@ -323,6 +337,9 @@ class XlaEvaluator(Evaluator):
 
         return _Compiled(traced(at_point, *(np.zeros(size) for size in sizes)))
 
+    def compile(self) -> None:
+        """There is nothing to do."""
+
 
 @final
 class _Compiled(Evaluated):
@@ -350,7 +367,7 @@ class Automatic(Evaluator):
     """Runs a function as a tape where it can be traced to scalars, else by XLA."""
 
     def __init__(self) -> None:
-        self._refusals: list[str] = []
+        self._tape, self._refusals = TapeEvaluator(), list[str]()
 
     @property
     def name(self) -> str:
@@ -366,10 +383,13 @@ class Automatic(Evaluator):
         from ..tape import NotTraceableError
 
         try:
-            return TapeEvaluator()._made(function, sizes, first)
+            return self._tape._made(function, sizes, first)
         except NotTraceableError as error:
             self._refusals.append(str(error))
             return XlaEvaluator(str(error))._made(function, sizes, first)
+
+    def compile(self) -> None:
+        self._tape.compile()
 
 
 def chosen(evaluator: str | Evaluator) -> Evaluator:

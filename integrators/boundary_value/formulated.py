@@ -62,6 +62,11 @@ class Formulated:
         other._found = self._found
         return other
 
+    @property
+    def is_traced(self) -> bool:
+        """Whether there is one."""
+        return bool(self._made)
+
     def of(self, horizon: Any, parameters: Any) -> tuple[Formulation, Any]:
         """The formulation for a horizon and parameters, and its solver."""
         kind = Kind.of(horizon, parameters)

@@ -69,6 +69,11 @@ class Posing:
         other._found, other._start = self._found, self._start
         return other
 
+    @property
+    def is_traced(self) -> bool:
+        """Whether functions are traced."""
+        return bool(self._found)
+
     def traced(self, parameters: Any) -> Traced:
         """The functions with parameters of this structure."""
         key = structure_of(parameters)

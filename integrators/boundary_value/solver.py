@@ -126,6 +126,20 @@ class Solver:
         """Why that evaluator was chosen."""
         return self._evaluator.reason
 
+    def compile(self) -> None:
+        """Make machine code of the functions that are traced, now: for who calls the solver at fixed times.
+
+        Another thread does it by itself once they have run often, and takes time of its own for that. Nothing else
+        changes: the numbers stay the same, and what XLA evaluates stays as it is. Raises ``InvalidInputError`` if nothing
+        is traced: parameters, and what is free, are known at the first call.
+        """
+        if not (self._posing.is_traced or self._formulated.is_traced):
+            raise InvalidInputError(
+                "nothing is traced yet that could be compiled: what the functions take is known at the first call; try "
+                "solver.solve(...) before solver.compile()"
+            )
+        self._evaluator.compile()
+
     def __repr__(self) -> str:
         return (
             f"Solver({self.problem.manifold}, {type(self.method).__name__}, {self.steps} steps, on the "

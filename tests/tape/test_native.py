@@ -10,9 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax import threads
-from retrax.integrators import OptimalControlProblem, Solver
-from retrax.manifolds import SE, SO, Euclidean
-from retrax.retractions import Cayley, Gauss, Midpoint
+from retrax.integrators import Free, OptimalControlProblem, Solver
+from retrax.manifolds import SE, SO, Euclidean, InvalidInputError
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 from retrax.tape import Tape, native
 from retrax.tape import tape as module
 
@@ -119,7 +119,7 @@ def test_it_is_made_after_so_many_points(share, monkeypatch):
     monkeypatch.setattr(module, "OFTEN", 1000)
     x = np.random.default_rng(5).standard_normal((3, 50))
     for calls in (1, 20):
-        made, tape = Tape.compiled, Tape.trace(lambda w: jnp.cross(w, w[::-1]) * calls, x[:, 0])
+        made, tape = Tape.compiled, Tape.trace(lambda w, by=calls: jnp.cross(w, w[::-1]) * by, x[:, 0])
         size = max(int(1000 * share) // calls, 1)
         for _ in range(calls):
             tape(np.resize(x, (3, size)))
@@ -178,6 +178,48 @@ def test_solutions_are_the_same_numbers(stages, limit, monkeypatch):
     threads.settled()
     assert Tape.compiled > made
     equal(before, solved())
+
+
+def with_parameters():
+    space = Euclidean(2)
+    return OptimalControlProblem(
+        space, lambda q, u, k: jnp.array([q[1], u[0] - k * q[0]]), lambda q, u, k: u @ u / 2, controls=1
+    ), (1.5,)
+
+
+def without():
+    space = Euclidean(2)
+    return OptimalControlProblem(
+        space, lambda q, u: jnp.array([q[1], u[0] - q[0]]), lambda q, u: u @ u / 2, controls=1
+    ), (None,)
+
+
+@pytest.mark.parametrize("make", [with_parameters, without])
+@pytest.mark.parametrize("horizon", [2.0, Free(2.0, upper=3.0)])
+def test_a_solver_compiles_when_it_is_told_to(make, horizon, monkeypatch):
+    """With a free horizon, and with parameters, after the first call."""
+    monkeypatch.setattr(module, "OFTEN", np.inf)
+    problem, parameters = make()
+    solver = Solver(problem, Gauss(2, Addition(problem.manifold)), 9)
+    way = np.array([1.0, 0.0]), np.zeros(2), horizon
+    if problem.takes_parameters:
+        with pytest.raises(InvalidInputError, match=r"nothing is traced yet .* before solver.compile"):
+            solver.compile()
+    before, made = solver.solve(*way, parameters=parameters[0]), Tape.compiled
+    solver.compile()
+    assert Tape.compiled > made  # others have the tapes of the space too
+    again, made = solver.solve(*way, parameters=parameters[0]), Tape.compiled
+    equal(*((own.states, own.costates, own.controls, own.cost) for own in (before, again)))
+    solver.compile()
+    assert Tape.compiled == made
+
+
+def test_what_xla_evaluates_stays_as_it_is(monkeypatch):
+    monkeypatch.setattr(module, "OFTEN", np.inf)
+    problem, _ = without()
+    solver, made = Solver(problem, Midpoint(Addition(problem.manifold)), 5, evaluator="xla"), Tape.compiled
+    solver.compile()
+    assert (solver.evaluator, Tape.compiled) == ("xla", made)
 
 
 def test_a_process_may_end_while_it_is_made():

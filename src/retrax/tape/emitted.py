@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Callable
+from functools import cache
 from typing import Any
 
 from llvmlite import ir
@@ -79,6 +80,7 @@ EMITTED: dict[str, Callable[..., Any]] = {
 }
 
 
+@cache
 def operands_of(emit: Callable[..., Any]) -> int:
     """How many operands an instruction has."""
     return len(inspect.signature(emit).parameters) - 2

@@ -5,6 +5,7 @@ and some twenty microseconds to write for each instruction, so it is for program
 numbers are the machine's to the last bit.
 """
 
+import time
 from collections.abc import Iterable, Iterator
 from itertools import groupby
 from typing import Any, NamedTuple
@@ -42,6 +43,7 @@ def native(program: Program) -> Program:
     for k, piece in enumerate(pieces):
         if lines[piece[0]].is_code:
             text.append(_function(f"piece{k}", piece, lines, rows))
+            time.sleep(0)  # others, which may be in a hurry, go on
     for group in groups:
         if lines[pieces[group[0]][0]].is_code:
             calls = [f"call void @piece{k}(ptr %w)" for k in group]

@@ -128,11 +128,16 @@ class Tape:
             later(self.compile)
 
     def compile(self) -> None:
-        """Make machine code of it, now: that takes some twenty microseconds an instruction and gives the same
-        numbers."""
-        from .native import native
+        """Make machine code of it, now, unless it is already: that takes some forty microseconds an instruction and
+        gives the same numbers.
 
-        self._native, Tape.compiled = native(self.program), Tape.compiled + 1
+        Without Numba there is none.
+        """
+        self._asked = True
+        if self._native is None and _machine() is not None:
+            from .native import native
+
+            self._native, Tape.compiled = native(self.program), Tape.compiled + 1
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
         """The matrix of the derivatives of all values by arguments, by default by all, both flat in order, as a
