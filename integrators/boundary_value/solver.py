@@ -130,8 +130,8 @@ class Solver:
         """Make machine code of the functions that are traced, now: for who calls the solver at fixed times.
 
         Another thread does it by itself once they have run often, and takes time of its own for that. Nothing else
-        changes: the numbers stay the same, and what XLA evaluates stays as it is. Raises ``InvalidInputError`` if nothing
-        is traced: parameters, and what is free, are known at the first call.
+        changes: the numbers stay the same, and what XLA evaluates stays as it is. Raises ``InvalidInputError`` if
+        nothing is traced: parameters, and what is free, are known at the first call.
         """
         if not (self._posing.is_traced or self._formulated.is_traced):
             raise InvalidInputError(
