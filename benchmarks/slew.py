@@ -6,8 +6,8 @@
 All sides solve the same problem by a midpoint scheme from the same kind of guess (attitude interpolated, rates zero),
 in one run, calls taken in turns; medians. One JSON line a case.
 
-- ``warm``: a solve with everything built, the whole call; of calls in turns, where each finds the processor's caches
-  filled by the other sides, and of ten in a row, as a controller makes them.
+- ``warm``: a solve with everything built, machine code too (``solver.compile``), the whole call; of calls in turns,
+  where each finds the processor's caches filled by the other sides, and of ten in a row, as a controller makes them.
 - ``limited``: the same with each torque within 10 N m, which one of them reaches in three tenths of the horizon; IPOPT
   alone.
 - ``fastest``: in the least time with each torque within 50 N m; IPOPT alone.
@@ -32,7 +32,6 @@ from pathlib import Path
 COLD = "--cold"
 CASES = ("warm", "limited", "fastest", "new", "cold", "many", "batch", "long")
 ROW = 10  # calls
-WARM_UP = 1.0  # seconds, in which tapes that run often become machine code
 TOLERANCE = 1e-8  # relative, as IPOPT and FATROP are asked for
 LIMIT, STRONG, OF_A_BATCH = 10.0, 50.0, 12.0  # N m
 BATCH = 256  # slews
@@ -49,11 +48,7 @@ def timed(call):
 
 
 def in_turns(calls, repeats, row=1):
-    """Median seconds of each call, some in a row, after each side has run for a while."""
-    for call in calls.values():
-        began = time.perf_counter()
-        while time.perf_counter() - began < WARM_UP:
-            call()
+    """Median seconds of each call, some in a row."""
     seconds = {name: [] for name in calls}
     for _ in range(repeats):
         for name, call in calls.items():
@@ -78,6 +73,7 @@ def warm(steps, repeats):
 
     slews = {"retrax": RetraxSlew(steps), **casadi_slews(steps)}
     costs = {name: slew.solve() if name == "retrax" else slew.solve()[0] for name, slew in slews.items()}
+    slews["retrax"].solver.compile()
     calls, rows = {name: slew.solve for name, slew in slews.items()}, {}
     for words, row in (("in turns", 1), ("in a row", ROW)):
         medians = in_turns(calls, repeats, row)
@@ -108,6 +104,7 @@ def fastest(steps, repeats):
 def beside_ipopt(ours, other, steps, repeats):
     """Median milliseconds of a warm solve of both sides, iterations and costs."""
     costs = {"retrax": ours.solve(), "IPOPT": other.solve()[0]}
+    ours.solver.compile()
     medians = in_turns({"retrax": ours.solve, "IPOPT": other.solve}, repeats)
     return {
         "steps": steps,
@@ -232,6 +229,7 @@ def many_of_ours(stages, angles, axes):
             return solver.solve_many(start, ends, HORIZON, tolerance=TOLERANCE)
 
         torques = [polynomials(s.require_success().times, s.stage_times, s.controls) for s in call()]
+        solver.compile()
         yield steps, errors(torques, angles, axes), call
 
 
@@ -289,6 +287,7 @@ def batch(repeats):
         return slew.solver.solve_many(at_rest(np.eye(3)), ends, HORIZON, tolerance=TOLERANCE)
 
     solved = int(np.sum(call().success))
+    slew.solver.compile()
     seconds = statistics.median(timed(call) for _ in range(repeats))
     return {"case": f"{BATCH} limited slews", "ms_each": round(1e3 * seconds / BATCH, 3), "solved": solved}
 
@@ -301,6 +300,7 @@ def long(repeats):
     for steps in (100, 1000, 10_000):
         slew = RetraxSlew(steps)
         slew.solve()
+        slew.solver.compile()
         rows[str(steps)] = round(1e6 * statistics.median(timed(slew.solve) for _ in range(repeats)) / steps, 2)
     return {"case": "long", "microseconds_a_step": rows}
 

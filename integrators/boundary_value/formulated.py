@@ -63,9 +63,9 @@ class Formulated:
         return other
 
     @property
-    def is_traced(self) -> bool:
-        """Whether there is one."""
-        return bool(self._made)
+    def solvers(self) -> list[Any]:
+        """Those that are made."""
+        return [solver for _, solver in self._made.values()]
 
     def of(self, horizon: Any, parameters: Any) -> tuple[Formulation, Any]:
         """The formulation for a horizon and parameters, and its solver."""

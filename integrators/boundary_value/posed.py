@@ -69,9 +69,10 @@ class Posing:
         other._found, other._start = self._found, self._start
         return other
 
-    @property
-    def is_traced(self) -> bool:
-        """Whether functions are traced."""
+    def compiled(self) -> bool:
+        """Make machine code of what is traced; whether the functions of the problem are."""
+        self.evaluator.compile()
+        self._start.evaluator.compile()
         return bool(self._found)
 
     def traced(self, parameters: Any) -> Traced:

@@ -33,7 +33,7 @@ class Start:
 
     def __init__(self, manifold: Manifold, retraction: Retraction) -> None:
         self.manifold, self.layout, self.retraction = manifold, Layout.of(manifold), retraction
-        self._other = default_retraction(manifold)
+        self._other, self.evaluator = default_retraction(manifold), Automatic()
         self._curves: list[tuple[Evaluated, Evaluated]] = []
         self._walk: tuple[Evaluated, Evaluated] | None = None
 
@@ -86,7 +86,7 @@ class Start:
             return (self.layout.flat(retraction(self.layout.point(start), vec.scale(s[0], self.layout.point(vector)))),)
 
         size = self.layout.size
-        return Automatic().values(leave, size, size), Automatic().values(go, size, size, 1)
+        return self.evaluator.values(leave, size, size), self.evaluator.values(go, size, size, 1)
 
     def _even(self, points: np.ndarray) -> np.ndarray:
         """Whether the largest step between points is no more than ``UNEVEN`` mean ones, in each array of a point; not
@@ -108,8 +108,8 @@ class Start:
                 self.layout.size,
                 jax.tree.map(np.asarray, vec.normal(jax.random.key(0), self.manifold.ambient)),
             )
-            begin = Automatic().values(lambda *ends: self._set_out(aside, *ends), size, size)
-            self._walk = begin, Automatic().values(self._go, size, size, 1)
+            begin = self.evaluator.values(lambda *ends: self._set_out(aside, *ends), size, size)
+            self._walk = begin, self.evaluator.values(self._go, size, size, 1)
         (x,) = self._walk[0].at(1, starts, ends)
         states, behind = [], 0.0
         for fraction in fractions:
