@@ -18,6 +18,7 @@ from .loop import Nodes
 from .pieces import Steps
 from .step_programs import packed, rows, step_programs, unpacked
 
+EVALUATIONS = 4  # of the equations of a step
 FEW = 6  # trajectories that are faster one after the other than on lanes side by side
 
 
@@ -110,11 +111,10 @@ class _Workspace:
         from .machine_kernels import machine
 
         kernels, programs, substeps, inverse = traced.kernels, traced.programs, traced.parts.size, traced.inverse
-        lanes = 1 if count <= FEW else kernels.LANES
+        self._lanes = lanes = 1 if count <= FEW else kernels.LANES
         blocks, m = -(-count // lanes), programs.unknowns
-        lists = programs.codes, programs.operands, programs.values, programs.ranges, programs.places
-        memory = programs.rows, programs.registers, lanes
-        self._integrate, self._blocks = partial(kernels.integrate, machine(), *lists, memory), blocks
+        self._integrate, self._programs, self._blocks = partial(kernels.integrate, machine()), programs, blocks
+        self._points = EVALUATIONS * substeps * lanes * blocks
         inverses, spent = np.zeros((blocks, substeps, m, m, lanes)), np.full((blocks, substeps), np.inf)
         differences = np.zeros((blocks, substeps, kernels.ORDERS, m, lanes))
         small = np.zeros((0, 0)) if inverse is None else np.ascontiguousarray(inverse)
@@ -122,8 +122,12 @@ class _Workspace:
 
     def run(self, carry: np.ndarray, failed: np.ndarray, record: np.ndarray, *numbers: Any) -> None:
         """Integrate over a piece, blocks of lanes side by side on all processors."""
+        programs, code = self._programs, self._programs.code
+        lists = code.codes, code.operands, code.values, code.ranges, code.reads, code.writes, programs.places
+        memory = programs.rows, code.registers, self._lanes, code.native
 
         def share(blocks: range) -> None:
-            self._integrate(carry, failed, record, self._known, *numbers, (blocks.start, blocks.stop))
+            self._integrate(*lists, memory, carry, failed, record, self._known, *numbers, (blocks.start, blocks.stop))
 
         in_threads(share, self._blocks, math.inf)
+        programs.ran(self._points * numbers[-1][1])

@@ -18,12 +18,18 @@ def machine() -> Machine:
 @kernel_part()
 def evaluate(programs: tuple, which: int, v: np.ndarray, w: np.ndarray) -> None:
     """Run one of the programs on a memory with these registers."""
-    (many, one), codes, operands, values, ranges = programs
-    a, b = ranges[which, 0], ranges[which, 1]
-    if v.shape[1] == 1:
-        _run_one(one, (codes[a:b], operands[a:b], values[a:b], v.reshape(v.size), w.reshape(w.size)))
+    (many, one), codes, operands, values, ranges, sources, targets = programs
+    a, b, flat = ranges[which, 0], ranges[which, 1], v.reshape(v.size)
+    if w.shape[1] == 1:
+        _run_one(one, (codes[a:b], operands[a:b], values[a:b], flat, w.reshape(w.size)))
     else:
-        flat, rows = v.reshape(v.size), np.empty((v.shape[0], 2), np.int64)
-        for i in range(v.shape[0]):
-            rows[i, 0], rows[i, 1] = i * v.shape[1], 1
-        _run(many, (codes[a:b], operands[a:b], values[a:b], flat, rows, flat, rows, w, 0, v.shape[1]))
+        _run(many, (codes[a:b], operands[a:b], values[a:b], flat, sources, flat, targets, w, 0, v.shape[1]))
+
+
+@kernel_part()
+def places_of(rows: np.ndarray, lanes: int) -> np.ndarray:
+    """Where rows of a memory of so many lanes begin, and how far the number of the next lane is."""
+    found = np.empty((rows.size, 2), np.int64)
+    for i in range(rows.size):
+        found[i, 0], found[i, 1] = rows[i] * lanes, 1
+    return found

@@ -21,7 +21,7 @@ from ...manifolds.numerics.chord_newton import (
 from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, VECTOR
 from .inverse_kernels import copy_to_lanes, invert, multiply
-from .machine_kernels import Machine, evaluate
+from .machine_kernels import Machine, evaluate, places_of
 from .step_programs import PLACES
 
 QUADRATIC, SMALLEST = EPS**QUADRATIC_POWER, SMALLEST_PART * EPS
@@ -36,11 +36,12 @@ PREPARE, RESIDUAL, PUSH, END = range(4)
 ) = range(len(PLACES))  # fmt: skip
 
 # Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to
-# read them: ``programs`` is (machine, codes, operands, values, ranges): what runs the instructions, these, and where
-# each program begins and ends; ``known`` is (inverses, spent, differences, small, wide, registers): inverse Jacobians,
-# chord steps spent on each, infinite where it is of no use, and by how much solutions differed from predictions, with
-# the differences of this from step to step, by blocks of lanes and substeps, lanes last; the inverse Jacobian of small
-# steps, or an empty matrix; memory and registers of as many lanes as the columns of one lane's Jacobian need.
+# read them: ``programs`` is (machine, codes, operands, values, ranges, sources, targets): what runs the instructions,
+# these, where each program begins and ends, and where they read and write; ``known`` is (inverses, spent, differences,
+# small, wide): inverse Jacobians, chord steps spent on each, infinite where it is of no use, and by how much solutions
+# differed from predictions, with the differences of this from step to step, by blocks of lanes and substeps, lanes
+# last; the inverse Jacobian of small steps, or an empty matrix; and programs, memory and registers of as many lanes as
+# the columns of one lane's Jacobian need.
 
 
 @kernel_part()
@@ -156,8 +157,8 @@ def _renew(
     """Inverse Jacobians at all lanes: columns are images of directions, all at once for a single lane."""
     m, single = places[COUNT], v.shape[1] == 1
     _place(places, v)
-    inverses, _, _, _, wide, wide_registers = known
-    x, y = (wide, wide_registers) if single else (v, w)
+    inverses, _, _, _, wide = known
+    own, x, y = wide if single else (programs, v, w)
     lanes = x.shape[1]
     if single:
         for i in range(v.shape[0]):
@@ -168,7 +169,7 @@ def _renew(
             for j in range(lanes):
                 here = i == (begin + j if single else begin)
                 x[places[DIRECTION] + i, j] = 1.0 if here else 0.0
-        evaluate(programs, PUSH, x, y)
+        evaluate(own, PUSH, x, y)
         for j in range(min(lanes, m - begin) if single else lanes):
             lane, column = (0, begin + j) if single else (j, begin)
             for i in range(m):
@@ -238,7 +239,7 @@ def _solve_step(
 
     The first are tried only for speed; the others, in this order, are the iteration of ``numerics.chord_newton``.
     """
-    inverses, spent, differences, small, _, _ = known
+    inverses, spent, differences, small, _ = known
     inverse, fresh, renewed, no = inverses[block, k], True, 0, False
     if np.isfinite(spent[block, k]):
         _begin(places, v, fresh, 2)
@@ -346,6 +347,8 @@ def integrate(
     operands: np.ndarray,
     values: np.ndarray,
     ranges: np.ndarray,
+    reads: np.ndarray,
+    writes: np.ndarray,
     places: np.ndarray,
     memory: tuple,
     carry: np.ndarray,
@@ -360,17 +363,20 @@ def integrate(
     """Integrate trajectories over some steps of ``h``, shape ``(total,)``, from ``carry``, shape ``(rows, total)``, in
     its place.
 
-    ``machine``: its addresses; ``memory``: numbers of rows, registers and lanes; ``failed``: -1 or the step at which a
+    ``machine``: its addresses; ``reads``, ``writes``: rows that the programs read, and write; ``memory``: numbers of
+    rows, registers and lanes, and whether the programs call machine code; ``failed``: -1 or the step at which a
     trajectory stopped; ``record``, shape ``(nodes, kept, total)``: the last rows of ``carry`` after each block of
     steps; ``known``: arrays ``(inverses, spent, differences, small)``; ``parts``: those of a step that are its
     substeps; ``numbers``: steps done before, steps to do, those done of a block of steps that are kept together, and
     how many these are; ``blocks``: of lanes, the first and the one after the last.
     """
-    rows, size, lanes = memory
-    programs = machine, codes, operands, values, ranges
-    wide = min(LANES, VECTOR * (1 + (places[COUNT] - 1) // VECTOR)) if lanes == 1 else 1
+    rows, size, lanes, native = memory
+    programs = machine, codes, operands, values, ranges, places_of(reads, lanes), places_of(writes, lanes)
+    many = min(LANES, VECTOR * (1 + (places[COUNT] - 1) // VECTOR)) if lanes == 1 else 1
+    several = machine, codes, operands, values, ranges, places_of(reads, many), places_of(writes, many)
     inverses, spent, differences, small = known
-    workspace = inverses, spent, differences, small, np.zeros((rows, wide)), np.zeros((size, wide))
-    v, w = np.zeros((rows, lanes)), np.zeros((size, lanes))
+    wide = several, np.zeros((rows, many)), np.zeros((size, VECTOR if native else many))
+    workspace = inverses, spent, differences, small, wide
+    v, w = np.zeros((rows, lanes)), np.zeros((size, VECTOR if native else lanes))
     for block in range(blocks[0], blocks[1]):
         _advance(programs, places, v, w, workspace, parts, h, carry, failed, record, numbers, block)

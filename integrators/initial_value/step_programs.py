@@ -1,8 +1,8 @@
 """The equations of a step as programs of scalar instructions, and where in one memory they read and write."""
 
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple, Self, final
 
 import casadi as ca
 import jax
@@ -11,6 +11,7 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape
+from ...tape.often import Often
 from ...tape.program import CODES, Program, assembled
 from ...tape.trace import flat
 from ..program_keys import content_key
@@ -59,21 +60,77 @@ PLACES = (
 )
 
 
-@dataclass(frozen=True, eq=False)
-class StepPrograms:
-    """The programs of a step in one list, ``prepare``, ``residual``, ``push`` and ``end``, with the ``ranges`` of each.
+class Placed(NamedTuple):
+    """A program, and the rows of a memory that it reads and writes."""
 
-    ``places``: the first rows of what is in the memory, and the numbers of unknowns, of numbers in a state, and of
-    controls; ``rows`` and ``registers``: how many the memory has.
+    program: Program
+    read: np.ndarray
+    written: np.ndarray
+
+    @classmethod
+    def of(cls, program: Program, read: np.ndarray, written: np.ndarray) -> Self:
+        """The program without the inputs that it does not need."""
+        here, values = program.codes == CODES["INPUT"], program.values.copy()
+        used, values[here] = np.unique(values[here].astype(int), return_inverse=True)
+        return cls(replace(program, values=values, inputs=len(used)), read[used], written)
+
+    def at(self, first: int, last: int) -> Program:
+        """The program where its rows stand behind those of others, so many that are read, and written."""
+        p = self.program
+        values, registers = p.values.copy(), p.registers.copy()
+        for word, whole, table, operand, begin in (
+            ("INPUT", "READ", self.read, 1, first), ("OUTPUT", "WRITE", self.written, 0, last)
+        ):  # fmt: skip
+            here = p.codes == CODES[word]
+            registers[here, operand] = table[values[here].astype(int)]  # for ``run_one``
+            registers[here, 2] = 0  # none of them stand beside each other
+            values[here] += begin
+            registers[p.codes == CODES[whole], 2] = begin
+        return replace(p, values=values, registers=registers)
+
+
+@final
+class Listed:
+    """Programs in one list, with the ``ranges`` of each, and of the rows that they read and write.
+
+    ``registers``: how many they need; ``native``: whether they call machine code.
     """
 
-    codes: np.ndarray
-    operands: np.ndarray
-    values: np.ndarray
-    ranges: np.ndarray
-    places: np.ndarray
-    rows: int
-    registers: int
+    def __init__(self, programs: list[Placed]) -> None:
+        self.reads, self.writes = (np.concatenate([own[k] for own in programs]) for k in (1, 2))
+        sizes = np.array([[len(p.codes), len(read), len(written)] for p, read, written in programs])
+        cuts = np.concatenate([np.zeros((1, 3), int), np.cumsum(sizes, axis=0)])
+        placed = [own.at(*first) for own, first in zip(programs, cuts[:, 1:].tolist(), strict=False)]
+        self.codes, self.operands, self.values = (
+            np.concatenate([getattr(p, name) for p in placed]) for name in ("codes", "registers", "values")
+        )
+        self.ranges = np.stack([cuts[:-1, 0], cuts[1:, 0]], axis=1)
+        self.registers = max(p.size for p in placed)
+        self.engines = [p.engine for p in placed]  # these keep machine code alive
+
+    @property
+    def native(self) -> bool:
+        return self.engines[0] is not None
+
+
+@final
+class StepPrograms(Often):
+    """The programs of a step, ``prepare``, ``residual``, ``push`` and ``end``.
+
+    ``places``: the first rows of what is in the memory, and the numbers of unknowns, of numbers in a state, and of
+    controls; ``rows``: how many the memory has; ``code``: what the machine runs.
+    """
+
+    def __init__(self, programs: list[Placed], places: np.ndarray, rows: int) -> None:
+        super().__init__()
+        self.places, self.rows, self._programs = places, rows, programs
+        self.code = Listed(programs)
+
+    def compile(self) -> None:
+        if not self.code.native:
+            from ...tape.native import native
+
+            self.code = Listed([own._replace(program=native(own.program)) for own in self._programs])
 
     @property
     def unknowns(self) -> int:
@@ -167,17 +224,12 @@ def _laid_out(
     at |= {"state": at["y"] if at["y"].size else at["q"]}
     counts = {"count": count, "states": states, "controls": controls}
     places = [counts[name] if name in counts else int(at[name][0]) if at[name].size else 0 for name in PLACES]
-    cuts = np.cumsum([0, *(len(program.codes) for program in programs)])
-    codes, registers, values = (
-        np.concatenate([getattr(p, name) for p in programs]) for name in ("codes", "registers", "values")
-    )
-    ranges, most = np.stack([cuts[:-1], cuts[1:]], axis=1), max(program.size for program in programs)
-    return StepPrograms(codes, registers, values, ranges, np.array(places), memory.rows, most)
+    return StepPrograms(programs, np.array(places), memory.rows)
 
 
 def _merged(
     tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.ndarray], always: set[int]
-) -> list[Program]:
+) -> list[Placed]:
     """The programs of tapes that follow each other, between these rows.
 
     What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or
@@ -196,18 +248,7 @@ def _merged(
         (value,) = ca.substitute([value], [tape.inputs], [ca.vertcat(*simpler)])
         used = {hash(s) for s in ca.symvar(value)}
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        programs.append(_placed(assembled(tape.inputs, value, window=None), read, write))
+        programs.append(Placed.of(assembled(tape.inputs, value, window=None), read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
     first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), window=None)
-    return [_placed(first, reads[0], writes[0][kept]), *programs]
-
-
-def _placed(program: Program, read: np.ndarray, write: np.ndarray) -> Program:
-    """A program whose inputs and outputs are in these rows of a memory."""
-    values, registers = program.values.copy(), program.registers.copy()
-    for code, table, operand in (("INPUT", read, 1), ("OUTPUT", write, 0)):
-        here = program.codes == CODES[code]
-        values[here] = table[values[here].astype(int)]
-        registers[here, operand] = values[here].astype(np.uint32)  # for ``run_one``
-        registers[here, 2] = 0  # none of them stand beside each other
-    return replace(program, values=values, registers=registers)
+    return [Placed.of(first, reads[0], writes[0][kept]), *programs]

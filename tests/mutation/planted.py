@@ -306,18 +306,18 @@ PLANTED: dict[str, Planted] = {
     ),
     "machine code writes what it reads": Planted(
         "src/retrax/tape/machine.py",
-        "data[begin + j * step] = w[row + i, j]",
-        "data[begin + j * step] = w[i, j]",
+        "_write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k + j * step, step)",
+        "_write_four(w, j, (k, k + 1, k + 2, k + 3), data, begin + k + j * step, step)",
         (NATIVE,),
     ),
     "machine code reads the points of the first vector for all": Planted(
         "src/retrax/tape/machine.py",
-        "_read_all(inputs, sources, w, s, m)",
-        "_read_all(inputs, sources, w, 0, m)",
+        "_read_all(inputs, sources[at : at + some], w, row, s, m)",
+        "_read_all(inputs, sources[at : at + some], w, row, 0, m)",
         (f"{NATIVE}::test_any_number_of_points",),
     ),
     "machine code is made of tapes that run once": Planted(
-        "src/retrax/tape/tape.py",
+        "src/retrax/tape/often.py",
         "if self._points > OFTEN and not self._asked:",
         "if not self._asked:",
         (f"{NATIVE}::test_it_is_made_after_so_many_points",),

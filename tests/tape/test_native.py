@@ -13,8 +13,7 @@ from retrax import threads
 from retrax.integrators import Free, OptimalControlProblem, Solver
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
-from retrax.tape import Tape, native
-from retrax.tape import tape as module
+from retrax.tape import Tape, native, often
 
 from .functions import SMOOTH, SPECIAL
 
@@ -116,7 +115,7 @@ def test_code_lives_as_long_as_what_calls_it():
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.999, 1.0, 1.001, 2.0])
 def test_it_is_made_after_so_many_points(share, monkeypatch):
     """Points are counted through the number after which it is made, call by call and all at once."""
-    monkeypatch.setattr(module, "OFTEN", 1000)
+    monkeypatch.setattr(often, "OFTEN", 1000)
     x = np.random.default_rng(5).standard_normal((3, 50))
     for calls in (1, 20):
         made, tape = Tape.compiled, Tape.trace(lambda w, by=calls: jnp.cross(w, w[::-1]) * by, x[:, 0])
@@ -124,13 +123,13 @@ def test_it_is_made_after_so_many_points(share, monkeypatch):
         for _ in range(calls):
             tape(np.resize(x, (3, size)))
         threads.settled()
-        assert (tape.code is not tape.program) == (calls * max(size, module.FEW) > 1000)
+        assert (tape.code is not tape.program) == (calls * max(size, often.FEW) > 1000)
         assert Tape.compiled == made + (tape.code is not tape.program)
 
 
 def test_calls_go_on_while_it_is_made(monkeypatch):
     """From several threads, which all ask for it: it is made once."""
-    monkeypatch.setattr(module, "OFTEN", 100)
+    monkeypatch.setattr(often, "OFTEN", 100)
     x = np.random.default_rng(6).standard_normal((3, 40))
     tape = Tape.trace(lambda w: jax.scipy.linalg.expm(jnp.cross(jnp.eye(3), w)), x[:, 0])
     expected, made = tape(x), Tape.compiled
@@ -156,7 +155,7 @@ def spun(scale):
 @pytest.mark.parametrize("limit", [None, 4.0])
 def test_solutions_are_the_same_numbers(stages, limit, monkeypatch):
     """One trajectory and a batch, with limits and without, before machine code takes over and after."""
-    monkeypatch.setattr(module, "OFTEN", np.inf)
+    monkeypatch.setattr(often, "OFTEN", np.inf)
     problem, cayley = spun(1.0 + stages / 7)
     if limit is not None:
         problem = OptimalControlProblem(
@@ -173,7 +172,7 @@ def test_solutions_are_the_same_numbers(stages, limit, monkeypatch):
         return [(own.states, own.costates, own.controls, own.cost) for own in (alone, many)]
 
     before, made = solved(), Tape.compiled
-    monkeypatch.setattr(module, "OFTEN", 1)
+    monkeypatch.setattr(often, "OFTEN", 1)
     solved()
     threads.settled()
     assert Tape.compiled > made
@@ -198,7 +197,7 @@ def without():
 @pytest.mark.parametrize("horizon", [2.0, Free(2.0, upper=3.0)])
 def test_a_solver_compiles_when_it_is_told_to(make, horizon, monkeypatch):
     """With a free horizon, and with parameters, after the first call."""
-    monkeypatch.setattr(module, "OFTEN", np.inf)
+    monkeypatch.setattr(often, "OFTEN", np.inf)
     problem, parameters = make()
     solver = Solver(problem, Gauss(2, Addition(problem.manifold)), 9)
     way = np.array([1.0, 0.0]), np.zeros(2), horizon
@@ -215,7 +214,7 @@ def test_a_solver_compiles_when_it_is_told_to(make, horizon, monkeypatch):
 
 
 def test_what_xla_evaluates_stays_as_it_is(monkeypatch):
-    monkeypatch.setattr(module, "OFTEN", np.inf)
+    monkeypatch.setattr(often, "OFTEN", np.inf)
     problem, _ = without()
     solver, made = Solver(problem, Midpoint(Addition(problem.manifold)), 5, evaluator="xla"), Tape.compiled
     solver.compile()
@@ -225,8 +224,8 @@ def test_what_xla_evaluates_stays_as_it_is(monkeypatch):
 def test_a_process_may_end_while_it_is_made():
     script = """
 import jax.numpy as jnp, numpy as np
-from retrax.tape import Tape, tape
-tape.OFTEN = 1
+from retrax.tape import Tape, often
+often.OFTEN = 1
 for k in range(30):
     Tape.trace(lambda w: jnp.exp(w @ w.T) * (1.0 + k), np.eye(4))(np.ones((4, 4, 10)))
 """

@@ -291,35 +291,42 @@ def _beside(places: Any, i: int) -> int:
 
 
 @kernel_part()
-def _read_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, s: int, m: int) -> None:
-    """Read the inputs of ``m`` points from ``s`` on into the first registers."""
+def _read_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s: int, m: int) -> None:
+    """Read inputs of ``m`` points from ``s`` on into the registers from ``row`` on."""
     i, count = 0, places.shape[0]
     while i < count:
         step, length = places[i, 1], _beside(places, i) if m >= FOUR else 0
         begin = places[i, 0] + s * step
-        for r in range(i, i + length, FOUR):
+        for k in range(0, length, FOUR):
+            r = row + i + k
             for first in range(0, m, FOUR):
                 j = min(first, m - FOUR)
-                _read_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + r - i + j * step, step)
-        if length == 0:
+                _read_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k + j * step, step)
+        if length == 0 and step == 1:
             for j in range(m):
-                w[i, j] = data[begin + j * step]
+                w[row + i, j] = data[begin + j]
+        elif length == 0:
+            for j in range(m):
+                w[row + i, j] = data[begin + j * step]
         i += max(length, 1)
 
 
 @kernel_part()
 def _write_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s: int, m: int) -> None:
-    """Write the outputs of ``m`` points from ``s`` on, which stand in the registers from ``row`` on."""
+    """Write outputs of ``m`` points from ``s`` on, which stand in the registers from ``row`` on."""
     i, count = 0, places.shape[0]
     while i < count:
         step, length = places[i, 1], _beside(places, i) if m >= FOUR else 0
         begin = places[i, 0] + s * step
-        for k in range(i, i + length, FOUR):
-            r = row + k
+        for k in range(0, length, FOUR):
+            r = row + i + k
             for first in range(0, m, FOUR):
                 j = min(first, m - FOUR)
-                _write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k - i + j * step, step)
-        if length == 0:
+                _write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k + j * step, step)
+        if length == 0 and step == 1:
+            for j in range(m):
+                data[begin + j] = w[row + i, j]
+        elif length == 0:
             for j in range(m):
                 data[begin + j * step] = w[row + i, j]
         i += max(length, 1)
@@ -393,11 +400,12 @@ def run(
             elif c == CALL:
                 _call(int(values[k]), w)
                 k += 1
-            elif c == READ:
-                _read_all(inputs, sources, w, s, m)
-                k += 1
-            elif c == WRITE:
-                _write_all(outputs, targets, w, sources.shape[0], s, m)
+            elif c in (READ, WRITE):  # so many, from a register and a place on
+                row, some, at = registers[k, 0], registers[k, 1], registers[k, 2]
+                if c == READ:
+                    _read_all(inputs, sources[at : at + some], w, row, s, m)
+                else:
+                    _write_all(outputs, targets[at : at + some], w, row, s, m)
                 k += 1
             else:  # its own time hides the choice
                 o, x, y = registers[k, 0], registers[k, 1], registers[k, 2]

@@ -49,14 +49,15 @@ def native(program: Program) -> Program:
             calls = [f"call void @piece{k}(ptr %w)" for k in group]
             text.append("\n".join([f"define void @from{group[0]}(ptr %w) {{", *calls, "ret void", "}"]))
     engine = _engine("\n".join(text))
-    found: list[tuple[str, list[int], float]] = [("READ", [], 0.0)]
+    found: list[tuple[str, list[int], float]] = [("READ", [0, program.inputs], 0.0)]
     for group in groups:
         if lines[pieces[group[0]][0]].is_code:
             found.append(("CALL", [], float(engine.get_function_address(f"from{group[0]}"))))
             continue
         for k in (pieces[number][0] for number in group):
             found.append((lines[k].name, [rows[k], *(rows[i] for i in lines[k].inputs)], lines[k].value))
-    codes = np.array([CODES[name] for name, _, _ in [*found, ("WRITE", [], 0.0)]], np.uint8)
+    found.append(("WRITE", [program.inputs, program.outputs], 0.0))
+    codes = np.array([CODES[name] for name, _, _ in found], np.uint8)
     registers, values = np.zeros((len(codes), 1 + OPERANDS), np.uint32), np.zeros(len(codes))
     for k, (_, places, value) in enumerate(found):
         registers[k, : len(places)], values[k] = places, value

@@ -14,15 +14,14 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
-from ..threads import in_threads, later, worth_threads
+from ..threads import in_threads, worth_threads
 from ..undisturbed import put_off
 from .arrays import Complex, Entries, column, scalars
 from .graph import Graph
+from .often import Often
 from .program import Program, assembled
 from .trace import Flat, flat, trace
 
-OFTEN = 100_000  # points at which the machine has taken half the time that machine code takes to be made
-FEW = 20  # points, of which less take no less time, as it goes into the choice of instructions
 FASTER = 4.0  # than the machine
 
 Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
@@ -44,7 +43,7 @@ class Leaf:
 
 
 @final
-class Tape:
+class Tape(Often):
     """A function of arrays as a list of scalar instructions, with exact derivatives.
 
     ``Tape.trace(f, *examples)`` reads a JAX function; the shapes of the examples count, their values do not, and all
@@ -60,8 +59,8 @@ class Tape:
         self._leaves, self._arguments = arguments
         self._values = values
         self._results = [Leaf(tuple(v.shape), isinstance(v, Complex)) for v in values]
+        super().__init__()
         self._native: Program | None = None
-        self._points, self._asked = 0, False
 
     @classmethod
     def trace(cls, function: Callable[..., Any], *examples: Any) -> Self:
@@ -120,20 +119,12 @@ class Tape:
         """Operations of a point, in those of the machine."""
         return self.instructions / (1.0 if self._native is None else FASTER)
 
-    def ran(self, points: int) -> None:
-        """Tell that it has run at so many points: after very many another thread makes machine code of it."""
-        self._points += max(points, FEW)
-        if self._points > OFTEN and not self._asked:
-            self._asked = True
-            later(self.compile)
-
     def compile(self) -> None:
         """Make machine code of it, now, unless it is already: that takes some forty microseconds an instruction and
         gives the same numbers.
 
         Without Numba there is none.
         """
-        self._asked = True
         if self._native is None and _machine() is not None:
             from .native import native
 

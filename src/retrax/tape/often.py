@@ -1,0 +1,26 @@
+"""What becomes machine code once it has run often."""
+
+from abc import ABC, abstractmethod
+
+from ..threads import later
+
+OFTEN = 100_000  # points at which the machine has taken half the time that machine code takes to be made
+FEW = 20  # points, of which less take no less time, as it goes into the choice of instructions
+
+
+class Often(ABC):
+    """Counts the points at which it runs; after very many another thread compiles it."""
+
+    def __init__(self) -> None:
+        self._points, self._asked = 0, False
+
+    @abstractmethod
+    def compile(self) -> None:
+        """Make machine code of it, now, which gives the same numbers."""
+
+    def ran(self, points: int) -> None:
+        """Tell that it has run at so many points."""
+        self._points += max(points, FEW)
+        if self._points > OFTEN and not self._asked:
+            self._asked = True
+            later(self.compile)
