@@ -4,8 +4,7 @@ import numpy as np
 
 from ....linked import view
 from .arrays import LANES
-from .vectors import add, compiled, filled, higher, highest, inner, magnitude, minus, part, plus, put_part, scaled
-from .vectors import larger as larger_of
+from .vectors import add, compiled, filled, higher, inner, magnitude, part, plus, put_part, scaled
 
 
 @inner
@@ -15,42 +14,17 @@ def larger(a: float, b: float) -> float:
 
 
 @inner
-def _node(nodes: np.ndarray, gaps: np.ndarray, k: int, before: tuple, after: tuple) -> None:
-    """A node, which is the end of the step before, and what is between that and the beginning of the next."""
-    (finishes, last), (begins, first) = before, after
-    for j in range(0, nodes.shape[1], LANES):
-        own = part(finishes, last, j)
-        put_part(nodes, k, j, own)
-        put_part(gaps, k, j, minus(part(begins, first, j), own))
-
-
-@inner
-def _end_node(nodes: np.ndarray, gaps: np.ndarray, k: int, reached: np.ndarray, asked: tuple) -> None:
-    """The first or the last node: what is prescribed, else where the step begins or ends."""
-    (point, prescribed), sign = asked, 1.0 if k == 0 else -1.0
-    for e in range(reached.size):
-        nodes[k, e] = point[e] if prescribed[e] else reached[e]
-        gaps[k, e] = sign * (reached[e] - nodes[k, e])
-
-
-@inner
-def _bounds(widest: np.ndarray, columns: np.ndarray, share: float, bounds: np.ndarray) -> None:
-    """For each entry a share of the largest one in its column."""
+def _far(gaps: np.ndarray, columns: np.ndarray, widest: np.ndarray, share: float, work: np.ndarray) -> bool:
+    """Whether a column of a gap is larger than a share of the largest one of the nodes."""
     for e in range(columns.size):
-        bounds[columns[e]] = 0.0
+        work[columns[e]] = 0.0
     for e in range(columns.size):
-        bounds[columns[e]] = larger(bounds[columns[e]], widest[e])
+        work[columns[e]] = larger(work[columns[e]], abs(gaps[e]))
+    far = False
     for e in range(columns.size):
-        widest[e] = share * bounds[columns[e]]
-
-
-@inner
-def _is_far(gaps: np.ndarray, k: int, bounds: np.ndarray) -> bool:
-    """Whether an entry of a gap exceeds its bound."""
-    over = filled(0.0)
-    for j in range(0, bounds.shape[1], LANES):
-        over = larger_of(over, minus(magnitude(part(gaps, k, j)), part(bounds, 0, j)))
-    return highest(over) > 0
+        if work[columns[e]] > share * widest[columns[e]]:
+            far = True
+    return far
 
 
 @compiled
@@ -69,21 +43,25 @@ def meet(
     ``ends``: points, and which of their entries are prescribed; ``columns``: of the entries; ``work``: room for two
     numbers of each column; ``out``: nodes, gaps, far, largest.
     """
-    (start, end, start_entries, end_entries), (nodes, gaps, far, largest), any_far = ends, out, False
-    (batch, count, size), widest = nodes.shape, view(work, 0, (1, work.shape[1]))
+    (start, end, start_entries, end_entries), (nodes, gaps, far, largest), widest, own = ends, out, work[0], work[1]
+    (batch, count, size), any_far = nodes.shape, False
     for m in range(batch):
-        _end_node(nodes[m], gaps[m], 0, begins[m, 0], (start[m], start_entries))
-        for k in range(1, count - 1):
-            _node(nodes[m], gaps[m], k, (finishes[m], k - 1), (begins[m], k))
-        _end_node(nodes[m], gaps[m], count - 1, finishes[m, count - 2], (end[m], end_entries))
         for e in range(size):
-            widest[0, e], largest[m, e] = 0.0, 0.0
+            widest[columns[e]], largest[m, e] = 0.0, 0.0
         for k in range(count):
-            _raise(widest, 0, nodes[m], k, 0.0)
-            _raise(largest, m, gaps[m], k, 0.0)
-        _bounds(work[0], columns, share, work[1])
+            for e in range(size):
+                before = finishes[m, k - 1, e] if k > 0 else begins[m, 0, e]
+                after = begins[m, k, e] if k < count - 1 else finishes[m, k - 1, e]
+                if k == 0 and start_entries[e]:
+                    before = start[m, e]
+                if k == count - 1 and end_entries[e]:
+                    after = end[m, e]
+                nodes[m, k, e] = before if k < count - 1 else after
+                gaps[m, k, e] = after - before
+                widest[columns[e]] = larger(widest[columns[e]], abs(nodes[m, k, e]))
+                largest[m, e] = larger(largest[m, e], abs(gaps[m, k, e]))
         for k in range(count):
-            far[m, k] = _is_far(gaps[m], k, widest)
+            far[m, k] = _far(gaps[m, k], columns, widest, share, own)
             any_far |= far[m, k]
     return any_far
 
