@@ -97,7 +97,7 @@ class Listed:
     """
 
     def __init__(self, programs: list[Placed]) -> None:
-        self.reads, self.writes = (np.concatenate([own[k] for own in programs]) for k in (1, 2))
+        self.reads, self.writes = (np.concatenate([getattr(p, k) for p in programs]) for k in ("read", "written"))
         sizes = np.array([[len(p.codes), len(read), len(written)] for p, read, written in programs])
         cuts = np.concatenate([np.zeros((1, 3), int), np.cumsum(sizes, axis=0)])
         placed = [own.at(*first) for own, first in zip(programs, cuts[:, 1:].tolist(), strict=False)]

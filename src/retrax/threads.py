@@ -82,8 +82,9 @@ def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
 
 
 def later(run: Callable[[], None]) -> None:
-    """Do something while others go on, one after the other, and nothing once Python ends."""
-    _pool("later", 1).submit(lambda: run() if main_thread().is_alive() else None)
+    """Do something while others go on, one after the other, and nothing once Python ends; an error is logged."""
+    done = _pool("later", 1).submit(lambda: run() if main_thread().is_alive() else None)
+    done.add_done_callback(lambda done: done.result())  # what it raises here is logged by Python
 
 
 def settled() -> None:

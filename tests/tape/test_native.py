@@ -141,6 +141,18 @@ def test_calls_go_on_while_it_is_made(monkeypatch):
     equal(expected, tape(x))
 
 
+def test_code_that_cannot_be_made_is_logged_and_missed_by_nobody(monkeypatch, caplog):
+    monkeypatch.setattr(often, "OFTEN", 100)
+    monkeypatch.setattr(native, "_engine", lambda text: 1 // 0)
+    x = np.random.default_rng(7).standard_normal((3, 40))
+    tape = Tape.trace(lambda w: jnp.cross(w, w[::-1]) + 0.5, x[:, 0])
+    expected = [tape(x) for _ in range(4)]
+    threads.settled()
+    assert tape.code is tape.program
+    assert "ZeroDivisionError" in caplog.text
+    equal(expected[0], tape(x))
+
+
 def spun(scale):
     """A rigid body that is turned at the least cost."""
     space, inertia = SO(3) * Euclidean(3), scale * np.array([1.0, 2.0, 3.0])
