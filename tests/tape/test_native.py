@@ -20,15 +20,17 @@ from .functions import SMOOTH, SPECIAL
 HARD = np.array([0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 1e308, 5e-324, 0.5, -2.5])
 
 
-def points(of, count=5):
-    """Arguments of a function of three numbers, and some at which its values are no numbers."""
-    hard = np.random.default_rng(1).choice(HARD, (3, 9))
-    ordinary = 0.05 + 0.9 * np.random.default_rng(0).random((3, count))
-    return np.concatenate([ordinary, hard], axis=1) if of is None else of
+@pytest.fixture(autouse=True)
+def nothing_else_is_made():
+    """What other tests have asked for is there before each of these."""
+    threads.settled()
 
 
+# Arguments of functions of three numbers, at some of which values are no numbers.
+ORDINARY = 0.05 + 0.9 * np.random.default_rng(0).random((3, 5))
+POINTS = np.concatenate([ORDINARY, np.random.default_rng(1).choice(HARD, (3, 9))], axis=1)
 CASES = {
-    **{name: (f, points(None)) for name, f in SMOOTH.items()},
+    **{name: (f, POINTS) for name, f in SMOOTH.items()},
     **{n: (f, x[:, None]) for n, (f, x) in SPECIAL.items()},
 }
 
