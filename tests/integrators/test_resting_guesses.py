@@ -96,16 +96,27 @@ def test_the_default_guess_is_at_rest_and_stays_what_it_is():
 @METHODS
 @pytest.mark.parametrize("turns", [1, 2, 3])
 def test_extremals_of_several_turns_are_found_from_guesses_that_turn_as_often(method, turns):
-    """``n`` circles around the area cost ``n`` times as much; those of more than one are saddles."""
+    """``n`` circles around the area cost ``n`` times as much; those of more than one are saddles.
+
+    From a guess near one Newton's method finds it. From farther off it may find that of fewer turns, or none: each is
+    one of a family, so the systems are singular and rounding decides the way.
+    """
     radius, places = 1 / np.sqrt(np.pi * turns), 2 * np.pi * turns
-    begun = Guess.from_controls(
-        HEISENBERG,
-        method(Addition(SPACE)),
-        np.zeros(3),
-        lambda t: 0.9 * radius * places * np.array([np.cos(places * t), np.sin(places * t)]),
-        1.0,
-        60,
-    )
-    found = solve(HEISENBERG, method(Addition(SPACE)), np.zeros(3), np.array([0.0, 0.0, 1.0]), 1.0, 60, guess=begun)
-    assert found.cost == pytest.approx(turns * LEAST, rel=3e-2)
-    assert not found.checks.strict_minimum
+    own = method(Addition(SPACE))
+    solver, way = Solver(HEISENBERG, own, 60), (np.zeros(3), np.array([0.0, 0.0, 1.0]), 1.0)
+    for size in (0.9, 1.04):
+        begun = Guess.from_controls(
+            HEISENBERG,
+            own,
+            way[0],
+            lambda t, size=size: size * radius * places * np.array([np.cos(places * t), np.sin(places * t)]),
+            1.0,
+            60,
+        )
+        found = solver.solve(*way, guess=begun, throw=False)
+        if found.success or size > 1:
+            count = round(found.cost / LEAST)
+            assert count == turns if size > 1 else count <= turns
+            assert found.cost == pytest.approx(count * LEAST, rel=3e-2)
+            assert not found.checks.strict_minimum
+    assert found.success
