@@ -50,11 +50,6 @@ class Evaluated(ABC):
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
         """The values for arrays with some leading axes in common, of length 1 where an array is shared."""
 
-    @property
-    def compiled(self) -> int:
-        """How many tapes have become machine code so far: what was made of any before is to be made anew."""
-        return 0
-
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> "Placed | None":
         """What a kernel needs to evaluate it by itself for arrays of these shapes; None if it is not a tape, or takes
         so long that threads had better share it."""
@@ -235,10 +230,6 @@ class _OnTape(Evaluated):
             self._plans = {}
         found = self._plans[key] = plan, _Small.of(self.tape, plan)
         return found
-
-    @property
-    def compiled(self) -> int:
-        return self.tape.compiled
 
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> Placed | None:
         plan = _Plan.of(axes, shapes, self.tape.shapes)

@@ -69,7 +69,7 @@ class Posing:
         other._found, other._start = self._found, self._start
         return other
 
-    def compiled(self) -> bool:
+    def compile(self) -> bool:
         """Make machine code of what is traced; whether the functions of the problem are."""
         self.evaluator.compile()
         self._start.evaluator.compile()

@@ -133,15 +133,15 @@ class Solver:
         changes: the numbers stay the same, and what XLA evaluates stays as it is. Raises ``InvalidInputError`` if
         nothing is traced: parameters, and what is free, are known at the first call.
         """
-        if not self._compiled():
+        if not self._compile():
             raise InvalidInputError(
                 "nothing is traced yet that could be compiled: what the functions take is known at the first call; try "
                 "solver.solve(...) before solver.compile()"
             )
 
-    def _compiled(self) -> bool:
+    def _compile(self) -> bool:
         """Make machine code of what is traced; whether anything is."""
-        return any([self._posing.compiled(), *(inner._compiled() for inner in self._formulated.solvers)])
+        return any([self._posing.compile(), *(inner._compile() for inner in self._formulated.solvers)])
 
     def __repr__(self) -> str:
         return (

@@ -1,5 +1,7 @@
 """The machine of tapes for the loops of steps, called by its address: each loop would be compiled with all of it."""
 
+from functools import cache
+
 import numpy as np
 
 from ...kernels import kernel_part
@@ -10,6 +12,7 @@ _run, _run_one = called(RUN), called(RUN_ONE)
 Machine = tuple[int, int]
 
 
+@cache
 def machine() -> Machine:
     """Where the machine stands in this process, for many points and for one."""
     return address(run, RUN), address(run_one, RUN_ONE)

@@ -60,7 +60,7 @@ PLACES = (
 )
 
 
-class Placed(NamedTuple):
+class InRows(NamedTuple):
     """A program, and the rows of a memory that it reads and writes."""
 
     program: Program
@@ -96,7 +96,7 @@ class Listed:
     ``registers``: how many they need; ``native``: whether they call machine code.
     """
 
-    def __init__(self, programs: list[Placed]) -> None:
+    def __init__(self, programs: list[InRows]) -> None:
         self.reads, self.writes = (np.concatenate([getattr(p, k) for p in programs]) for k in ("read", "written"))
         sizes = np.array([[len(p.codes), len(read), len(written)] for p, read, written in programs])
         cuts = np.concatenate([np.zeros((1, 3), int), np.cumsum(sizes, axis=0)])
@@ -121,7 +121,7 @@ class StepPrograms(Often):
     controls; ``rows``: how many the memory has; ``code``: what the machine runs.
     """
 
-    def __init__(self, programs: list[Placed], places: np.ndarray, rows: int) -> None:
+    def __init__(self, programs: list[InRows], places: np.ndarray, rows: int) -> None:
         super().__init__()
         self.places, self.rows, self._programs = places, rows, programs
         self.code = Listed(programs)
@@ -229,7 +229,7 @@ def _laid_out(
 
 def _merged(
     tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.ndarray], always: set[int]
-) -> list[Placed]:
+) -> list[InRows]:
     """The programs of tapes that follow each other, between these rows.
 
     What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or
@@ -248,7 +248,7 @@ def _merged(
         (value,) = ca.substitute([value], [tape.inputs], [ca.vertcat(*simpler)])
         used = {hash(s) for s in ca.symvar(value)}
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        programs.append(Placed.of(assembled(tape.inputs, value, window=None), read, write))
+        programs.append(InRows.of(assembled(tape.inputs, value, window=None), read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
     first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), window=None)
-    return [Placed.of(first, reads[0], writes[0][kept]), *programs]
+    return [InRows.of(first, reads[0], writes[0][kept]), *programs]

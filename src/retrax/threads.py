@@ -7,13 +7,14 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cache
-from threading import main_thread
+from threading import Lock, main_thread
 from typing import TypeVar
 
 THREADS = 8  # of XLA, so many that its decompositions do not wait for one another
 WORTH_A_THREAD = 300_000  # operations that one thread does before a second is worth its start
 
 R = TypeVar("R")
+_going = Lock()  # of what is done later
 _alone: ContextVar[bool] = ContextVar("retrax_one_thread", default=False)
 
 
@@ -83,8 +84,15 @@ def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
 
 def later(run: Callable[[], None]) -> None:
     """Do something while others go on, one after the other, and nothing once Python ends; an error is logged."""
-    done = _pool("later", 1).submit(lambda: run() if main_thread().is_alive() else None)
-    done.add_done_callback(lambda done: done.result())  # what it raises here is logged by Python
+
+    def alone() -> None:
+        with _going:
+            if main_thread().is_alive():
+                run()
+
+    if main_thread().is_alive():  # else there are no new threads
+        done = _pool("later", 1).submit(alone)
+        done.add_done_callback(lambda done: done.result())  # what it raises here is logged by Python
 
 
 def settled() -> None:
@@ -108,5 +116,7 @@ def _pool(kind: str, most: int | None = None) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(most or os.cpu_count() or 1, thread_name_prefix=f"retrax {kind}")
 
 
-if hasattr(os, "register_at_fork"):  # the child of a fork has none of the threads that its pools believe to have
+if hasattr(os, "register_at_fork"):
+    # The child of a fork has none of the threads that its pools believe to have, and what these hold is never released.
+    os.register_at_fork(before=_going.acquire, after_in_parent=_going.release, after_in_child=_going.release)
     os.register_at_fork(after_in_child=_pool.cache_clear)

@@ -137,12 +137,12 @@ def test_machine_code_computes_the_same_numbers(name, count, monkeypatch):
 @pytest.mark.parametrize("steps", [1, 4, 5, 20])
 def test_steps_become_machine_code_once_they_are_many(steps, monkeypatch):
     """Through the number of steps after which they do."""
-    monkeypatch.setattr(often, "OFTEN", 4 * lanes.EVALUATIONS * often.FEW)
+    monkeypatch.setattr(often, "OFTEN", 4 * lanes.EVALUATIONS * often.SHORT)
     method = SymplecticIntegrator(lifted(default_retraction(PLANE), 0.25 + steps / 100))
     traced = lanes.TracedSteps(quartic, method)
     for _ in range(steps):
         carried = lanes.TapeSteps(traced, jax.tree.map(lambda a: a[None], start_of(method)), np.array([0.1]))
-        carried.piece(0, often.FEW, 0, 1, often.FEW)
+        carried.piece(0, often.SHORT, 0, 1, often.SHORT)
     threads.settled()
     assert traced.programs.code.native == (steps > 4)
 

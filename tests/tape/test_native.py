@@ -1,10 +1,13 @@
 """Machine code gives the numbers of the machine, to the last bit, and takes its place while others go on."""
 
+import copy
 import gc
+import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 
+import casadi as ca
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +17,7 @@ from retrax.integrators import Free, OptimalControlProblem, Solver
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 from retrax.tape import Tape, native, often
+from retrax.tape.program import UnknownInstructionError, assembled
 
 from .functions import SMOOTH, SPECIAL
 
@@ -33,6 +37,21 @@ CASES = {
     **{name: (f, POINTS) for name, f in SMOOTH.items()},
     **{n: (f, x[:, None]) for n, (f, x) in SPECIAL.items()},
 }
+
+
+@pytest.fixture
+def made(monkeypatch):
+    """The tapes that become machine code from now on."""
+    found, make = [], Tape.compile
+
+    def heard(self):
+        before = self.code
+        make(self)
+        if self.code is not before:
+            found.append(self)
+
+    monkeypatch.setattr(Tape, "compile", heard)
+    return found
 
 
 def both(tape, *arguments):
@@ -115,31 +134,31 @@ def test_code_lives_as_long_as_what_calls_it():
 
 
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.999, 1.0, 1.001, 2.0])
-def test_it_is_made_after_so_many_points(share, monkeypatch):
+def test_it_is_made_after_so_many_points(share, made, monkeypatch):
     """Points are counted through the number after which it is made, call by call and all at once."""
     monkeypatch.setattr(often, "OFTEN", 1000)
     x = np.random.default_rng(5).standard_normal((3, 50))
     for calls in (1, 20):
-        made, tape = Tape.compiled, Tape.trace(lambda w, by=calls: jnp.cross(w, w[::-1]) * by, x[:, 0])
+        tape = Tape.trace(lambda w, by=calls: jnp.cross(w, w[::-1]) * by, x[:, 0])
         size = max(int(1000 * share) // calls, 1)
         for _ in range(calls):
             tape(np.resize(x, (3, size)))
         threads.settled()
-        assert (tape.code is not tape.program) == (calls * max(size, often.FEW) > 1000)
-        assert Tape.compiled == made + (tape.code is not tape.program)
+        assert (tape.code is not tape.program) == (calls * max(size, often.SHORT) > 1000)
+        assert made.count(tape) == (tape.code is not tape.program)
 
 
-def test_calls_go_on_while_it_is_made(monkeypatch):
+def test_calls_go_on_while_it_is_made(made, monkeypatch):
     """From several threads, which all ask for it: it is made once."""
     monkeypatch.setattr(often, "OFTEN", 100)
     x = np.random.default_rng(6).standard_normal((3, 40))
     tape = Tape.trace(lambda w: jax.scipy.linalg.expm(jnp.cross(jnp.eye(3), w)), x[:, 0])
-    expected, made = tape(x), Tape.compiled
+    expected = tape(x)
     with ThreadPoolExecutor(4) as pool:
         for found in pool.map(lambda _: tape(x), range(400)):
             equal(expected, found)
     threads.settled()
-    assert Tape.compiled == made + 1
+    assert made == [tape]
     equal(expected, tape(x))
 
 
@@ -167,7 +186,7 @@ def spun(scale):
 
 @pytest.mark.parametrize("stages", [1, 3])
 @pytest.mark.parametrize("limit", [None, 4.0])
-def test_solutions_are_the_same_numbers(stages, limit, monkeypatch):
+def test_solutions_are_the_same_numbers(stages, limit, made, monkeypatch):
     """One trajectory and a batch, with limits and without, before machine code takes over and after."""
     monkeypatch.setattr(often, "OFTEN", np.inf)
     problem, cayley = spun(1.0 + stages / 7)
@@ -185,11 +204,11 @@ def test_solutions_are_the_same_numbers(stages, limit, monkeypatch):
         many = solver.solve_many(starts, (turn, rest), np.linspace(2.5, 4.0, 40))
         return [(own.states, own.costates, own.controls, own.cost) for own in (alone, many)]
 
-    before, made = solved(), Tape.compiled
+    before = solved()
     monkeypatch.setattr(often, "OFTEN", 1)
     solved()
     threads.settled()
-    assert Tape.compiled > made
+    assert made
     equal(before, solved())
 
 
@@ -209,7 +228,7 @@ def without():
 
 @pytest.mark.parametrize("make", [with_parameters, without])
 @pytest.mark.parametrize("horizon", [2.0, Free(2.0, upper=3.0)])
-def test_a_solver_compiles_when_it_is_told_to(make, horizon, monkeypatch):
+def test_a_solver_compiles_when_it_is_told_to(make, horizon, made, monkeypatch):
     """With a free horizon, and with parameters, after the first call."""
     monkeypatch.setattr(often, "OFTEN", np.inf)
     problem, parameters = make()
@@ -218,30 +237,116 @@ def test_a_solver_compiles_when_it_is_told_to(make, horizon, monkeypatch):
     if problem.takes_parameters:
         with pytest.raises(InvalidInputError, match=r"nothing is traced yet .* before solver.compile"):
             solver.compile()
-    before, made = solver.solve(*way, parameters=parameters[0]), Tape.compiled
+    before = solver.solve(*way, parameters=parameters[0])
     solver.compile()
-    assert Tape.compiled > made  # others have the tapes of the space too
-    again, made = solver.solve(*way, parameters=parameters[0]), Tape.compiled
+    assert made
+    again, count = solver.solve(*way, parameters=parameters[0]), len(made)
     equal(*((own.states, own.costates, own.controls, own.cost) for own in (before, again)))
     solver.compile()
-    assert Tape.compiled == made
+    assert len(made) == count
 
 
-def test_what_xla_evaluates_stays_as_it_is(monkeypatch):
+def test_what_xla_evaluates_stays_as_it_is(made, monkeypatch):
     monkeypatch.setattr(often, "OFTEN", np.inf)
     problem, _ = without()
-    solver, made = Solver(problem, Midpoint(Addition(problem.manifold)), 5, evaluator="xla"), Tape.compiled
+    solver = Solver(problem, Midpoint(Addition(problem.manifold)), 5, evaluator="xla")
     solver.compile()
-    assert (solver.evaluator, Tape.compiled) == ("xla", made)
+    assert solver.evaluator == "xla"
+    assert not made
 
 
-def test_a_process_may_end_while_it_is_made():
-    script = """
+def test_a_trial_is_made_anew_of_machine_code():
+    problem, _ = without()
+    solver = Solver(problem, Midpoint(Addition(problem.manifold)), 6)
+    way = np.array([1.0, 0.0]), np.zeros(2), 1.5
+    for compiled in (False, True, True):
+        solver.solve(*way)
+        (steps,) = [traced.steps for traced in solver._posing._found.values()]
+        trial = steps._trial[1]
+        assert trial.is_current
+        assert all(own.code.engine is not None for own in trial._tapes) or not compiled
+        solver.compile()
+
+
+def test_copies_have_no_machine_code():
+    x = np.random.default_rng(8).standard_normal((3, 8))
+    tape = Tape.trace(lambda w: jnp.cross(w, w[::-1]) - 2.0, x[:, 0])
+    expected = tape(x)
+    tape.compile()
+    other = copy.deepcopy(tape)
+    assert other.code.engine is None
+    equal(expected, other(x))
+
+
+def test_what_casadi_calls_is_no_machine_code():
+    symbol, x = ca.SX.sym("symbol"), ca.SX.sym("x", 2)
+    inner = ca.Function("inner", [symbol], [symbol**2], {"never_inline": True})
+    with pytest.raises(UnknownInstructionError):
+        assembled(x, ca.vertcat(inner(x[0]) * x[1]))
+
+
+PROCESS = """
+import os, threading, time
 import jax.numpy as jnp, numpy as np
+from retrax import threads
 from retrax.tape import Tape, often
 often.OFTEN = 1
-for k in range(30):
-    Tape.trace(lambda w: jnp.exp(w @ w.T) * (1.0 + k), np.eye(4))(np.ones((4, 4, 10)))
+
+def made(k):
+    return Tape.trace(lambda w: jnp.exp(w @ w.T) * (1.0 + k), np.eye(4))
+
+x = np.ones((4, 4, 10))
 """
-    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, check=False)
-    assert (ended.returncode, ended.stderr) == (0, "")
+ENDS = "for k in range(30):\n    made(k)(x)\n"
+LATER = """
+def run():
+    threading.main_thread().join()
+    made(1)(x)
+    print("ended")
+
+threading.Thread(target=run).start()
+"""
+FORK = """
+tapes = [made(k) for k in range(12)]
+for tape in tapes:
+    tape(x)
+for tape in tapes[::4]:
+    child = os.fork()
+    if not child:
+        tape.compile()
+        tape(x)
+        threads.settled()
+        os._exit(7)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+OTHER = """
+tape = Tape.trace(lambda w: jnp.cross(w, w[::-1]) * 1.1 + w, np.ones(3))
+x = np.random.default_rng(0).standard_normal((3, 100))
+before = tape(x)
+tape.compile()
+print(np.array_equal(before, tape(x)))
+"""
+
+
+@pytest.mark.parametrize(
+    ("script", "says", "environment"),
+    [
+        pytest.param(ENDS, "", {}, id="ends while it is made"),
+        pytest.param(LATER, "ended\n", {}, id="has a thread that goes on after its end"),
+        pytest.param(FORK, "7\n7\n7\n", {}, id="forks while it is made"),
+        pytest.param(
+            OTHER, "True\n", {"NUMBA_CPU_NAME": "generic", "NUMBA_CPU_FEATURES": ""}, id="is compiled for another"
+        ),
+    ],
+)
+def test_a_process(script, says, environment, tmp_path):
+    own = {"NUMBA_CACHE_DIR": str(tmp_path)} if environment else {}
+    ended = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", PROCESS + script],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+        env={**os.environ, **environment, **own},
+    )
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, says, "")

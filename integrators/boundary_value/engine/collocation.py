@@ -85,7 +85,7 @@ class Collocation:
         self._velocity = evaluator.values(self._velocity_at, e, e, u, k)
         self._middle = evaluator.values(self._middle_of, e, e)
         self._chart = Chart(method.retraction, evaluator)
-        self._trial: tuple[tuple[int, int], Any] | None = None
+        self._trial: tuple[int, Any] | None = None
 
     def begin(
         self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
@@ -114,11 +114,11 @@ class Collocation:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
         if self.at_nodes:
             return None
-        known, key = self._trial, (count, self._ends.compiled)
-        if known is None or known[0] != key:
+        known = self._trial
+        if known is None or known[0] != count or not (known[1] is None or known[1].is_current):
             from .collocation_trial import CollocationTrial
 
-            known = self._trial = key, CollocationTrial.of(self, nodes, count)
+            known = self._trial = count, CollocationTrial.of(self, nodes, count)
         return known[1]
 
     def ends(self, unknowns: GaussUnknowns, data: Data) -> Arrays:

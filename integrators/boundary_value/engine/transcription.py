@@ -125,7 +125,7 @@ class OneStage:
         self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given, self.inequalities)
         self._move = evaluator.values(self._moved, *sizes, self.dimension, *given)
         self._pull = evaluator.values(self._pulled, *sizes, *nodes[:2], *given, self.inequalities - self.own)
-        self._trial: tuple[tuple[int, int], Any] | None = None
+        self._trial: tuple[int, Any] | None = None
 
     def stage(self, step: Array, parameters: Array) -> ControlStage:
         """The stage with a step length and parameters, in a function that is traced."""
@@ -134,11 +134,11 @@ class OneStage:
 
     def trial(self, nodes: "Nodes", count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
-        known, key = self._trial, (count, self._ends.compiled)
-        if known is None or known[0] != key:
+        known = self._trial
+        if known is None or known[0] != count or not (known[1] is None or known[1].is_current):
             from .one_stage_trial import OneStageTrial
 
-            known = self._trial = key, OneStageTrial.of(self, nodes, count)
+            known = self._trial = count, OneStageTrial.of(self, nodes, count)
         return known[1]
 
     def ends(self, unknowns: Unknowns, data: Data) -> Arrays:

@@ -136,6 +136,11 @@ class Trial(ABC):
         programs = [program for program in found if program is not None]
         return cls(programs, steps, count) if len(programs) == len(found) else None
 
+    @property
+    def is_current(self) -> bool:
+        """Whether none of its tapes has become machine code since."""
+        return all(own.code is own.tape.code for own in self._tapes)
+
     @staticmethod
     @abstractmethod
     def functions(steps: Any, nodes: Nodes, count: int) -> Iterable[Called]:

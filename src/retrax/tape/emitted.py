@@ -84,3 +84,10 @@ EMITTED: dict[str, Callable[..., Any]] = {
 def operands_of(emit: Callable[..., Any]) -> int:
     """How many operands an instruction has."""
     return len(inspect.signature(emit).parameters) - 2
+
+
+def spread(builder: Any, kind: Any, value: Any) -> Any:
+    """A vector of the same number."""
+    place = ir.IntType(32)
+    first = builder.insert_element(ir.Constant(kind, ir.Undefined), value, place(0))
+    return builder.shuffle_vector(first, first, ir.Constant(ir.VectorType(place, kind.count), None))

@@ -14,7 +14,7 @@ from numba.core import cgutils
 
 from ..kernels import kernel, kernel_part, pasted
 from ..linked import array
-from .emitted import EMITTED, operands_of
+from .emitted import EMITTED, operands_of, spread
 from .program import CODES, FOUR, NAMES, OPERANDS, VECTOR, Program
 
 LANES = 64  # points that an instruction acts on at once where nobody says how many
@@ -23,7 +23,7 @@ MEMORY = 2**17  # registers of all lanes, few enough for the near caches
 
 (
     ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_ADD, MUL_ADD_ADD, TWO_MUL, TWO_MUL_ADD, MUL_SUB_MUL, THREE_MUL,
-    THREE_MUL_ADD, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT, CALL, READ, WRITE,
+    THREE_MUL_ADD, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT, CODE, READ, WRITE,
     IF_ELSE_ZERO, POW, CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT, NEG, SQ, TWICE,
     SQRT, INV, ASSIGN, NOT, FLOOR, CEIL, FABS, SIGN, SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, ERF, SINH, COSH, TANH,
     ASINH, ACOSH, ATANH, LOG1P, EXPM1,
@@ -55,7 +55,7 @@ def _on_lanes(typing: Any, codes: Any, registers: Any, values: Any, w: Any, m: A
         codes, registers, values, w = (array.data for array in arrays)
         count, k = arguments[4:]
         width, row = builder.extract_value(arrays[3].shape, 1), builder.mul(k, ir.Constant(k.type, 1 + OPERANDS))
-        constant = _spread(builder, kind, builder.load(builder.gep(values, [k])))
+        constant = spread(builder, kind, builder.load(builder.gep(values, [k])))
         known = cgutils.alloca_once_value(builder, cgutils.true_bit)
         after, step = builder.append_basic_block("after"), ir.Constant(count.type, VECTOR)
 
@@ -79,14 +79,6 @@ def _on_lanes(typing: Any, codes: Any, registers: Any, values: Any, w: Any, m: A
         return builder.load(known)
 
     return types.boolean(codes, registers, values, w, types.intp, types.intp), generate
-
-
-def _spread(builder: Any, kind: Any, value: Any) -> Any:
-    """A vector of the same number."""
-    found = ir.Constant(kind, ir.Undefined)
-    for t in range(kind.count):
-        found = builder.insert_element(found, value, ir.Constant(ir.IntType(32), t))
-    return found
 
 
 @_intrinsic
@@ -397,7 +389,7 @@ def run(
             elif c in (INPUT, OUTPUT):
                 data, places = (inputs, sources) if c == INPUT else (outputs, targets)
                 k += _moved(codes, registers, values, data, places, w, s, m, k)
-            elif c == CALL:
+            elif c == CODE:
                 _call(int(values[k]), w)
                 k += 1
             elif c in (READ, WRITE):  # so many, from a register and a place on

@@ -1,8 +1,8 @@
 """Programs as machine code: straight lines of the processor's instructions, which LLVM writes without optimising.
 
-The machine chooses each instruction and leaves every value in memory. Code does neither: it takes a fourth of the time,
-and some forty microseconds to write for each instruction, so it is for programs that have shown to run often. Its
-numbers are the machine's to the last bit.
+The machine chooses each instruction and leaves every value in memory. Code does neither: arithmetic takes a half to a
+fifth of the time, and some fifty microseconds to write for each instruction, so it is for programs that have shown to
+run often. Its numbers are the machine's to the last bit.
 """
 
 import time
@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import binding, ir
+from numba.core import config
+from numba.core.codegen import get_host_cpu_features
 
-from .emitted import EMITTED, operands_of
+from .emitted import EMITTED, operands_of, spread
 from .program import CODES, NAMES, OPERANDS, VECTOR, Program
 
 PIECE = 100  # instructions of a function: LLVM leaves registers to values as they come, and forgets them at its end
@@ -33,28 +35,27 @@ class _Line(NamedTuple):
         return self.name in EMITTED or self.name == "OUTPUT"
 
 
+class _Piece(NamedTuple):
+    """Some instructions: a function of the code, or one that the machine does."""
+
+    number: int
+    lines: list[int]
+    is_code: bool
+
+
 def native(program: Program) -> Program:
     """A program for the machine that calls machine code, but for instructions that are functions anyway."""
     lines = _lines(program)
     pieces = list(_pieces(lines))
     rows, size = _rows(program, lines, pieces)
-    groups = [[*group] for _, group in groupby(range(len(pieces)), lambda k: lines[pieces[k][0]].is_code)]
-    text = [_words({line.name for line in lines})]
-    for k, piece in enumerate(pieces):
-        if lines[piece[0]].is_code:
-            text.append(_function(f"piece{k}", piece, lines, rows))
-            time.sleep(0)  # others, which may be in a hurry, go on
-    for group in groups:
-        if lines[pieces[group[0]][0]].is_code:
-            calls = [f"call void @piece{k}(ptr %w)" for k in group]
-            text.append("\n".join([f"define void @from{group[0]}(ptr %w) {{", *calls, "ret void", "}"]))
-    engine = _engine("\n".join(text))
+    groups = [[*group] for _, group in groupby(pieces, lambda piece: piece.is_code)]
+    engine = _engine("\n".join(_text(lines, groups, rows)))
     found: list[tuple[str, list[int], float]] = [("READ", [0, program.inputs], 0.0)]
     for group in groups:
-        if lines[pieces[group[0]][0]].is_code:
-            found.append(("CALL", [], float(engine.get_function_address(f"from{group[0]}"))))
+        if group[0].is_code:
+            found.append(("CODE", [], float(engine.get_function_address(f"from{group[0].number}"))))
             continue
-        for k in (pieces[number][0] for number in group):
+        for k in (piece.lines[0] for piece in group):
             found.append((lines[k].name, [rows[k], *(rows[i] for i in lines[k].inputs)], lines[k].value))
     found.append(("WRITE", [program.inputs, program.outputs], 0.0))
     codes = np.array([CODES[name] for name, _, _ in found], np.uint8)
@@ -83,33 +84,34 @@ def _operands(name: str) -> int:
     return 0 if name == "INPUT" else 1 if name == "OUTPUT" or CODES[name] >= CODES["NEG"] else 2
 
 
-def _pieces(lines: list[_Line]) -> Iterator[list[int]]:
+def _pieces(lines: list[_Line]) -> Iterator[_Piece]:
     """The instructions that become functions of their own, and between them those that the machine does."""
-    piece: list[int] = []
+    number, piece = 0, list[int]()
     for k, line in enumerate(lines):
         if line.name == "INPUT":
             continue
         if piece and (len(piece) == PIECE or not line.is_code):
-            yield piece
-            piece = []
+            yield _Piece(number, piece, is_code=True)
+            number, piece = number + 1, []
         if line.is_code:
             piece.append(k)
         else:
-            yield [k]
+            yield _Piece(number, [k], is_code=False)
+            number += 1
     if piece:
-        yield piece
+        yield _Piece(number, piece, is_code=True)
 
 
-def _rows(program: Program, lines: list[_Line], pieces: list[list[int]]) -> tuple[dict[int, int], int]:
+def _rows(program: Program, lines: list[_Line], pieces: list[_Piece]) -> tuple[dict[int, int], int]:
     """Where inputs, outputs, and values that one piece leaves to others stand, and the number of these rows."""
-    piece_of = {k: number for number, piece in enumerate(pieces) for k in piece}
+    piece_of = {k: piece.number for piece in pieces for k in piece.lines}
     last = {i: piece_of[k] for k, line in enumerate(lines) for i in line.inputs if line.name != "INPUT"}
     before = {"INPUT": 0, "OUTPUT": program.inputs}
     rows = {k: before[line.name] + int(line.value) for k, line in enumerate(lines) if line.name in before}
     size, free, ends = program.inputs + program.outputs, list[int](), dict[int, list[int]]()
-    for number, piece in enumerate(pieces):
+    for number, piece, is_code in pieces:
         for k in piece:
-            stays = last.get(k, number) > number or not lines[k].is_code
+            stays = last.get(k, number) > number or not is_code
             if stays and k not in rows:
                 if not free:
                     free, size = [size], size + 1
@@ -119,27 +121,39 @@ def _rows(program: Program, lines: list[_Line], pieces: list[list[int]]) -> tupl
     return rows, size
 
 
-def _function(name: str, piece: list[int], lines: list[_Line], rows: dict[int, int]) -> str:
-    """A piece as a function of the rows, in the language of LLVM."""
-    text, own = [f"define internal void @{name}(ptr noalias %w) noinline nounwind {{"], set(piece)
-    known = set[int]()
+def _text(lines: list[_Line], groups: list[list[_Piece]], rows: dict[int, int]) -> Iterator[str]:
+    """The module in the language of LLVM: a function for each group of pieces that follow each other, by the name of
+    the first."""
+    yield _words({line.name for line in lines})
+    for group in groups:
+        if group[0].is_code:
+            for piece in group:
+                yield _function(piece, lines, rows)
+                time.sleep(0)  # others, which may be in a hurry, go on
+            calls = [f"call void @piece{piece.number}(ptr %w)" for piece in group]
+            yield "\n".join([f"define void @from{group[0].number}(ptr %w) {{", *calls, "ret void", "}"])
+
+
+def _function(piece: _Piece, lines: list[_Line], rows: dict[int, int]) -> str:
+    """A piece as a function of the rows."""
+    text = [f"define internal void @piece{piece.number}(ptr noalias %w) noinline nounwind {{"]
+    known = set(piece.lines)
 
     def place(k: int, word: str) -> str:
         text.append(f"%{word}{k} = getelementptr double, ptr %w, i64 {VECTOR * rows[k]}")
         return f"ptr %{word}{k}, align 8"
 
-    for k in piece:
+    for k in piece.lines:
         line = lines[k]
         for i in line.inputs:
-            if i not in own and i not in known:
+            if i not in known:
                 text.append(f"%v{i} = load {KIND}, {place(i, 'r')}")
                 known.add(i)
         if line.name == "OUTPUT":
             text.append(f"store {KIND} %v{line.inputs[0]}, {place(k, 'o')}")
             continue
-        operands = ", ".join(f"{KIND} %v{i}" for i in line.inputs)
-        constant = f"double {_number(line.value)}"
-        text.append(f"%v{k} = call {KIND} @{line.name}({', '.join([constant, operands] if operands else [constant])})")
+        operands = [f"double {_number(line.value)}", *(f"{KIND} %v{i}" for i in line.inputs)]
+        text.append(f"%v{k} = call {KIND} @{line.name}({', '.join(operands)})")
         if k in rows:
             text.append(f"store {KIND} %v{k}, {place(k, 'w')}")
     return "\n".join([*text, "ret void", "}"])
@@ -161,19 +175,18 @@ def _words(names: Iterable[str]) -> str:
         function.linkage = "internal"
         function.attributes.add("alwaysinline")
         builder = ir.IRBuilder(function.append_basic_block())
-        first = builder.insert_element(ir.Constant(kind, ir.Undefined), function.args[0], ir.IntType(32)(0))
-        mask = ir.Constant(ir.VectorType(ir.IntType(32), VECTOR), None)
-        constant = builder.shuffle_vector(first, first, mask)
+        constant = spread(builder, kind, function.args[0])
         builder.ret(EMITTED[name](builder, constant, *(lambda a=a: a for a in function.args[1:])))
     return str(module)
 
 
 def _engine(text: str) -> Any:
-    """The machine code of a module, without the module, which takes fifty times the memory."""
+    """The machine code of a module, without the module, which takes fifty times the memory; for the processor that
+    Numba compiles for."""
     module, rest = binding.parse_assembly(text), binding.parse_assembly("")
     machine = binding.Target.from_triple(module.triple).create_target_machine(
-        cpu=binding.get_host_cpu_name(),
-        features=binding.get_host_cpu_features().flatten(),
+        cpu=config.CPU_NAME or binding.get_host_cpu_name(),
+        features=get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES,
         opt=0,
         codemodel="jitdefault",
         jit=True,

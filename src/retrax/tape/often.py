@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from ..threads import later
 
 OFTEN = 100_000  # points at which the machine has taken half the time that machine code takes to be made
-FEW = 20  # points, of which less take no less time, as it goes into the choice of instructions
+SHORT = 20  # points, of which less take no less time, as it goes into the choice of instructions
 
 
 class Often(ABC):
@@ -20,7 +20,7 @@ class Often(ABC):
 
     def ran(self, points: int) -> None:
         """Tell that it has run at so many points."""
-        self._points += max(points, FEW)
+        self._points += max(points, SHORT)
         if self._points > OFTEN and not self._asked:
             self._asked = True
             later(self.compile)

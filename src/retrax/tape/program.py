@@ -9,11 +9,12 @@ import numpy as np
 
 from ..errors import RetraxError
 
-# Instructions with the names of CasADi's, and those that stand for two or more of them.
+# Instructions with the names of CasADi's, those that stand for two or more of them, and, of programs that call machine
+# code, the call, and what reads all inputs and writes all outputs.
 NAMES = (
     "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_ADD", "MUL_ADD_ADD", "TWO_MUL", "TWO_MUL_ADD",
     "MUL_SUB_MUL", "THREE_MUL", "THREE_MUL_ADD", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT", "CONST",
-    "INPUT", "OUTPUT", "CALL", "READ", "WRITE", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR",
+    "INPUT", "OUTPUT", "CODE", "READ", "WRITE", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR",
     "FMOD", "COPYSIGN", "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR",
     "CEIL", "FABS", "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH",
     "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1",
@@ -59,7 +60,7 @@ class Program:
     use."""
 
     codes: np.ndarray
-    registers: np.ndarray  # destination and three operands, shape (instructions, 4)
+    registers: np.ndarray  # destination and operands, shape (instructions, 1 + OPERANDS)
     values: np.ndarray
     inputs: int
     outputs: int
@@ -264,7 +265,7 @@ def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, o
     free: list[int] = []
     size = 0
     codes, values = np.zeros(len(kept), np.uint8), np.zeros(len(kept))
-    rows: list[tuple[int, ...]] = []  # destination and three operands
+    rows: list[tuple[int, ...]] = []  # destination and operands
     for row, k in enumerate(kept):
         instruction = instructions[k]
         operands = [where[i] for i in instruction.inputs]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 from types import ModuleType
-from typing import Any, ClassVar, Self, final
+from typing import Any, Self, final
 
 import casadi as ca
 import jax
@@ -21,8 +21,6 @@ from .graph import Graph
 from .often import Often
 from .program import Program, assembled
 from .trace import Flat, flat, trace
-
-FASTER = 4.0  # than the machine
 
 Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
 
@@ -51,8 +49,6 @@ class Tape(Often):
     is compiled for it: a new function runs some milliseconds after it was written. One that has run at very many points
     is made machine code meanwhile, and gives the same numbers.
     """
-
-    compiled: ClassVar[int] = 0  # how many tapes are machine code
 
     def __init__(self, graph: Graph, values: list[Entries], arguments: tuple[list[Leaf], Any], structure: Any) -> None:
         self.graph, self.structure = graph, structure
@@ -114,13 +110,8 @@ class Tape(Often):
         """What the machine runs: the instructions, or machine code in their place."""
         return self._native or self.program
 
-    @property
-    def work(self) -> float:
-        """Operations of a point, in those of the machine."""
-        return self.instructions / (1.0 if self._native is None else FASTER)
-
     def compile(self) -> None:
-        """Make machine code of it, now, unless it is already: that takes some forty microseconds an instruction and
+        """Make machine code of it, now, unless it is already: that takes some fifty microseconds an instruction and
         gives the same numbers.
 
         Without Numba there is none.
@@ -128,7 +119,11 @@ class Tape(Often):
         if self._native is None and _machine() is not None:
             from .native import native
 
-            self._native, Tape.compiled = native(self.program), Tape.compiled + 1
+            self._native = native(self.program)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The state of a copy, which has no machine code: that belongs to its process."""
+        return {**vars(self), "_native": None, "_points": 0, "_asked": False}
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
         """The matrix of the derivatives of all values by arguments, by default by all, both flat in order, as a
@@ -283,7 +278,7 @@ class Tape(Often):
             machine.run(p.codes, p.registers, p.values, *ends, registers, part.start, part.stop)
 
         if count:
-            in_threads(run, count, self.work, machine.VECTOR)
+            in_threads(run, count, self.instructions, machine.VECTOR)
 
     def alone(self, count: int, saved: float = 1.0) -> tuple[Program, tuple[int, int]] | None:
         """The code for so few points that one thread does, and the shape of its registers; None where they are more, or
@@ -292,7 +287,7 @@ class Tape(Often):
         ``saved``: how many times as many it may be where one thread saves other work.
         """
         machine, p = _machine(), self.code
-        if machine is None or not count or worth_threads(count, self.work / saved):
+        if machine is None or not count or worth_threads(count, self.instructions / saved):
             return None
         return p, (p.size, machine.lanes_for(count, p))
 
