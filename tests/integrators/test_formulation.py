@@ -79,6 +79,25 @@ def test_a_free_horizon_does_not_depend_on_the_unit_of_time(unit):
     assert found.horizon == pytest.approx(unit * T_BEST, rel=1e-10)
 
 
+@pytest.mark.parametrize("stages", [2, 3, 4])
+def test_a_free_horizon_does_not_depend_on_the_unit_of_length(stages):
+    """A lander from the solution over a horizon that is too long: whatever it is written in, the horizon rests in the
+    steps."""
+    space, start = Euclidean(4), np.array([400.0, 1000.0, 20.0, -40.0])
+    method, found = Gauss(stages, Addition(space)), []
+    for decade in range(-3, 4):
+        unit = 10.0**decade
+
+        def land(q, u, unit=unit):
+            return jnp.concatenate([q[2:], unit * (u - np.array([0.0, 1.62]))])
+
+        lander = OptimalControlProblem(space, land, lambda q, u: jnp.sqrt(u @ u + 0.01) + 0.01 * (u @ u), 2)
+        first = solve(lander, method, unit * start, np.zeros(4), 40.0, 20)
+        found.append(solve(lander, method, unit * start, np.zeros(4), Free(40.0), 20, guess=first))
+    assert {each.statistics.iterations for each in found} == {found[0].statistics.iterations}
+    assert [each.horizon for each in found] == pytest.approx([31.1158] * len(found), rel=1e-4)
+
+
 def turning(q, u, inertia):
     R, w = q
     return R @ hat(w), (u - jnp.cross(w, inertia * w)) / inertia

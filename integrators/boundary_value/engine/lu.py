@@ -7,6 +7,7 @@ from .factorisation import subtract_all
 from .vectors import add_vector, entry, inner, over, put, put_entry, vector
 
 TOGETHER = 3  # rows that are solved for at once
+ALONE = 1e300  # the weight of a row that has nothing but its diagonal
 
 
 @inner
@@ -22,13 +23,18 @@ def _pivot_row(v: np.ndarray, k: int, weights: np.ndarray) -> int:
 @inner
 def decompose(v: np.ndarray, swaps: np.ndarray, lower: np.ndarray, weights: np.ndarray) -> None:
     """Gauss's elimination; rows of one size choose the pivots. ``lower``: the factors of the rows in the order of their
-    time."""
+    time.
+
+    A row that has nothing but its diagonal, as that of a state which rests, gives the pivot of its column: another one
+    would leave rounding where it has zeros, and with that nothing is at rest.
+    """
     p = v.shape[0]
     for i in range(p):
-        largest = 0.0
+        largest, others = abs(entry(v, i, i)), 0.0
         for j in range(p):
-            largest = max(largest, abs(entry(v, i, j)))
-        weights[i] = 1 / largest
+            if j != i:
+                others = max(others, abs(entry(v, i, j)))
+        weights[i] = ALONE if others == 0 and largest > 0 else 1 / max(largest, others)
     for k in range(p):
         r = _pivot_row(v, k, weights)
         swaps[k] = r

@@ -123,6 +123,18 @@ def test_the_condensed_system_has_the_step_the_multipliers_and_the_inertia_of_th
         assert solution.negative[b] + s * NODE * COUNT == np.sum(np.linalg.eigvalsh(matrix) < 0)
 
 
+@pytest.mark.parametrize("decade", range(-3, 4))
+@pytest.mark.parametrize("s", [2, 3, 4])
+def test_a_state_that_rests_stays_at_rest_however_fast_others_change_with_it(s, decade):
+    (points, ends, h), last = random_steps(s, s), NODE - 1
+    constraints = np.array(points.constraints)
+    constraints[..., NODE + last] *= 10.0**decade
+    constraints[..., last, :] = np.eye(POINT)[2 * NODE + last]
+    _, kept = condense(points._replace(constraints=constraints), ends, h, gauss(s))
+    moves = kept.kept[2].reshape(BATCH, COUNT, s, NODE, -1)[:, :, :, last, : NODE + s * CONTROLS]
+    assert not moves.any()
+
+
 @pytest.mark.parametrize("s", [1, 2, 4])
 def test_slopes_by_what_is_left_have_those_by_the_velocities_through_their_map(s):
     (points, ends, h), tableau = random_steps(s, s), gauss(s)
