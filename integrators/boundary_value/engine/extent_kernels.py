@@ -6,6 +6,8 @@ from ....linked import view
 from .arrays import LANES
 from .vectors import add, compiled, filled, higher, inner, magnitude, part, plus, put_part, scaled
 
+STILL = 1e-12  # of its value: what an entry that is constant moves by, which rounding has made
+
 
 @inner
 def larger(a: float, b: float) -> float:
@@ -189,7 +191,10 @@ def find_moves(
         far, most, whole = 0.0, 0.0, 0.0
         for e in range(size):
             f, value = support[m, a, e], larger(highest[m, e], lowest[m, e])
-            far, whole = larger(far, f * (highest[m, e] + lowest[m, e])), larger(whole, f * work[0, e])
+            spread = highest[m, e] + lowest[m, e]
+            if spread > STILL * value:
+                far = larger(far, f * spread)
+            whole = larger(whole, f * work[0, e])
             most = larger(most, f * larger(value, work[0, e]))
         moved[m, a], sizes[m, a] = far if far > rounding * whole else 0.0, most
 
