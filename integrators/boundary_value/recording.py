@@ -134,7 +134,8 @@ def _multipliers(posed: Posed, found: Found) -> dict[str, dict[str, np.ndarray]]
 def _excesses(traced: Traced, found: Found, k: int) -> str:
     """By how much a member without success violates which inequalities, if it does."""
     slacks, rows, residuals = found.iterate.slacks, traced.rows, found.residuals
-    if slacks is None or found.claimed[k] or not max(residuals.excess[k], residuals.violation[k]) > VIOLATED:
+    least = 0.0 if found.contradictory[k] else VIOLATED
+    if slacks is None or found.claimed[k] or not max(residuals.excess[k], residuals.violation[k]) > least:
         return ""
     held, own = found.assembled.blocks.inequalities, slice(k, k + 1)
     excess = np.where(held.weights[own] > 0, np.maximum(held.values[own], 0.0), 0.0)

@@ -6,7 +6,7 @@ from functools import cache
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Guess, OptimalControlProblem, Solver, solve
+from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, solve
 from retrax.manifolds import SO, ConvergenceError, Euclidean, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 from scipy.optimize import brentq
@@ -346,3 +346,26 @@ def test_ten_thousand_steps_with_bounds_that_hold():
     rest = np.sqrt(3 / 5)
     assert np.mean(np.abs(found.controls) < 5 * (1 - 1e-6)) == pytest.approx(rest, rel=1e-3)
     assert found.cost == pytest.approx(25 / 2 * (1 - rest + rest / 3), rel=1e-6)
+
+
+@pytest.mark.parametrize("stages", [2, 3])
+def test_the_least_time_around_an_island_through_where_it_stands_in_the_way(stages):
+    """Zermelo's navigation: the straight guess passes the island until its radius is 0.6, and then leads through it."""
+
+    def velocity(q, u):
+        x, y = q[0] - 2, q[1]
+        pull = 0.5 / (x**2 + y**2 + 0.5)
+        return jnp.stack([jnp.cos(u[0]) - pull * y, jnp.sin(u[0]) + pull * x])
+
+    def island(q, u, radius):
+        return radius**2 - (q[0] - 2.2) ** 2 - (q[1] + 0.6) ** 2
+
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u, r: velocity(q, u), lambda q, u, r: 1.0, 1, constraints={"island": island}
+    )
+    solver, times = Solver(problem, Gauss(stages, Addition(PLANE)), 20), []
+    for radius in (0.01, 0.3, 0.5, 0.58, 0.62, 0.8, 1.2):
+        found = solver.solve(np.zeros(2), np.array([4.0, 0.0]), Free(4.0, 0.5, 20.0), parameters=radius)
+        assert found.statistics.iterations <= 80, radius
+        times.append(found.horizon)
+    assert np.all(np.diff(times) > 0), times

@@ -761,8 +761,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "nothing is impossible": Planted(
         f"{ENGINE}/barrier.py",
-        "return small & (error <= tolerance) & (found.left > np.sqrt(tolerance))",
-        "return small & (error <= tolerance) & (found.left > 1 / tolerance)",
+        "return (error <= tolerance) & (small & (found.left > np.sqrt(tolerance)) | last)",
+        "return (error <= tolerance) & small & (found.left > 1 / tolerance)",
         (UNREACHED,),
     ),
     "steps go to the boundary": Planted(f"{ENGINE}/inequalities.py", "BOUNDARY = 0.99 ", "BOUNDARY = 1.0 ", (LIMITS,)),

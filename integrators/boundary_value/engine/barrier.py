@@ -101,10 +101,12 @@ class Barrier(NamedTuple):
     def is_infeasible(self, found: Surveyed, slacks: Slacks, error: np.ndarray, tolerance: float) -> np.ndarray:
         """Whether excesses are left at the highest price, where all else is solved but for a small barrier.
 
-        ``error``: the largest residual but for those of the multipliers.
+        ``error``: the largest residual but for those of the multipliers. Small ones are seen at the last barrier, where
+        nothing is left to lower.
         """
-        small = slacks.barrier <= np.sqrt(tolerance) * self.rate
-        return small & (error <= tolerance) & (found.left > np.sqrt(tolerance))
+        small, last = (slacks.barrier <= share * self.rate for share in (np.sqrt(tolerance), 2 * LAST * tolerance))
+        last &= (found.product <= SOLVED * slacks.barrier) & (found.left > 0) & (found.excess > tolerance)
+        return (error <= tolerance) & (small & (found.left > np.sqrt(tolerance)) | last)
 
     @staticmethod
     def dear(found: Surveyed) -> np.ndarray:

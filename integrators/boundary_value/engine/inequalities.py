@@ -57,9 +57,13 @@ class Slacks(NamedTuple):
         return Slacks(*(a[places] for a in self[:4]), barrier=self.barrier)
 
     def scaled(self, factor: np.ndarray) -> "Slacks":
-        """All multipliers, prices and barriers times factors, shape (B,)."""
+        """All multipliers and prices times factors, shape (B,).
+
+        The barrier is as it was: if it rose with the price it would hold the trajectory far from its inequalities,
+        where the cost, which counts less and less, no longer leads it back.
+        """
         times = factor[:, None, None, None]
-        return Slacks(self.slacks, times * self.multipliers, self.excess, times * self.price, factor * self.barrier)
+        return self._replace(multipliers=times * self.multipliers, price=times * self.price)
 
     @property
     def elastic(self) -> np.ndarray:

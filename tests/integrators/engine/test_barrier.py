@@ -3,7 +3,7 @@ excesses."""
 
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.engine.barrier import LAST, NEAR, PRICE, SOLVED, TELLS, Barrier
+from retrax.integrators.boundary_value.engine.barrier import DEAREST, LAST, NEAR, PRICE, SOLVED, TELLS, Barrier
 from retrax.integrators.boundary_value.engine.inequalities import Held, Surveyed, central, stiffness
 
 MU = np.array([1e-2])
@@ -42,15 +42,20 @@ def test_excesses_cost_more_where_a_problem_is_solved_with_multipliers_near_thei
     assert (lower.barrier < MU).tolist() == [solved and not near]
 
 
+def dearer(slacks, factor):
+    """The slacks of a problem in which all costs that much more."""
+    return slacks.scaled(np.array([factor]))._replace(barrier=factor * slacks.barrier)
+
+
 @pytest.mark.parametrize("share", [1e-4, 0.1, 0.99, 1.01, 3.0])
 def test_what_excesses_cost_is_judged_below_a_barrier_at_whatever_price(share):
-    """All multipliers and the barrier grow with the price: the error that counts as solved is relative, and does
-    not."""
+    """Beside multipliers and a barrier that have grown with the price: the error that counts as solved is
+    relative."""
     barrier, given = Barrier(np.ones(1), np.ones((1, 1))), held(np.array([0.5]))
     for factor in 3.0 ** np.arange(11):
         for error in (0.9, 1.1):
             mu = share * TELLS * np.ones(1)
-            slacks = central(given, mu, np.full((1, 1, 1, 1), PRICE)).scaled(np.array([factor]))
+            slacks = dearer(central(given, mu, np.full((1, 1, 1, 1), PRICE)), factor)
             found = Surveyed(*barrier.surveyed(given, slacks))
             lower, cheap = barrier.lowered(found, slacks, error * SOLVED * mu, 1e-8, barrier.dear(found))
             assert cheap.tolist() == [error < 1 and share < 1], (factor, error)
@@ -62,8 +67,22 @@ def test_the_barrier_of_dear_excesses_falls_to_its_last_value_where_errors_are_r
     barrier, given, tolerance = Barrier(np.ones(1), np.ones((1, 1))), held(np.array([-0.5])), 1e-11
     for factor in 3.0 ** np.arange(11):
         mu = np.array([1e-16])
-        slacks = central(given, mu, np.full((1, 1, 1, 1), PRICE)).scaled(np.array([factor]))
+        slacks = dearer(central(given, mu, np.full((1, 1, 1, 1), PRICE)), factor)
         found = Surveyed(*barrier.surveyed(given, slacks))
         # Times the price, what is left of the last barrier is far less than rounding.
         lower, _ = barrier.lowered(found, slacks, np.array([1e-14]), tolerance, barrier.dear(found))
         assert lower.barrier[0] <= 1.01 * LAST * tolerance, factor
+
+
+def test_what_is_left_over_at_the_highest_price_contradicts_where_nothing_is_left_to_lower():
+    """Through the tolerance, and through its root, above which an excess tells before the last barrier."""
+    barrier, tolerance = Barrier(np.ones(1), np.ones((1, 1))), 1e-8
+    for mu in (1e-1, 1e-6, 0.1 * tolerance):
+        for left in (0.5, 2.0, 1e2, 1e5):
+            given = held(np.array([left * tolerance]))
+            slacks = central(given, np.array([mu]), np.full((1, 1, 1, 1), PRICE * DEAREST))
+            found = Surveyed(*barrier.surveyed(given, slacks))
+            told = left > 1 if mu <= tolerance else left > 1e4 and mu < 1e-4
+            for error in (0.5, 2.0):
+                said = barrier.is_infeasible(found, slacks, np.array([error * tolerance]), tolerance)
+                assert said.tolist() == [told and error < 1], (mu, left, error)
