@@ -27,6 +27,7 @@ MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
 PARTS = 4  # of a step, at most
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
+WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
 
 
@@ -160,13 +161,15 @@ class Refinement:
         lengths = np.repeat(np.diff(solution.times) / parts, parts)
         if len(lengths) > MOST_STEPS:
             return f"it would take more than {MOST_STEPS} steps"
+        structure, arcs = found.structure, None
         try:
-            if found.structure is None or found.arcs is None:
-                finer = self._on(self.problem, lengths, self.given.near(solution), solution)
-                arcs, structure = None, None
-            else:
-                structure, arcs = found.structure, np.repeat(found.arcs, parts)
-                finer, structure = self._in_arcs(solution, structure, lengths, arcs)
+            if structure is not None and found.arcs is not None:
+                arcs = np.repeat(found.arcs, parts)
+                finer, lasting = self._in_arcs(solution, structure, lengths, arcs)
+                lasts = finer.success and lasting.arcs == structure.arcs  # else it is seen anew, from outside
+                structure = lasting if lasts else None
+            if structure is None:
+                arcs, finer = None, self._on(self.problem, lengths, self.given.near(solution), solution)
         except RetraxError as error:
             return f"a finer mesh is not to be had: {error}"
         if not finer.success:
@@ -203,7 +206,8 @@ class Refinement:
                 if not solution.success:
                     return found
                 if lasting.arcs == structure.arcs:
-                    return self._judged(solution, lasting, arcs)
+                    better = self._judged(solution, lasting, arcs)
+                    return better if self.error(better) < self.error(found) else found
                 structure = lasting
         except RetraxError:  # the guess does not fit: the structure was not seen well enough on this mesh
             return found
@@ -253,7 +257,7 @@ class Refinement:
         times = np.concatenate([[0.0], np.cumsum(durations)])
         lasting = structure._replace(times=times).without_vanished()
         right = lasting.arcs < structure.arcs or posed.lack(solution, arcs) <= self.accuracy
-        return replace(solution, success=bool(right)), lasting
+        return solution if right else replace(solution, success=False, result=WRONG), lasting
 
     def _horizon(self, solution: Solution) -> Any:
         """The horizon: free, or given, or the bound that holds it, whose multiplier says more than the distance from

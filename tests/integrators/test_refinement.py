@@ -106,6 +106,25 @@ def test_a_switch_is_found_wherever_it_is(speeds):
             assert found.checks.active == counts
 
 
+@pytest.mark.parametrize(("stages", "steps", "at_nodes"), [(2, 20, False), (3, 10, True)])
+def test_a_coast_between_two_switches_comes_with_a_limit_of_the_speed(stages, steps, at_nodes):
+    """Least time is ``v + 1 / v`` with a limit ``v < 1`` of the speed. Along a coast the control is not at a bound, and
+    an arc without one could be at a bound as well: where it ends nothing says."""
+    for limit in (1.5, 1.01, 1.0, 0.99, 0.95, 0.9, 0.8, 0.5):
+
+        def speed(q, *_, limit=limit):
+            return q[1] - limit
+
+        held = {"node_constraints": {"at nodes": speed}} if at_nodes else {}
+        problem = OptimalControlProblem(
+            PLANE, cart, lambda q, u: 1.0, 1, control_bounds=(-1, 1), constraints={"speed": speed}, **held
+        )
+        method = Gauss(stages, Addition(PLANE))
+        found = solve(problem, method, np.zeros(2), np.array([1.0, 0.0]), Free(3.0), steps, accuracy=1e-4, throw=False)
+        assert found.success, (limit, found.result)
+        assert found.cost == pytest.approx(limit + 1 / limit if limit < 1 else 2.0, rel=1e-4), limit
+
+
 DECAY = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, control_bounds=(-1, 1))
 
 
