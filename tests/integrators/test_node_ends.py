@@ -137,9 +137,7 @@ def test_a_node_that_two_phases_share_has_its_limit_once():
         PLANE, particle, lambda q, u: u @ u / 2 + 1, 1, node_constraints={"ceiling": lambda q: q[0] - 0.1}
     )
     for method in METHODS:
-        found = solve_phases(
-            [Phase(problem, method, 10, Free(0.5), start=START), Phase(problem, method, 10, Free(0.5), end=END)]
-        )
+        found = solve_phases([Phase(problem, method, 10, 0.25, start=START), Phase(problem, method, 10, 0.25, end=END)])
         assert found.strict_minimum
         first, last = (phase.node_multipliers["ceiling"][:, 0] for phase in found.phases)
         assert last[0] == 0

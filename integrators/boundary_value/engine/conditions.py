@@ -336,7 +336,9 @@ class Conditions:
         Where K is singular to rounding, it is as large as that.
         """
         extent, controls, units = assembled.extent, self.control_sizes(iterate), self.judging.unknowns
-        own = np.concatenate([extent.along(extent.spreads + extent.values), controls], axis=1)
+        # Of a constant, a share of its value: where extremals merge it has to be known better than they are apart.
+        values = np.where(extent.moves, 1.0, SHARE) * extent.values
+        own = np.concatenate([extent.along(extent.spreads + values), controls], axis=1)
         largest = step.largest / np.maximum(own, SHARE * units)
         spread = np.concatenate([extent.along(extent.spreads), controls], axis=1)
         return largest.max(axis=1), (spread / units).max(axis=1)

@@ -41,6 +41,13 @@ class Extent(NamedTuple):
         """From the lowest to the highest value of each, shape (B, E)."""
         return self.highest + self.lowest
 
+    @property
+    def moves(self) -> np.ndarray:
+        """Whether each entry moves by more than rounding, shape (B, E)."""
+        from .extent_kernels import STILL
+
+        return self.spreads > STILL * self.values
+
     def along(self, entries: np.ndarray) -> np.ndarray:
         """Sizes in the coordinates of the nodes from sizes in the entries."""
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)

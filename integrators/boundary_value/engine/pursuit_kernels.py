@@ -7,7 +7,7 @@ from ....kernels import pasted
 from ....linked import view
 from . import limit_kernels, trial_kernels
 from .acceptance_kernels import judged
-from .extent_kernels import find_moves, larger, left_over
+from .extent_kernels import STILL, find_moves, larger, left_over
 from .limit_kernels import (
     BEST,
     CHEAP,
@@ -293,8 +293,8 @@ def _settled(
         own = share * judging[0, i]
         if i < n:
             for e in range(size):
-                value = max(highest[0, e], lowest[0, e])
-                own = max(own, support[0, i, e] * (highest[0, e] + lowest[0, e] + value))
+                value, spread = max(highest[0, e], lowest[0, e]), highest[0, e] + lowest[0, e]
+                own = max(own, support[0, i, e] * (spread + (value if spread > STILL * value else share * value)))
         else:
             for k in range(controls.shape[0]):
                 own = max(own, abs(controls[k, i - n]))
