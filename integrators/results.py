@@ -31,7 +31,8 @@ class Result(eqx.Enumeration):
     interrupted = "The computation was interrupted; the trajectory ends with the last state that was kept."
     stopped = "The iteration was stopped before the conditions were met; this is its best iterate."
     too_many_iterations = (
-        "The iteration limit came before the conditions were met; try more iterations, a better guess, or more steps."
+        "The iteration limit of a search came before the conditions were met; try more iterations, a better guess, or "
+        "more steps."
     )
     no_improvement = (
         "No step along the computed directions improves the trajectory any more, and the conditions are not met; try a "
@@ -43,8 +44,9 @@ class Result(eqx.Enumeration):
         "that the running cost is strictly convex in every control, or give a guess that moves."
     )
     infeasible = (
-        "The inequalities contradict each other or the ends, or a better guess is needed: this is the trajectory near "
-        "the guess that violates them least; try wider bounds, a longer horizon, or free ends."
+        "The inequalities contradict each other or the ends at the points of these steps, or a better guess is needed: "
+        "this is the trajectory near the guess that violates them least; try more steps, wider bounds, a longer "
+        "horizon, or free ends."
     )
     falling = (
         "The conditions are not met, and the cost fell as fast at the end as before: there may be no minimum; try "

@@ -33,7 +33,7 @@ def compiled_longer(solution: Solution, seconds: float) -> Solution:
     return replace(solution, statistics=replace(spent, compile_seconds=spent.compile_seconds + seconds))
 
 
-def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.ndarray, list[str]]:
+def outcomes(found: Found, tolerance: float) -> tuple[np.ndarray, list[str]]:
     """Which of the finished iterations have success, and the results of all of them in words."""
     largest = found.residuals.largest
     finite = np.isfinite(largest) & np.isfinite(found.assembled.cost)
@@ -53,7 +53,7 @@ def outcomes(found: Found, tolerance: float, max_iterations: int) -> tuple[np.nd
         "falling": found.falling & (trespass <= NEAR) & (not found.stopped),
         "singular": (~found.solvable & ~meets) | undetermined,
         "stopped": np.full(len(largest), found.stopped),
-        "too_many_iterations": found.iterations >= max_iterations,
+        "too_many_iterations": found.limited,
     }
     first = np.select(list(ways.values()), range(len(ways)), len(ways))
     names = [*ways, "no_improvement"]

@@ -6,7 +6,6 @@ from typing import Any, Self, final
 
 import numpy as np
 
-from ..results import sentence
 from ..text import table
 from .interpolation import Sample, checked_times
 from .solution import Solution, Statistics
@@ -35,8 +34,8 @@ class PhasedSolution:
         begins = np.cumsum([0.0, *(phase.horizon for phase in phases)])
         moved = tuple(_at(phase, float(begin)) for phase, begin in zip(phases, begins, strict=False))
         success = all(phase.success for phase in phases)
-        result = _told(phases) if success else next(phase.result for phase in phases if not phase.success)
-        return cls(moved, sum(phase.cost for phase in phases), success, result, multipliers, phases[0].statistics)
+        cost = sum(phase.cost for phase in phases)
+        return cls(moved, cost, success, _told(phases, success), multipliers, phases[0].statistics)
 
     def renewed(self, **changes: Any) -> Self:
         """The record with changes."""
@@ -95,13 +94,19 @@ class PhasedSolution:
         return "\n\n".join([table(rows), *parts])
 
 
-def _told(phases: Sequence[Solution]) -> str:
-    """What is said of phases with success: that, and what is said of each of them besides, or of all."""
-    solved = sentence("successful")
-    more = [phase.result.removeprefix(solved).strip() for phase in phases]
-    alike = len(set(more)) == 1
-    notes = more[:1] if alike else [f"Phase {k}: {words}" for k, words in enumerate(more) if words]
-    return " ".join(filter(None, [solved, *notes]))
+def _told(phases: Sequence[Solution], success: bool) -> str:
+    """What is said of all phases alike, and what is said of each of them besides; without success, of those that
+    fail."""
+    said = {k: phase.result for k, phase in enumerate(phases) if success or not phase.success}
+    first, more = zip(*(f"{words} ".partition(". ")[::2] for words in said.values()), strict=True)
+    if len(set(first)) > 1 or len(said) < len(phases):
+        return " ".join(f"Phase {k}: {words}" for k, words in said.items())
+    named = (
+        more[:1]
+        if success and len(set(more)) == 1
+        else [f"Phase {k}: {words}" for k, words in enumerate(more) if words]
+    )
+    return " ".join(f"{first[0]}. {''.join(named)}".split())
 
 
 def _at(phase: Solution, begin: float) -> Solution:

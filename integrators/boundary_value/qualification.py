@@ -25,6 +25,7 @@ OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint b
 ROUNDED = 16 * EPS  # of what its states change it by from zero: rounding
 FLAT_BEND = EPS**0.3  # of what the second derivative changes it by along the trajectory: a derivative that is smaller
 BEYOND = 0.25  # of the derivative squared, ``g g''``: ``max(x, 0)^p`` has ``1 - 1 / p``, and one with a slope nothing
+MULTIPLIERS_TELL = 1e-3  # relative: of a trajectory that lacks more, they are those of no extremal
 SLIGHT = 1e-2  # relative: far beyond a limit its slope may vanish, as in the middle of an obstacle
 LEAVE_OUT = "leave out what follows from the others"
 DEPENDENT = EPS**HALF  # smallest singular value of rows of length one
@@ -61,7 +62,7 @@ class Qualification:
         lengths = np.linalg.norm(slopes, axis=2)
         flat |= active & (lengths < FLAT_ROW * np.max(lengths, axis=0))
         names = self._names(solution.parameters)
-        if np.any(flat):
+        if np.any(flat) and (solution.success or _is_nearly_met(solution)):
             k, i = np.argwhere(flat)[0]
             place = f"near t = {times[k, 0]:.6g}"
             return (
@@ -255,6 +256,12 @@ class Qualification:
             return jax.jvp(rate, (rest,), (along,))[1]
 
         return lengths, jnp.array([bend(i) for i in range(len(slopes))])
+
+
+def _is_nearly_met(solution: Solution) -> bool:
+    """Whether what a trajectory without success lacks is so little that an inequality of it may hold it."""
+    checks: Any = solution.checks
+    return max(checks.gap, checks.stationarity, checks.violation) <= MULTIPLIERS_TELL
 
 
 def _is_flat(values: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ from .engine.found import Found
 from .engine.transcription import AtStages
 from .interpolation import Interpolant
 from .outcome import outcomes
-from .posed import Posed, Traced
+from .posed import Posed
 from .solution import Solution, Statistics
 
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
@@ -44,7 +44,7 @@ class Recording:
         stages = traced.steps.at_stages(found.iterate.unknowns, costates, data, found.iterate.slacks)
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
-        success, results = outcomes(found, options.tolerance, options.max_iterations)
+        success, results = outcomes(found, options.tolerance)
         numbers = {"cost": found.assembled.cost, "success": success}
         fields = {
             **self._trajectories(nodes, costates, stages, data.steps),
@@ -55,7 +55,7 @@ class Recording:
             **_multipliers(posed, found),
         }
         notes = found.notes or [""] * len(results)
-        results = [words + _excesses(traced, found, k) + notes[k] for k, words in enumerate(results)]
+        results = [words + _excesses(posed, found, k, options.tolerance) + notes[k] for k, words in enumerate(results)]
         if self._constrained:  # constraints may break the symmetries
             brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
             diagnostics = diagnostics._replace(brackets=brackets)
@@ -131,14 +131,15 @@ def _multipliers(posed: Posed, found: Found) -> dict[str, dict[str, np.ndarray]]
     }
 
 
-def _excesses(traced: Traced, found: Found, k: int) -> str:
+def _excesses(posed: Posed, found: Found, k: int, tolerance: float) -> str:
     """By how much a member without success violates which inequalities, if it does."""
-    slacks, rows, residuals = found.iterate.slacks, traced.rows, found.residuals
-    least = 0.0 if found.contradictory[k] else VIOLATED
-    if slacks is None or found.claimed[k] or not max(residuals.excess[k], residuals.violation[k]) > least:
+    slacks, barrier, rows = found.iterate.slacks, posed.conditions.barrier, posed.traced.rows
+    if slacks is None or barrier is None or found.claimed[k]:
         return ""
     held, own = found.assembled.blocks.inequalities, slice(k, k + 1)
     excess = np.where(held.weights[own] > 0, np.maximum(held.values[own], 0.0), 0.0)
+    if not np.max(excess / barrier.unit[own], initial=0.0) > (tolerance if found.contradictory[k] else VIOLATED):
+        return ""
     worst = {name: np.max(own) for name, own in {**rows.at_stages(excess), **rows.at_nodes(excess)}.items() if own.size}
     named = [f"{name} by up to {most:.3g}" for name, most in worst.items() if most > SMALL * np.max(excess)]
     return (

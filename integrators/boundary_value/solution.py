@@ -24,7 +24,11 @@ IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
 @dataclass(frozen=True)
 class Statistics:
-    """How the computation went: Newton iterations, seconds to trace and compile, seconds to run."""
+    """How the computation went: Newton iterations, seconds to trace and compile, seconds to run.
+
+    Where a search from the guess fails, others follow from guesses that are moved, each with ``max_iterations`` for
+    itself: the iterations are those of the search that the result is of, and of those before it.
+    """
 
     iterations: int
     compile_seconds: float

@@ -67,3 +67,15 @@ def test_a_limit_of_one_half_alone(price):
         assert found.success
         assert found.cost / float(price) == pytest.approx(best.fun, rel=1e-7)
         assert np.abs(found.phases[1].controls).max() <= limit * (1 + 1e-9)
+
+
+def test_each_phase_names_what_it_violates():
+    """Half a way from rest to rest in a unit of time asks for two, and the other for six times as much."""
+    cases = {(3.0, 9.0): set(), (1.0, 9.0): {0}, (3.0, 5.0): {1}, (1.0, 5.0): {0, 1}}
+    for limits, violating in cases.items():
+        first = Phase(problem(1.0, limits[0]), METHOD, 10, 1.0, start=START, end=END / 2)
+        second = Phase(problem(1.0, limits[1]), METHOD, 10, 1.0, end=2 * END)
+        found = solve_phases([first, second], throw=False)
+        assert found.success == (not violating)
+        assert {k for k in (0, 1) if f"Phase {k}: It violates control_bounds" in found.result} == violating, limits
+        assert found.success or "at the points of these steps" in found.result

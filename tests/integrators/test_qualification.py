@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from retrax.integrators import OptimalControlProblem, Solver
+from retrax.integrators import Free, OptimalControlProblem, Solver, solve
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss
 
@@ -167,3 +167,18 @@ def test_a_bound_that_holds_all_along_is_counted_at_all_stages():
     )
     found = Solver(problem, Gauss(2, Addition(line)), 5).solve(np.zeros(1), None, 1.0)
     assert found.checks.active == {"control_bounds lower": 0, "control_bounds upper": 10}
+
+
+@pytest.mark.parametrize("iterations", range(1, 40, 3))
+def test_a_trajectory_on_its_way_through_an_obstacle_is_held_by_nothing(iterations):
+    """In the middle of a disc the derivative vanishes, where the disc is violated and holds nothing."""
+
+    def velocity(q, u):
+        pull = 0.2 / ((q[0] - 2) ** 2 + q[1] ** 2 + 0.5)
+        return jnp.stack([jnp.cos(u[0]) - pull * q[1], jnp.sin(u[0]) + pull * (q[0] - 2)])
+
+    disc = {"disc": lambda q, u: 0.9**2 - (q[0] - 2.2) ** 2 - (q[1] + 0.6) ** 2}
+    problem = OptimalControlProblem(PLANE, velocity, lambda q, u: 1.0, 1, constraints=disc)
+    ends = np.zeros(2), np.array([4.0, 0.0]), Free(4.0, 0.5, 20.0)
+    found = solve(problem, Gauss(2, Addition(PLANE)), *ends, 20, max_iterations=iterations, throw=False)
+    assert "derivative of disc" not in found.result

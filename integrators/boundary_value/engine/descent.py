@@ -382,18 +382,9 @@ class Descent:
         claimed = whole.claimed & (whole.residuals.final <= self.tolerance)  # it may have gone on from where it was
         if not self.conditions.joint:
             claimed &= ends_meet(whole.assembled, self.conditions.at_nodes.layout.in_arrays, self.tolerance)
-        ended = (
-            strict & whole.isolated,
-            iterations - 1,
-            claimed,
-            _solvable(whole),
-            self.stopped,
-            missing,
-            self.contradictory(whole),
-            unit,
-            self.fall.lasts(~claimed, unit),
-        )
-        return Found(whole.iterate, whole.assembled, whole.residuals, *ended)
+        ended = strict & whole.isolated, iterations - 1, iterations > self.max_iterations, claimed, _solvable(whole)
+        told = self.stopped, missing, self.contradictory(whole), unit, self.fall.lasts(~claimed, unit)
+        return Found(whole.iterate, whole.assembled, whole.residuals, *ended, *told)
 
 
 def _solvable(state: State) -> np.ndarray:

@@ -33,7 +33,8 @@ class Found(NamedTuple):
     assembled: Assembled
     residuals: Residuals
     strict_minimum: np.ndarray
-    iterations: np.ndarray
+    iterations: np.ndarray  # of the search that led here, and of those before it
+    limited: np.ndarray  # that search has made as many as one may
     claimed: np.ndarray
     solvable: np.ndarray
     stopped: bool

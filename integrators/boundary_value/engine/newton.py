@@ -17,7 +17,7 @@ from .own_units import judged_loosely
 
 AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
-    "iterate", "assembled", "residuals", "strict_minimum", "iterations", "claimed", "solvable", "missing",
+    "iterate", "assembled", "residuals", "strict_minimum", "iterations", "limited", "claimed", "solvable", "missing",
     "contradictory", "unit", "falling",
 )  # fmt: skip
 
