@@ -161,20 +161,26 @@ class Refinement:
         lengths = np.repeat(np.diff(solution.times) / parts, parts)
         if len(lengths) > MOST_STEPS:
             return f"it would take more than {MOST_STEPS} steps"
-        structure, arcs = found.structure, None
         try:
-            if structure is not None and found.arcs is not None:
-                arcs = np.repeat(found.arcs, parts)
-                finer, lasting = self._in_arcs(solution, structure, lengths, arcs)
-                lasts = finer.success and lasting.arcs == structure.arcs  # else it is seen anew, from outside
-                structure = lasting if lasts else None
-            if structure is None:
-                arcs, finer = None, self._on(self.problem, lengths, self.given.near(solution), solution)
+            finer, structure, arcs = self._divided(found, lengths, parts)
         except RetraxError as error:
             return f"a finer mesh is not to be had: {error}"
         if not finer.success:
             return f"it was not solved on a finer mesh of {len(lengths)} steps: {finer.result.removesuffix('.')}"
         return self._judged(finer, structure, arcs)
+
+    def _divided(
+        self, found: _Found, lengths: np.ndarray, parts: np.ndarray
+    ) -> tuple[Solution, ControlStructure | None, np.ndarray | None]:
+        """The solution in steps of these lengths, in arcs as before if these last and lead to one; else without arcs,
+        which are then seen anew."""
+        solution = found.solution
+        if found.structure is not None and found.arcs is not None:
+            arcs = np.repeat(found.arcs, parts)
+            finer, lasting = self._in_arcs(solution, found.structure, lengths, arcs)
+            if finer.success and lasting.arcs == found.structure.arcs:
+                return finer, lasting, arcs
+        return self._on(self.problem, lengths, self.given.near(solution), solution), None, None
 
     def _parts(self, found: _Found) -> np.ndarray:
         """Into how many parts each step is divided."""
