@@ -5,9 +5,9 @@
     python benchmarks/accuracy.py table   [--input benchmarks/accuracy.json]
 
 ``measure`` solves with every method in several sizes, in turns of ten calls in a row, as a controller makes them,
-everything built before: the median wall time of a whole call. Every method returns a torque, polynomial on the intervals of its mesh; its error is that of the attitude at
-the end when SciPy's DOP853 propagates this torque from the start (``repropagation.py``), and all torques must have the
-known cost.
+everything built before: the median wall time of a whole call. Every method returns a torque, polynomial on the
+intervals of its mesh; its error is that of the attitude at the end when SciPy's DOP853 propagates this torque from the
+start (``repropagation.py``), and all torques must have the known cost.
 """
 
 import argparse
