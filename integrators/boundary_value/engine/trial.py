@@ -245,10 +245,8 @@ class Trial(ABC):
         place, unknowns = self.written.place(), iterate.unknowns
         v = place.v
         v["x"][...], v["u"][...], v["barrier"][...] = unknowns.centres, unknowns.controls, 0.0
-        if assembled is None or step is None:  # each covector is the first vector of a frame
-            for name in ("coordinates", "frames", "multipliers"):
-                v[name][...] = 0.0
-            v["coordinates"][:, :, 0], v["frames"][:, :, 0], v["part"][...] = 1.0, iterate.costates, 0.0
+        if assembled is None or step is None:
+            v["covectors"][...], v["part"][...] = iterate.costates.ravel(), 0.0
         else:
             v["coordinates"][...], v["frames"][...] = assembled.coordinates, assembled.frames
             v["steps"][...], v["multipliers"][...], v["part"][...] = step.unknowns, step.multipliers, step.reach

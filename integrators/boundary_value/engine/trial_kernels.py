@@ -236,9 +236,13 @@ def tapes_of(programs: np.ndarray, memory: np.ndarray, written: np.ndarray, rows
 
 @pasted
 def move_covectors(before: np.ndarray, written: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Write the covectors at the nodes after the part of the step that is made."""
-    frames, coordinates, moved = frames_of(before, rows), coordinates_of(before, rows), covectors_of(written, rows)
-    covectors(coordinates, frames, multipliers_of(before, rows), part_of(before, rows)[0], moved)
+    """Write the covectors at the nodes after the part of the step that is made; they stay as they are after none."""
+    given, moved, share = covectors_of(before, rows), covectors_of(written, rows), part_of(before, rows)[0]
+    if share == 0:
+        put(moved, 0, given, 0, given.size)
+    else:
+        frames, coordinates = frames_of(before, rows), coordinates_of(before, rows)
+        covectors(coordinates, frames, multipliers_of(before, rows), share, moved)
     return moved
 
 

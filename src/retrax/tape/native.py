@@ -1,7 +1,7 @@
-"""Programs as machine code: straight lines of the processor's instructions, which LLVM writes without optimising.
+"""Programs as machine code: straight lines of the processor's instructions, by LLVM.
 
 The machine chooses each instruction and leaves every value in memory. Code does neither: arithmetic takes a half to a
-fifth of the time, and some fifty microseconds to write for each instruction, so it is for programs that have shown to
+fifth of the time, and some hundred microseconds to write for each instruction, so it is for programs that have shown to
 run often. Its numbers are the machine's to the last bit.
 """
 
@@ -18,7 +18,7 @@ from numba.core.codegen import get_host_cpu_features
 from .emitted import EMITTED, operands_of, spread
 from .program import CODES, NAMES, OPERANDS, VECTOR, Program
 
-PIECE = 100  # instructions of a function: LLVM leaves registers to values as they come, and forgets them at its end
+PIECE = 100  # instructions of a function: what LLVM takes grows faster than their number
 KIND = f"<{VECTOR} x double>"
 
 
@@ -187,7 +187,7 @@ def _engine(text: str) -> Any:
     machine = binding.Target.from_triple(module.triple).create_target_machine(
         cpu=config.CPU_NAME or binding.get_host_cpu_name(),
         features=get_host_cpu_features() if config.CPU_FEATURES is None else config.CPU_FEATURES,
-        opt=0,
+        opt=1,
         codemodel="jitdefault",
         jit=True,
     )

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 
 from ..threads import later
 
-OFTEN = 100_000  # points at which the machine has taken half the time that machine code takes to be made
+OFTEN = 200_000  # points at which the machine has taken as long as machine code takes to be made, or half as long
 SHORT = 20  # points, of which less take no less time, as it goes into the choice of instructions
 
 

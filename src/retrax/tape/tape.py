@@ -111,7 +111,7 @@ class Tape(Often):
         return self._native or self.program
 
     def compile(self) -> None:
-        """Make machine code of it, now, unless it is already: that takes some fifty microseconds an instruction and
+        """Make machine code of it, now, unless it is already: that takes some hundred microseconds an instruction and
         gives the same numbers.
 
         Without Numba there is none.
