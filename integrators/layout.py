@@ -65,12 +65,11 @@ class Layout:
 
     def _rows(self, arrays: list[np.ndarray], axes: int) -> np.ndarray:
         leading = arrays[0].shape[:axes] if arrays else ()
-        rows = np.empty((*leading, self.size))
-        count = max(math.prod(leading), 1)
-        for array, is_complex, place in zip(arrays, self._complex, self.places, strict=True):
+        count, parts = max(math.prod(leading), 1), [np.empty((*leading, 0))]
+        for array, is_complex in zip(arrays, self._complex, strict=True):
             part = array.reshape(*leading, array.size // count)
-            rows[..., place] = np.concatenate([np.real(part), np.imag(part)], axis=-1) if is_complex else part
-        return rows
+            parts += [part.real, part.imag] if is_complex else [part]
+        return np.concatenate(parts, axis=-1, dtype=float)
 
     def held(self, points: Any, axes: int) -> np.ndarray | None:
         """The rows of NumPy's arrays of finite real numbers for each of a point's, with some leading axes in common;

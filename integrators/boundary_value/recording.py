@@ -71,7 +71,7 @@ class Recording:
                 statistics=Statistics(int(found.iterations[k]), *seconds),
                 quantities=self.quantities,
                 interpolant=self.interpolant,
-                parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
+                parameters=None if parameters is None else jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
         return {**fields, **numbers, "parameters": parameters, "result": results}, member

@@ -269,6 +269,8 @@ class Request:
     def parameters(self) -> Any:
         """The parameters as arrays of their own, with the members along the leading axis."""
         given = self.known.parameters
+        if given is None:  # in no time, where a tree takes some
+            return None
         return copied(given) if self.axes else jax.tree.map(lambda leaf: np.array(leaf)[None], given)
 
     def problem_of(self, k: int) -> OptimalControlProblem:

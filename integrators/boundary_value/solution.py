@@ -252,11 +252,11 @@ def _in_tuples(value: Any) -> Any:
 def _write_protect(value: Any) -> None:
     """Make the arrays in nested tuples, lists and dictionaries read-only."""
     if isinstance(value, np.ndarray):
-        value.setflags(write=False)
+        value.flags.writeable = False
     elif isinstance(value, dict):
         for part in value.values():
             _write_protect(part)
-    elif isinstance(value, tuple | list):
+    elif isinstance(value, (tuple, list)):
         for part in value:
             _write_protect(part)
 
