@@ -126,6 +126,10 @@ class StepPrograms(Often):
         self.places, self.rows, self._programs = places, rows, programs
         self.code = Listed(programs)
 
+    @property
+    def instructions(self) -> int:
+        return len(self.code.codes)
+
     def compile(self) -> None:
         if not self.code.native:
             from ...tape.native import native

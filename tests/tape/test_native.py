@@ -148,6 +148,21 @@ def test_it_is_made_after_so_many_points(share, made, monkeypatch):
         assert made.count(tape) == (tape.code is not tape.program)
 
 
+@pytest.mark.parametrize("over", [-1, 0, 1])
+def test_very_long_tapes_are_made_only_if_they_are_asked_to(over, monkeypatch):
+    """Through the number of instructions up to which they are made by themselves."""
+    x = np.random.default_rng(9).standard_normal((3, 50))
+    tape = Tape.trace(lambda w: jnp.cross(w, w[::-1]) * (7.0 + over), x[:, 0])
+    monkeypatch.setattr(often, "OFTEN", 10)
+    monkeypatch.setattr(often, "MOST", tape.instructions - over)
+    expected = tape(x)
+    threads.settled()
+    assert (tape.code is tape.program) == (over > 0)
+    tape.compile()
+    assert tape.code is not tape.program
+    equal(expected, tape(x))
+
+
 def test_calls_go_on_while_it_is_made(made, monkeypatch):
     """From several threads, which all ask for it: it is made once."""
     monkeypatch.setattr(often, "OFTEN", 100)

@@ -5,6 +5,7 @@ from abc import ABC, abstractmethod
 from ..threads import later
 
 OFTEN = 200_000  # points at which the machine has taken as long as machine code takes to be made, or half as long
+MOST = 20_000  # instructions: Python waits at its end for what is being made, two seconds for so many
 SHORT = 20  # points, of which less take no less time, as it goes into the choice of instructions
 
 
@@ -13,6 +14,11 @@ class Often(ABC):
 
     def __init__(self) -> None:
         self._points, self._asked = 0, False
+
+    @property
+    @abstractmethod
+    def instructions(self) -> int:
+        """Number of instructions."""
 
     @abstractmethod
     def compile(self) -> None:
@@ -23,4 +29,5 @@ class Often(ABC):
         self._points += max(points, SHORT)
         if self._points > OFTEN and not self._asked:
             self._asked = True
-            later(self.compile)
+            if self.instructions <= MOST:
+                later(self.compile)
