@@ -34,6 +34,7 @@ class Examination:
     def __init__(self, problem: OptimalControlProblem) -> None:
         self.problem = problem
         self._traced: dict[Any, Any] = {}
+        self._needed: dict[Any, bool] = {}
         self._limited, self._named = problem.limits.along, bool(problem.limits.every_name)
 
     def __call__(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
@@ -111,7 +112,14 @@ class Examination:
 
     def needed(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
-        return self._limited or any(self._examiners(free_horizon, parameters))
+        key = structure_of(parameters), free_horizon
+        if key not in self._needed:
+            self._needed[key] = self._limited or any(self._examiners(free_horizon, parameters))
+        return self._needed[key]
+
+    def is_silent(self, parameters: Any, free_horizon: bool) -> bool:
+        """Whether it is known that there is nothing to say of such a solution."""
+        return not self._named and self._needed.get((structure_of(parameters), free_horizon)) is False
 
     def _examiners(self, free_horizon: bool, parameters: Any) -> tuple[Jumps, TrueDerivatives]:
         """What looks for jumps and for derivatives that tell nothing of their functions; true where there may be

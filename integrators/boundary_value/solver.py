@@ -201,8 +201,11 @@ class Solver:
 
     def examined(self, solution: Solution, request: Request) -> Solution:
         """The solution with what its conditions do not tell."""
+        free_horizon = is_free(request.given.horizon)
+        if self._examination.is_silent(solution.parameters, free_horizon):
+            return solution
         with Stopwatch() as watch:
-            examined = self._examination(solution, is_free(request.given.horizon), request.ends.prescribed)
+            examined = self._examination(solution, free_horizon, request.ends.prescribed)
             examined = compiled_longer(examined, watch.seconds()[0])
         if examined is not solution:
             if solution in self._kept:

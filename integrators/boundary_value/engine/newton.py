@@ -42,15 +42,16 @@ def newton(
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
-    found = _again(search, found, guess, np.flatnonzero(search.lost))
+    if search.lost.any():
+        found = _again(search, found, guess, np.flatnonzero(search.lost))
     if (failed := search.failed(found)).any():
         first = search.first()
         moved, held = aside(conditions, *first)
         slacks = first[0].slacks
         violated = np.zeros(len(held), bool) if slacks is None else slacks.elastic.any(axis=(1, 2, 3))
         found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
-    jammed = np.flatnonzero(found.contradictory & ~found.claimed)
-    found = _again(search, found, found.iterate.bare, jammed)
+    if (jammed := found.contradictory & ~found.claimed).any():
+        found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
     for _ in range(AGAIN):
         loose = judged_loosely(search.conditions, found)
         if not loose.size or found.stopped:
