@@ -68,7 +68,7 @@ class Layout:
         count, parts = max(math.prod(leading), 1), [np.empty((*leading, 0))]
         for array, is_complex in zip(arrays, self._complex, strict=True):
             part = array.reshape(*leading, array.size // count)
-            parts += [part.real, part.imag] if is_complex else [part]
+            parts += [np.real(part), np.imag(part)] if is_complex else [part]
         return np.concatenate(parts, axis=-1, dtype=float)
 
     def held(self, points: Any, axes: int) -> np.ndarray | None:

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from llvmlite import binding, ir
-from numba.core import config
+from numba.core import config as numba_config
 from numba.core.codegen import get_host_cpu_features
 
 from .emitted import EMITTED, operands_of, spread
 from .program import CODES, NAMES, OPERANDS, VECTOR, Program
 
+config: Any = numba_config  # its names are made when it is read
 PIECE = 100  # instructions of a function: what LLVM takes grows faster than their number
 KIND = f"<{VECTOR} x double>"
 
