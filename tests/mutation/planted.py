@@ -312,8 +312,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "machine code reads the points of the first vector for all": Planted(
         "src/retrax/tape/machine.py",
-        "_read_all(inputs, sources[at : at + some], w, row, s, m)",
-        "_read_all(inputs, sources[at : at + some], w, row, 0, m)",
+        "_read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, s, m)",
+        "_read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, 0, m)",
         (f"{NATIVE}::test_any_number_of_points",),
     ),
     "machine code is made of tapes that run once": Planted(

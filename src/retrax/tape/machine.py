@@ -13,7 +13,7 @@ from numba import extending, types
 from numba.core import cgutils
 
 from ..kernels import kernel, kernel_part, pasted
-from ..linked import array
+from ..linked import array, view
 from .emitted import EMITTED, operands_of, spread
 from .program import CODES, FOUR, NAMES, OPERANDS, VECTOR, Program
 
@@ -300,7 +300,7 @@ def _read_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s: 
         elif length == 0:
             for j in range(m):
                 w[row + i, j] = data[begin + j * step]
-        i += max(length, 1)
+        i += length if length > 0 else 1
 
 
 @kernel_part()
@@ -321,7 +321,7 @@ def _write_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s:
         elif length == 0:
             for j in range(m):
                 data[begin + j * step] = w[row + i, j]
-        i += max(length, 1)
+        i += length if length > 0 else 1
 
 
 @pasted
@@ -393,11 +393,11 @@ def run(
                 _call(int(values[k]), w)
                 k += 1
             elif c in (READ, WRITE):  # so many, from a register and a place on
-                row, some, at = registers[k, 0], registers[k, 1], registers[k, 2]
+                row, some, at = np.int64(registers[k, 0]), np.int64(registers[k, 1]), np.int64(registers[k, 2])
                 if c == READ:
-                    _read_all(inputs, sources[at : at + some], w, row, s, m)
+                    _read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, s, m)
                 else:
-                    _write_all(outputs, targets[at : at + some], w, row, s, m)
+                    _write_all(outputs, view(targets, 2 * at, (some, 2)), w, row, s, m)
                 k += 1
             else:  # its own time hides the choice
                 o, x, y = registers[k, 0], registers[k, 1], registers[k, 2]
