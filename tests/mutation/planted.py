@@ -305,15 +305,15 @@ PLANTED: dict[str, Planted] = {
         (NATIVE,),
     ),
     "machine code writes what it reads": Planted(
-        "src/retrax/tape/machine.py",
+        "src/retrax/tape/transfers.py",
         "_write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k + j * step, step)",
         "_write_four(w, j, (k, k + 1, k + 2, k + 3), data, begin + k + j * step, step)",
         (NATIVE,),
     ),
     "machine code reads the points of the first vector for all": Planted(
         "src/retrax/tape/machine.py",
-        "_read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, s, m)",
-        "_read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, 0, m)",
+        "read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, s, m)",
+        "read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, 0, m)",
         (f"{NATIVE}::test_any_number_of_points",),
     ),
     "machine code is made of tapes that run once": Planted(
