@@ -46,16 +46,19 @@ MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: hori
 
 @final
 class Formulated:
-    """Solvers of the formulations of a problem, one for each kind of free quantities, made when they are asked for."""
+    """Solvers of the formulations of a problem, one for each kind of free quantities, made when they are asked for.
 
-    def __init__(self, reader: RequestReader, make: Callable[[Formulation], Any]) -> None:
-        self.reader, self._make = reader, make
+    ``at_guess``: the constant that stands for a free horizon, at its guess.
+    """
+
+    def __init__(self, reader: RequestReader, make: Callable[[Formulation], Any], at_guess: float = 1.0) -> None:
+        self.reader, self._make, self.at_guess = reader, make, at_guess
         self._made: dict[Kind, tuple[Formulation, Any]] = {}
         self._found: WeakKeyDictionary[Solution, tuple[Formulation, Any, Solution]] = WeakKeyDictionary()
 
     def on(self, reader: RequestReader, make: Callable[[Formulation], Any], steps: Any) -> "Formulated":
         """The same on another mesh."""
-        other = Formulated(reader, make)
+        other = Formulated(reader, make, self.at_guess)
         other._made = {
             kind: (formulation, solver.with_steps(steps)) for kind, (formulation, solver) in self._made.items()
         }
@@ -73,7 +76,7 @@ class Formulated:
         if kind not in self._made:
             example = self.reader.problem.with_parameters(all_guessed(parameters)).at_time(0.0)
             example.require_values()
-            formulation = Formulation(self.reader.problem, self.reader.method, kind)
+            formulation = Formulation(self.reader.problem, self.reader.method, kind, self.at_guess)
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]
 

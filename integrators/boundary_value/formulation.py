@@ -83,20 +83,21 @@ def is_formulated(problem: OptimalControlProblem, horizon: Any, parameters: Any)
 class Formulation:
     """The problem on ``Q x R^j x R`` with states ``(q, c, tau)`` that a problem with free quantities or a time is.
 
-    The constants ``c`` are the entries of the free parameters ``theta`` and ``1 + s``, ``s = log(T / T_0)``, ``T_0``
+    The constants ``c`` are the entries of the free parameters ``theta`` and ``c_0 + s``, ``s = log(T / T_0)``, ``T_0``
     the guess of the free horizon; they are free at both ends. The clock starts at 0. Over ``[0, T_0]``, with ``t = e^s
     tau``,
 
         q' = e^s X(q, u, t, theta),   c' = 0,   tau' = 1,   cost Phi_0(q(0), theta) + int e^s F dtau + Phi(q, t, theta),
 
-    so that ``T > 0`` without a bound, and the clock is right whatever ``s`` is. Its constant is one at the guess: that
-    is its size, beside which what it moves by may be rounding. The steps are those of the problem over
-    ``[0, T]``. Its costates are those of the problem, and its Hamiltonian is ``e^s H + p_tau``. Stationarity by ``s``
-    says that the mean of the Hamiltonian of a free horizon is zero, or what the terminal cost changes by with the time.
+    so that ``T > 0`` without a bound, and the clock is right whatever ``s`` is. ``c_0``, which is ``at_guess``, is one
+    where searches begin anew: that is its size, beside which what it moves by may be rounding. The steps are those of
+    the problem over ``[0, T]``. Its costates are those of the problem, and its Hamiltonian is ``e^s H + p_tau``.
+    Stationarity by ``s`` says that the mean of the Hamiltonian of a free horizon is zero, or what the terminal cost
+    changes by with the time.
     """
 
-    def __init__(self, problem: OptimalControlProblem, method: Method, kind: Kind) -> None:
-        self.own, self.kind = problem, kind
+    def __init__(self, problem: OptimalControlProblem, method: Method, kind: Kind, at_guess: float = 1.0) -> None:
+        self.own, self.kind, self.at_guess = problem, kind, at_guess
         self.constants = kind.entries + kind.horizon
         added = [Euclidean(self.constants)] if self.constants else []
         added += [Euclidean(1)] if problem.time_dependent else []
@@ -121,7 +122,7 @@ class Formulation:
     def guesses(self, horizon: Any, parameters: Any) -> np.ndarray:
         """The constants that are guessed."""
         leaves = jax.tree.leaves(parameters, is_leaf=is_free)
-        return np.concatenate([_rows(leaves, "guess"), np.ones(int(is_free(horizon)))])
+        return np.concatenate([_rows(leaves, "guess"), np.full(int(is_free(horizon)), self.at_guess)])
 
     def parameters(self, horizon: Any, parameters: Any) -> Any:
         """The parameters of the formulation: those that are not free, and the bounds; None if there are none."""
@@ -131,7 +132,7 @@ class Formulation:
         sides = ("lower", self.kind.below), ("upper", self.kind.above)
         below, above = (_rows(leaves, name)[list(entries)] for name, entries in sides)
         both = zip(self.kind.horizon_bounds, ("lower", "upper"), strict=True)
-        times = [1 + np.log(getattr(horizon, name) / horizon.guess) for bounded, name in both if bounded]
+        times = [self.at_guess + np.log(getattr(horizon, name) / horizon.guess) for bounded, name in both if bounded]
         bounds = np.concatenate([np.array(times, float), below, above])
         return [leaf for leaf in leaves if not is_free(leaf)], ([bounds] if bounds.size else [])
 
@@ -166,7 +167,7 @@ class Formulation:
     def solution(self, found: Solution, parameters: Any, interpolant: Interpolant) -> Solution:
         """The solution of the problem itself."""
         constants = found.states[1][0] if self.constants else np.zeros(0)
-        rate = np.exp(constants[-1] - 1) if self.kind.horizon else np.float64(1.0)
+        rate = np.exp(constants[-1] - self.at_guess) if self.kind.horizon else np.float64(1.0)
         clock = found.stage_costates[-1][:, 0] / rate if self.own.time_dependent else 0.0
         fixed = [np.array(leaf) for leaf in jax.tree.leaves(parameters, is_leaf=is_free) if not is_free(leaf)]
         states: Any = {
@@ -220,7 +221,7 @@ class Formulation:
 
     def rate(self, y: tuple) -> Any:
         """``e^s``, the time over that which is guessed."""
-        return jnp.exp(y[1][-1] - 1) if self.kind.horizon else 1.0
+        return jnp.exp(y[1][-1] - self.at_guess) if self.kind.horizon else 1.0
 
     def _at(self, y: tuple, given: Any) -> tuple[Ambient, OptimalControlProblem, Any]:
         """The state, the problem with its parameters and its time, and the rate of that."""

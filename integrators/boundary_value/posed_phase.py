@@ -48,7 +48,10 @@ class _Inner:
         self.reader = RequestReader(problem, method, mesh, evaluator)
         self.recording = Recording(problem, self.posing.stages, self.interpolant)
         self.examination = Examination(problem)
-        self.formulated = Formulated(self.reader, lambda own: _Inner(own.problem, own.method, fractions, evaluator))
+        # Zero: durations come from afar, where one that is one at its guess would pass through zero.
+        self.formulated = Formulated(
+            self.reader, lambda own: _Inner(own.problem, own.method, fractions, evaluator), 0.0
+        )
 
 
 @final
