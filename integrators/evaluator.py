@@ -255,7 +255,7 @@ class _Small:
     def __init__(self, tape: "Tape", code: "Program", registers: tuple[int, int], plan: _Plan) -> None:
         from ..tape.machine import run
 
-        self._tape, self._code, self._registers, self._plan = tape, code, registers, plan
+        self._tape, self._registers, self._plan = tape, registers, plan  # the tape keeps its code alive
         self._run = partial(run, code.codes, code.registers, code.values)
         self._numbers = plan.numbers[1]
         # Fields of a structure are views that are made in less time than slices.

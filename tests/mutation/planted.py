@@ -306,8 +306,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "machine code writes what it reads": Planted(
         "src/retrax/tape/transfers.py",
-        "_write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k + j * step, step)",
-        "_write_four(w, j, (k, k + 1, k + 2, k + 3), data, begin + k + j * step, step)",
+        "data[begin + j * step] = w[row + i, j]",
+        "data[begin + j * step] = w[i, j]",
         (NATIVE,),
     ),
     "machine code reads the points of the first vector for all": Planted(

@@ -77,46 +77,34 @@ def _beside(places: Any, i: int) -> int:
     return 0
 
 
-@kernel_part()
-def read_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s: int, m: int) -> None:
-    """Read inputs of ``m`` points from ``s`` on into the registers from ``row`` on."""
-    i, count = 0, places.shape[0]
-    while i < count:
-        step, length = places[i, 1], _beside(places, i) if m >= FOUR else 0
-        begin = places[i, 0] + s * step
-        for k in range(0, length, FOUR):
-            r = row + i + k
-            for first in range(0, m, FOUR):
-                j = min(first, m - FOUR)
-                _read_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k + j * step, step)
-        if length == 0 and step == 1:
-            for j in range(m):
-                w[row + i, j] = data[begin + j]
-        elif length == 0:
-            for j in range(m):
-                w[row + i, j] = data[begin + j * step]
-        i += length if length > 0 else 1
+def _all(write: bool) -> Any:
+    """What reads inputs, or writes outputs, that stand in registers one after the other: two kernels, as in one the
+    choice would be made anew for each number."""
+    four = _write_four if write else _read_four
+
+    @kernel_part()
+    def move(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s: int, m: int) -> None:
+        """Those of ``m`` points from ``s`` on, in the registers from ``row`` on."""
+        i, count = 0, places.shape[0]
+        while i < count:
+            step, length = places[i, 1], _beside(places, i) if m >= FOUR else 0
+            begin = places[i, 0] + s * step
+            for k in range(0, length, FOUR):
+                r = row + i + k
+                for first in range(0, m, FOUR):
+                    j = min(first, m - FOUR)
+                    four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k + j * step, step)
+            for j in range(m if length == 0 else 0):
+                if write:
+                    data[begin + j * step] = w[row + i, j]
+                else:
+                    w[row + i, j] = data[begin + j * step]
+            i += length if length > 0 else 1
+
+    return move
 
 
-@kernel_part()
-def write_all(data: np.ndarray, places: np.ndarray, w: np.ndarray, row: int, s: int, m: int) -> None:
-    """Write outputs of ``m`` points from ``s`` on, which stand in the registers from ``row`` on."""
-    i, count = 0, places.shape[0]
-    while i < count:
-        step, length = places[i, 1], _beside(places, i) if m >= FOUR else 0
-        begin = places[i, 0] + s * step
-        for k in range(0, length, FOUR):
-            r = row + i + k
-            for first in range(0, m, FOUR):
-                j = min(first, m - FOUR)
-                _write_four(w, j, (r, r + 1, r + 2, r + 3), data, begin + k + j * step, step)
-        if length == 0 and step == 1:
-            for j in range(m):
-                data[begin + j] = w[row + i, j]
-        elif length == 0:
-            for j in range(m):
-                data[begin + j * step] = w[row + i, j]
-        i += length if length > 0 else 1
+read_all, write_all = _all(write=False), _all(write=True)
 
 
 @pasted
