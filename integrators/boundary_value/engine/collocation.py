@@ -20,7 +20,7 @@ from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full
 from .extent import OF_POINTS
 from .inequalities import Held, Slacks, raised
 from .scaling import Units
-from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes, inequalities_of
+from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes, inequalities_of, is_kept
 
 
 class GaussUnknowns(NamedTuple):
@@ -115,7 +115,7 @@ class Collocation:
         if self.at_nodes:
             return None
         known = self._trial
-        if known is None or known[0] != count or not (known[1] is None or known[1].is_current):
+        if known is None or not is_kept(known, count):
             from .collocation_trial import CollocationTrial
 
             known = self._trial = count, CollocationTrial.of(self, nodes, count)

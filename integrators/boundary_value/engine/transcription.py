@@ -96,6 +96,11 @@ Paid = tuple[Terminal | None, Terminal | None]  # what the first and the last no
 AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and costates
 
 
+def is_kept(known: tuple[int, Any], count: int) -> bool:
+    """Whether what is known is the pass for so many steps, or that there is none, and its tapes are as they are now."""
+    return known[0] == count and (known[1] is None or known[1].is_current)
+
+
 @final
 class OneStage:
     """The steps of a discretization map: unknowns ``(x, u)``, tangent vector ``h X(x, u)``.
@@ -135,7 +140,7 @@ class OneStage:
     def trial(self, nodes: "Nodes", count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
         known = self._trial
-        if known is None or known[0] != count or not (known[1] is None or known[1].is_current):
+        if known is None or not is_kept(known, count):
             from .one_stage_trial import OneStageTrial
 
             known = self._trial = count, OneStageTrial.of(self, nodes, count)
