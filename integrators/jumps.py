@@ -9,7 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from .program_keys import CALLS, outputs_of, value_of
+from ..equations import expansion, scan_parts
+from .program_keys import called, outputs_of, value_of
 
 WHOLE = "a whole number"
 STEPS = {
@@ -48,7 +49,8 @@ def _dependent(jaxpr: Any) -> Iterator[Any]:
             continue
         known.update(map(id, equation.outvars))
         yield equation
-        for inner in jax.tree.leaves(list(equation.params.values()), is_leaf=lambda leaf: hasattr(leaf, "eqns")):
+        params = [*equation.params.values(), expansion(equation)]
+        for inner in jax.tree.leaves(params, is_leaf=lambda leaf: hasattr(leaf, "eqns")):
             if hasattr(inner, "eqns"):
                 yield from _dependent(getattr(inner, "jaxpr", inner))
 
@@ -81,8 +83,8 @@ def _run(closed: Any, arguments: list[Any], found: list[Margins]) -> list[Any]:
         inputs, name = [value_of(known, v) for v in equation.invars], equation.primitive.name
         if name in STEPS and jnp.issubdtype(jnp.result_type(inputs[0]), jnp.floating):
             found.extend(_margin(equation, inputs))
-        if name in CALLS:
-            outputs = _run(equation.params[CALLS[name]], inputs, found)
+        if (inner := called(equation)) is not None:
+            outputs = _run(inner, inputs, found)
         elif name == "scan":
             outputs = _scanned(equation.params, inputs, found)
         else:
@@ -96,14 +98,13 @@ def _run(closed: Any, arguments: list[Any], found: list[Margins]) -> list[Any]:
 
 def _scanned(params: dict[str, Any], inputs: list[Any], found: list[Margins]) -> list[Any]:
     """The outputs of a loop, and the margins of all rounds."""
-    held, first = params["num_consts"], params["num_carry"]
+    fixed, begin, each = scan_parts(params, inputs)
 
     def body(carry: list[Any], x: list[Any]) -> tuple[list[Any], Any]:
         own: list[Margins] = []
-        outputs = _run(params["jaxpr"], [*inputs[:held], *carry, *x], own)
-        return outputs[:first], (outputs[first:], own)
+        outputs = _run(params["jaxpr"], [*fixed, *carry, *x], own)
+        return outputs[: len(begin)], (outputs[len(begin) :], own)
 
-    begin, each = inputs[held : held + first], inputs[held + first :]
     carry, (rows, own) = jax.lax.scan(body, begin, each, params["length"], params["reverse"])
     found.extend(own)
     return [*carry, *rows]

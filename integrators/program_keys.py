@@ -12,6 +12,8 @@ import numpy as np
 from jax.core import ShapedArray
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, jaxpr_as_fun
 
+from ..equations import expansion, scan_parts
+
 # Rules of derivatives, which a program that is not differentiated any more does not run; they are made anew in every
 # trace.
 UNUSED = {
@@ -21,6 +23,8 @@ UNUSED = {
 }
 # Of a program each.
 CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+# How the inputs and outputs of a loop are parted in JAX 0.11 and later, objects of its own; `scan_parts` reads them.
+PARTED = {"ft_in", "ft_out"}
 PLAIN = bool | int | float | complex | str | bytes | None
 # No device is asked for.
 NOWHERE = "UnspecifiedValue", "Mesh(axis_sizes=(), axis_names=())", "AbstractMesh((), axis_types=())"
@@ -44,6 +48,12 @@ def content_key(closed: ClosedJaxpr, differentiated: bool = False) -> bytes | No
     writer = _Writer()
     key = _digest(writer.value(closed))
     return None if writer.foreign or (differentiated and writer.has_rules) else key
+
+
+def called(equation: Any) -> Any:
+    """The program, a closed jaxpr, that an equation calls; None for one that calls none, or has several."""
+    name = equation.primitive.name
+    return equation.params[CALLS[name]] if name in CALLS else expansion(equation)
 
 
 def value_of(known: dict[Any, Any], variable: Any) -> Any:
@@ -87,7 +97,8 @@ class _Writer:
             numbers.update(zip(eqn.outvars, count, strict=False))
             unused = UNUSED.get(name, ())
             self.has_rules |= name in UNUSED
-            params = [(k, self.value(v)) for k, v in eqn.params.items() if k not in unused]
+            params = [(k, self.value(v)) for k, v in eqn.params.items() if k not in unused and k not in PARTED]
+            params += [("parts", list(map(len, scan_parts(eqn.params, inputs))))] if name == "scan" else []
             lines.append((name, inputs, [self._kind(v.aval) for v in eqn.outvars], params, self._kind(eqn.ctx)))
         lines.append([read(v) for v in jaxpr.outvars])
         return _digest(lines)
@@ -122,6 +133,8 @@ class _Writer:
             return _content(value)
         if isinstance(value, ShapedArray) or _is_nowhere(value):
             return self._kind(value)
+        if _is_high(value):
+            return type(value).__name__, self.value(value.params)
         self.foreign = True
         return "unknown", next(_serial)
 
@@ -129,6 +142,12 @@ class _Writer:
 def _is_nowhere(value: Any) -> bool:
     """Whether this is JAX's word for a place or a layout that nobody chose."""
     return type(value).__module__.startswith("jax.") and any(words in repr(value) for words in NOWHERE)
+
+
+def _is_high(value: Any) -> bool:
+    """Whether this is a primitive of JAX that is an object, whose class and parameters say all of it."""
+    kinds = type(value).__mro__
+    return kinds[0].__module__.startswith("jax.") and any(kind.__name__ == "HiPrim" for kind in kinds)
 
 
 def _content(value: Any) -> tuple[str, str, bytes]:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..equations import name_of
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
@@ -26,6 +27,10 @@ MADE_BY = {
     "stop_gradient": "jax.lax.stop_gradient",
     "custom_jvp_call": "jax.custom_jvp",
     "custom_vjp_call": "jax.custom_vjp",
+    # Since JAX 0.11.
+    "CustomJVPTraced": "jax.custom_jvp",
+    "CustomVJPTraced": "jax.custom_vjp",
+    "CustomRoot": "jax.lax.custom_root",
 }
 SPANS = 10.0 ** np.arange(-11.5, 1.0)  # of the sizes of coordinates: how far the functions are looked at
 MOVE = 1e-3  # of these sizes: not where a user begins, which may be at a kink
@@ -117,7 +122,7 @@ def _words(problem: "OptimalControlProblem", q: Ambient, lines: Any, found: list
 
 def own_rules(function: Any, *arguments: Any) -> list[str]:
     """What a function computes from its arguments that has a rule of its own for derivatives, or none, each once."""
-    rules = (MADE_BY.get(equation.primitive.name) for equation in dependent(function, *arguments))
+    rules = (MADE_BY.get(name_of(equation)) for equation in dependent(function, *arguments))
     return list(dict.fromkeys(filter(None, rules)))
 
 

@@ -32,10 +32,9 @@ def test_an_attribute_is_what_the_subclass_says(thing):
 
 def test_an_object_without_its_attributes_is_not_made():
     for kind, words in ((Plane, "ambient, dimension"), (Step, "manifold"), (WithoutManifold, "manifold")):
-        with pytest.raises(
-            TypeError, match=f"Can't instantiate abstract class {kind.__name__} with abstract methods? {words}"
-        ):
+        with pytest.raises(TypeError, match=f"Can't instantiate abstract class {kind.__name__} with") as caught:
             kind()
+        assert str(caught.value).replace("'", "").endswith(words)  # Python 3.12 and later quote each of them
     with pytest.raises(TypeError, match="missing 1 required positional argument: 'ambient'"):
         PlaneByFields(2)
 

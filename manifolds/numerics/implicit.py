@@ -34,9 +34,11 @@ def implicit_root(
     ``inverse`` is an approximate inverse Jacobian to begin with. Derivatives are those with respect to what
     ``residual`` closes over.
     """
-    closed = jax.make_jaxpr(residual)(first)
+    closed: Any = jax.make_jaxpr(residual)(first)
     begin = [first, *([] if inverse is None else [inverse])]
-    root, converged = _root.bind(*begin, *closed.consts, jaxpr=closed.jaxpr, begin=len(begin), known=known, axes=())
+    # Since JAX 0.11 a program without its constants is of the same class as one that has them.
+    jaxpr = closed.with_consts([]) if hasattr(closed, "with_consts") else closed.jaxpr
+    root, converged = _root.bind(*begin, *closed.consts, jaxpr=jaxpr, begin=len(begin), known=known, axes=())
     return root, converged
 
 

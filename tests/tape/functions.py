@@ -14,8 +14,14 @@ SMOOTH = {
     "hyperbolic": lambda x: jnp.sinh(x) + jnp.cosh(x) * jnp.tanh(x),
     "inverse hyperbolic": lambda x: jnp.arcsinh(x) + jnp.arccosh(2 + x) * jnp.arctanh(x / 2),
     "exponential": lambda x: jnp.exp(x) * jnp.log(1 + x) + jnp.exp2(x) + jnp.expm1(x) * jnp.log1p(x),
+    "logarithms": lambda x: jnp.log2(1 + x) * jnp.real(jnp.log2(1 + _pair(x)[0])),
     "roots": lambda x: jnp.sqrt(1 + x) + jax.lax.rsqrt(2 + x) + jnp.cbrt(1 + x) + jnp.square(x),
     "powers": lambda x: x**3 + (1 + x) ** 2.5 + x**-2 + (1 + x) ** x[0],
+    "polynomials": lambda x: (
+        jnp.polyval(jnp.array([2.0, 0.0, -1.0, 3.0]), x) * jnp.polyval(x, x[0])
+        + jnp.polyval(jnp.array([3.0]), x)
+        + jnp.real(jnp.polyval(_pair(x), 1 + 2j * x))
+    ),
     "error function": jax.scipy.special.erf,
     "logistic": lambda x: jax.nn.sigmoid(x) + jax.nn.softplus(x) + jax.nn.silu(x) + jax.nn.softmax(x),
     "log-sum-exp": lambda x: jax.scipy.special.logsumexp(x) + jnp.logaddexp(x[0], x[1]),
@@ -83,7 +89,8 @@ SMOOTH = {
     "qr": lambda x: jnp.linalg.qr(_matrix(x)[:, :2], mode="complete")[0][2] + jnp.linalg.qr(_matrix(x))[1][0],
     "stopped": lambda x: jax.lax.stop_gradient(x**2) * x,
     "gradient inside": lambda x: (
-        jax.grad(lambda y: jnp.sum(y * y[0]) + jnp.sum(y**3))(x) * jnp.searchsorted(x, 0.5, side="right")
+        jax.grad(lambda y: jnp.sum(y * y[0]) + jnp.sum(y**3) + jnp.sum(jnp.arcsin(y / 2)))(x)
+        * jnp.searchsorted(x, 0.5, side="right")
     ),
     "remat": lambda x: jax.checkpoint(jnp.sin)(x) * x,
     "relu": lambda x: jax.nn.relu(x - 0.5) + jax.nn.leaky_relu(x),

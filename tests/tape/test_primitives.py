@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax.equations import expansion
 from retrax.tape import Tape
 from retrax.tape.elementwise import KINDS
 from retrax.tape.linear import LINEAR
@@ -71,13 +72,16 @@ def primitives(jaxpr, found):
     for eqn in jaxpr.eqns:
         found.add(eqn.primitive.name)
         for value in jax.tree.leaves(
-            list(eqn.params.values()), is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")
+            [*eqn.params.values(), expansion(eqn)], is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")
         ):
             if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
                 primitives(getattr(value, "jaxpr", value), found)
     return found
 
 
+NEWER = {"log2", "one_minus_square", "polynomial"}  # since JAX 0.11
+
+
 def test_every_rule_is_used_by_one_of_these_functions():
     used = set().union(*(primitives(jax.make_jaxpr(f)(POINTS[:, 0]).jaxpr, set()) for f, _ in CASES.values()))
-    assert {*MOVES, *LINEAR, *KINDS} - used == set()
+    assert {*MOVES, *LINEAR, *KINDS} - used == (NEWER if jax.__version_info__ < (0, 11) else set())

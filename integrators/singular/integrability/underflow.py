@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ...program_keys import CALLS, outputs_of, value_of
+from ...program_keys import called, outputs_of, value_of
 
 
 def _vanishes(out: Array, *_: Array) -> Array:
@@ -54,8 +54,7 @@ def _evaluate(jaxpr: Any, constants: Any, arguments: list[Any]) -> tuple[list[An
     lost = jnp.zeros((), bool)
     for equation in jaxpr.eqns:
         values, name = [value_of(known, v) for v in equation.invars], equation.primitive.name
-        if name in CALLS:
-            inner = equation.params[CALLS[name]]
+        if (inner := called(equation)) is not None:
             results, within = _evaluate(inner.jaxpr, inner.consts, values)
             lost |= within
         else:

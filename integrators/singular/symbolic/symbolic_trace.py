@@ -4,6 +4,7 @@ import math
 import operator
 from collections.abc import Callable
 from fractions import Fraction
+from functools import reduce
 from typing import Any
 
 import jax
@@ -14,7 +15,7 @@ import sympy
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.errors import TRACEABLE
 from ....reading import traced
-from ...program_keys import CALLS
+from ...program_keys import called
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
 MOVES: dict[str, tuple[int, ...] | None] = {
@@ -67,6 +68,10 @@ ENTRYWISE: dict[str, Callable[..., Any]] = {
     "expm1": lambda a: sympy.exp(a) - 1,
     "log": sympy.log,
     "log1p": lambda a: sympy.log(1 + a),
+    # Of JAX 0.11 and later.
+    "log2": lambda a: sympy.log(a) / sympy.log(2),
+    "one_minus_square": lambda a: 1 - a**2,
+    "polynomial": lambda a, *c: reduce(lambda value, b: value * a + b, c[-2::-1], c[-1]),
 }
 REDUCTIONS = {"reduce_sum": np.sum, "reduce_prod": np.prod}
 
@@ -101,8 +106,7 @@ def _evaluate(jaxpr: Any, constants: Any, arguments: list[Any]) -> list[Any]:
 
 def _apply(equation: Any, values: list[Any]) -> list[Any]:
     name, parameters = equation.primitive.name, equation.params
-    if name in CALLS:
-        inner = parameters[CALLS[name]]
+    if (inner := called(equation)) is not None:
         return _evaluate(inner.jaxpr, inner.consts, values)
     if not any(_is_exact(value) for value in values):
         result = equation.primitive.bind(*map(jnp.asarray, values), **parameters)

@@ -83,6 +83,7 @@ REAL: dict[str, Function] = {
     "le": lambda x, y: x <= y,
     "log": ca.log,
     "log1p": ca.log1p,
+    "log2": lambda x: ca.log(x) / np.log(2.0),
     "logistic": _logistic,
     "lt": lambda x, y: x < y,
     "lt_to": lambda x, y: x < y,
@@ -92,6 +93,8 @@ REAL: dict[str, Function] = {
     "ne": _unequal,
     "eq": _equal,
     "neg": lambda x: -x,
+    "one_minus_square": lambda x: (1 + x) * (1 - x),
+    "polynomial": lambda x, *c: reduce(lambda value, a: value * x + a, c[-2::-1], c[-1]),
     "pow": lambda x, y: x**y,
     "real": lambda x: x,
     "rem": ca.fmod,
@@ -136,6 +139,10 @@ def _complex(name: str, pairs: list[tuple[Entries, Entries]]) -> Entries:
 Pair = tuple[ca.SX, ca.SX]
 
 
+def _sum(x: Pair, y: Pair) -> Pair:
+    return x[0] + y[0], x[1] + y[1]
+
+
 def product(x: Pair, y: Pair) -> Pair:
     """Product of complex numbers."""
     return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]
@@ -155,8 +162,8 @@ def _exponential(x: Pair) -> Pair:
 # Functions of complex arrays of one shape, as pairs.
 _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
     "abs": lambda x: ca.sqrt(x[0] * x[0] + x[1] * x[1]),
-    "add": lambda x, y: (x[0] + y[0], x[1] + y[1]),
-    "add_any": lambda x, y: (x[0] + y[0], x[1] + y[1]),
+    "add": _sum,
+    "add_any": _sum,
     "conj": lambda x: (x[0], -x[1]),
     "copy": lambda x: x,
     "div": _quotient,
@@ -164,9 +171,11 @@ _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
     "exp": _exponential,
     "imag": lambda x: x[1],
     "log": lambda x: (ca.log(x[0] * x[0] + x[1] * x[1]) / 2, ca.atan2(x[1], x[0])),
+    "log2": lambda x: (ca.log(x[0] * x[0] + x[1] * x[1]) / np.log(4.0), ca.atan2(x[1], x[0]) / np.log(2.0)),
     "mul": product,
     "ne": lambda x, y: ca.logic_or(_unequal(x[0], y[0]), _unequal(x[1], y[1])),
     "neg": lambda x: (-x[0], -x[1]),
+    "polynomial": lambda x, *c: reduce(lambda value, a: _sum(product(value, x), a), c[-2::-1], c[-1]),
     "real": lambda x: x[0],
     "square": lambda x: product(x, x),
     "sub": lambda x, y: (x[0] - y[0], x[1] - y[1]),

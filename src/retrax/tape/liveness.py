@@ -4,12 +4,14 @@ from typing import Any
 
 from jax.extend.core import Literal
 
+from ..equations import expansion
+
 CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint"}
 
 
 def called(eqn: Any) -> Any:
     """The jaxpr that an equation calls, closed or not."""
-    return eqn.params.get("jaxpr") or eqn.params.get("call_jaxpr") or eqn.params.get("fun_jaxpr")
+    return eqn.params.get("jaxpr") or eqn.params.get("call_jaxpr") or eqn.params.get("fun_jaxpr") or expansion(eqn)
 
 
 def opened(jaxpr: Any) -> Any:

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
+from ..equations import HIGH, name_of, scan_parts
 from ..reading import traced
 from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, is_known, parts, scalars, taken
 from .elementwise import elementwise, select_n
@@ -19,6 +20,7 @@ from .linear import LINEAR, inverse
 from .liveness import CALLS, called, needed, opened
 from .moves import MOVES, stacked
 
+BACKWARD = {"custom_vjp_call", "CustomVJPTraced"}  # what has a rule in reverse mode only
 LONGEST_LOOP = 1000  # iterations of a loop that is written out
 
 
@@ -44,11 +46,13 @@ class Tracer:
         return self.run(opened(jaxpr), getattr(jaxpr, "consts", ()), arguments, wanted)
 
     def _equation(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
-        name, params = eqn.primitive.name, eqn.params
+        name, params = name_of(eqn), eqn.params
         if name in CALLS:
             return self.closed(called(eqn), arrays, wanted)
         if name in _CONTROL:
             return _CONTROL[name](self, eqn, arrays)
+        if eqn.primitive.name == HIGH:
+            return self._custom(eqn, arrays)
         if name in MOVES:
             return _as_list(MOVES[name](params, *arrays))
         if is_known(*arrays):
@@ -65,8 +69,7 @@ class Tracer:
     def _scan(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         params, length = eqn.params, eqn.params["length"]
         _require_short("scan", length)
-        split = params["num_consts"], params["num_consts"] + params["num_carry"]
-        fixed, carry, along = arrays[: split[0]], arrays[split[0] : split[1]], arrays[split[1] :]
+        fixed, carry, along = scan_parts(params, arrays)
         rows: dict[int, list[Entries]] = {}
         for k in reversed(range(length)) if params["reverse"] else range(length):
             out = self.closed(params["jaxpr"], [*fixed, *carry, *(_row(a, k) for a in along)])
@@ -142,7 +145,7 @@ class Tracer:
         """A function with a derivative of its own, which JAX knows."""
         values = self.closed(called(eqn), arrays)
         if any(is_complex(a) for a in (*arrays, *values)):
-            raise NotTraceableError(eqn.primitive.name, "here of complex numbers")
+            raise NotTraceableError(name_of(eqn), "here of complex numbers")
         varying = [k for k, a in enumerate(arrays) if isinstance(a, Scalars) and _is_real(eqn.invars[k])]
         smooth = [k for k, v in enumerate(values) if isinstance(v, Scalars) and _is_real(eqn.outvars[k])]
         if not varying or not smooth:
@@ -158,7 +161,7 @@ class Tracer:
 
     def _slope(self, eqn: Any, arrays: list[Entries], varying: list[int], smooth: list[int]) -> ca.SX:
         """Derivative of the values ``smooth`` of a function by its arguments ``varying``, by its own rule."""
-        call, forward = _function(eqn), "jvp" in eqn.primitive.name
+        call, forward = _function(eqn), name_of(eqn) not in BACKWARD
 
         def image(arguments: list[Any], directions: list[Any]) -> Any:
             def inner(*moving: Any) -> list[Any]:
