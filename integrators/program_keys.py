@@ -22,7 +22,9 @@ UNUSED = {
     "custom_vjp_call_jaxpr": {"fwd_jaxpr_thunk", "bwd"},
 }
 # Of a program each.
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+CALLS = {"jit": "jaxpr", "pjit": "jaxpr"} | dict.fromkeys(
+    ("custom_jvp_call", "custom_vjp_call", "eval_jaxpr"), "call_jaxpr"
+)
 # How the inputs and outputs of a loop are parted in JAX 0.11 and later, objects of its own; `scan_parts` reads them.
 PARTED = {"ft_in", "ft_out"}
 PLAIN = bool | int | float | complex | str | bytes | None

@@ -6,7 +6,7 @@ from jax.extend.core import Literal
 
 from ..equations import expansion
 
-CALLS = {"jit", "pjit", "closed_call", "core_call", "remat", "remat2", "checkpoint"}
+CALLS = {"jit", "pjit", "closed_call", "core_call", "eval_jaxpr", "remat", "remat2", "checkpoint"}
 
 
 def called(eqn: Any) -> Any:
