@@ -166,23 +166,24 @@ def test_a_callback_sees_the_whole_batch(in_parts):
     assert not in_parts
 
 
+@pytest.mark.parametrize("locked", [0.01, 4.0])
 @pytest.mark.parametrize("count", [1, 7, 8, 9, 16, 100, 1000])
-def test_parts_are_all_items_in_their_order(count, monkeypatch):
+def test_parts_are_all_items_in_their_order_and_as_many_as_are_fast(count, locked, monkeypatch):
     for processors in (1, 2, 3, 64):
         monkeypatch.setattr("os.cpu_count", lambda processors=processors: processors)
-        parts = parts_of(count, 4, 100)
+        parts = parts_of(count, locked, 100)
         assert [k for part in parts for k in part] == list(range(count))
-        sizes = [len(part) for part in parts]
-        assert max(sizes) <= 100
-        assert len(parts) == 1 or min(sizes) >= 4
-        assert len(parts) >= min(processors, count // 4)
+        assert max(map(len, parts)) <= 100
+        if len(parts) <= processors:
+            times = [count / n + locked * n for n in range(1, min(processors, count) + 1)]
+            assert times[len(parts) - 1] <= 1.1 * min(times) or len(parts) == -(-count // 100)
         with one_thread():
-            assert parts_of(count, 4, 100) == [range(count)]
+            assert parts_of(count, locked, 100) == [range(count)]
 
 
 def test_the_system_is_not_asked_for_processors_where_there_is_one_part(monkeypatch):
     monkeypatch.setattr("os.cpu_count", None)
-    assert parts_of(7, 4, 100) == [range(7)]
+    assert parts_of(7, 4.0, 100) == [range(7)]
 
 
 IN_A_FORK = """

@@ -11,8 +11,8 @@ from ....threads import on_its_own, parts_of
 from .found import Found
 from .newton import newton
 
-# Points of a part: with fewer, threads wait for one another in Python; the numbers of more do not stay in a cache.
-FEWEST, MOST = 1000, 16_000
+LOCKED = 400.0  # points that take as long as what a part does under Python's lock
+MOST = 16_000  # points of a part: the numbers of more do not stay in a cache
 
 
 def newton_in_parts(
@@ -20,7 +20,7 @@ def newton_in_parts(
 ) -> Found:
     """What ``newton`` finds; ``shape``: number of members, and of the points of each."""
     count, points = shape
-    if count == 1 or len(parts := parts_of(count, -(-FEWEST // points), max(1, MOST // points))) == 1:
+    if count == 1 or len(parts := parts_of(count, LOCKED / points, max(1, MOST // points))) == 1:
         return newton(conditions, guess, tolerance, max_iterations)
     stop = Event()
 
