@@ -50,7 +50,7 @@ class _KernelOfVectors(_Kernel):
     """Code whose vectors are its own: its loops are short, and to write them out takes longer than it gains."""
 
     def _passes(self) -> tuple[Any, Any]:
-        options = binding.create_pipeline_tuning_options(speed_level=2)
+        options = binding.create_pipeline_tuning_options(speed_level=1)
         options.loop_vectorization = options.slp_vectorization = False
         options.loop_interleaving = options.loop_unrolling = False
         builder = binding.create_pass_builder(self._codegen._tm, options)
