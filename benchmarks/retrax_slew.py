@@ -44,10 +44,10 @@ class RetraxSlew:
     """The slew by Gauss collocation with some stages, one being the midpoint scheme; built once, ``solve`` for any
     target."""
 
-    def __init__(self, steps, stages=1, tolerance=1e-8, inertia=INERTIA, torque_limit=None):
+    def __init__(self, steps, stages=1, tolerance=1e-8, inertia=INERTIA, torque_limit=None, evaluator="automatic"):
         method = Midpoint(RETRACTION) if stages == 1 else Gauss(stages, RETRACTION)
         self.steps, self.stages, self.tolerance = steps, stages, tolerance
-        self.solver = Solver(slew_problem(inertia, torque_limit), method, steps)
+        self.solver = Solver(slew_problem(inertia, torque_limit), method, steps, evaluator=evaluator)
         self.start, self.end = at_rest(np.eye(3)), at_rest(turns(np.array([ANGLE]), AXIS[None])[0])
 
     def solve(self, end=None):

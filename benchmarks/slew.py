@@ -15,6 +15,7 @@ in one run, calls taken in turns; medians. One JSON line a case.
 - ``cold``: a new process from its start to the first solution, and its peak memory.
 - ``many``: 1024 slews from the identity, by 30 to 170 degrees about random axes, each to an attitude error of 1e-6 rad
   as propagated (``repropagation.py``), by collocation of order 6 and 8: ours at once, FATROP one after the other.
+- ``device``, only if it is asked for: the same by ours alone, by the tape and by XLA where that computes, as on a GPU.
 - ``batch``: 256 such slews in 100 midpoint steps with each torque within 12 N m, all at once; how many are solved.
 - ``long``: time per step from 100 to 10 000 steps.
 """
@@ -37,6 +38,7 @@ LIMIT, STRONG, OF_A_BATCH = 10.0, 50.0, 12.0  # N m
 BATCH = 256  # slews
 COUNT, LARGEST_ERROR = 1024, 1e-6  # slews; rad
 STAGES, FEW = (3, 4), (4, 5, 6, 8, 10, 12, 16, 20)  # of collocation; the fewest steps that reach the error are taken
+ON_DEVICE = 5  # steps of the slews that XLA computes too, as in `many`
 MOST = 0.99  # of the slews that reach it: a solver that ends elsewhere from some guess does so with any number of steps
 
 
@@ -275,6 +277,32 @@ def many():
     return {"case": f"{COUNT} slews", **rows}
 
 
+def device(repeats):
+    """Milliseconds a slew of the same, four stages, by the tape and by XLA where that computes; seconds of the first
+    call; how many reach the error."""
+    import jax
+    import numpy as np
+    from retrax_slew import HORIZON, RetraxSlew, at_rest, polynomials, turns
+
+    angles, axes = random_targets()
+    start, ends, rows = at_rest(np.eye(3)), at_rest(turns(angles, axes)), {}
+    for evaluator in ("tape", "xla"):
+        solver = RetraxSlew(ON_DEVICE, 4, TOLERANCE, evaluator=evaluator).solver
+
+        def call(solver=solver):
+            return solver.solve_many(start, ends, HORIZON, tolerance=TOLERANCE)
+
+        first = timed(call)
+        torques = [polynomials(s.require_success().times, s.stage_times, s.controls) for s in call()]
+        solver.compile()
+        rows[evaluator] = {
+            "first_s": round(first, 1),
+            "ms_each": round(1e3 * statistics.median(timed(call) for _ in range(repeats)) / COUNT, 3),
+            "reached": sum(error <= LARGEST_ERROR for error in errors(torques, angles, axes)),
+        }
+    return {"case": f"{COUNT} slews", "device": str(jax.devices()[0]), "processors": os.cpu_count(), **rows}
+
+
 def batch(repeats):
     """Milliseconds a slew of a batch with limited torques."""
     import numpy as np
@@ -308,7 +336,7 @@ def long(repeats):
 def main():
     """Print one JSON line for each case."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--only", nargs="+", choices=CASES, default=CASES)
+    parser.add_argument("--only", nargs="+", choices=(*CASES, "device"), default=CASES)
     parser.add_argument("--steps", type=int, nargs="+", default=[100, 200, 400])
     parser.add_argument("--repeats", type=int, default=21)
     parser.add_argument(COLD, choices=["retrax", "ipopt", "fatrop"], help=argparse.SUPPRESS)
@@ -324,6 +352,7 @@ def main():
         ("new", lambda: new_problem(few)),
         ("cold", lambda: cold(few)),
         ("many", many),
+        ("device", lambda: device(few)),
         ("batch", lambda: batch(few)),
         ("long", lambda: long(few)),
     ]

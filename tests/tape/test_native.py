@@ -86,6 +86,7 @@ def test_any_number_of_points(count):
     equal(*both(tape, draw((4, 4, count)), draw((4, 4, count)), draw(count)))
 
 
+@pytest.mark.long("1", "2")
 @pytest.mark.parametrize("size", [1, 2, 3, 10, 33, 100, 10_000])
 def test_pieces_of_any_length(size, monkeypatch):
     """From an instruction to all of them: what one piece leaves to others stands where these look for it."""
