@@ -8,7 +8,7 @@ from .coupled import Own
 from .engine.found import Found
 from .engine.joint import JointConditions
 from .engine.newton import newton
-from .engine.parallel import newton_in_parts
+from .engine.parallel import newton_of_all
 from .independence import equation_words, qualified, require_independent
 
 
@@ -31,7 +31,7 @@ def _found(posed: Any, conditions: Any, guess: Any, options: Options) -> Found:
     if options.callback is not None or posed.traced.evaluator.name != "tape":
         return newton(conditions, guess, *options)
     steps, shape = posed.traced.steps, posed.conditions.data.steps.shape
-    return newton_in_parts(conditions, guess, (shape[0], shape[1] * steps.stages), *options[:2])
+    return newton_of_all(conditions, guess, (shape[0], shape[1] * steps.stages), *options[:2])
 
 
 def phase_of(found: Found, k: int, phases: Sequence[Own]) -> Found:

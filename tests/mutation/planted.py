@@ -8,6 +8,7 @@ CONDENSING = f"{TESTS}/engine/test_condensing.py"
 ELIMINATION = f"{TESTS}/engine/test_elimination.py"
 BARRIERS = f"{TESTS}/engine/test_barrier.py"
 TRIAL = f"{TESTS}/engine/test_trial.py"
+ARRIVALS = f"{TESTS}/engine/test_arrivals.py"
 PURSUIT = f"{TESTS}/engine/test_pursuit.py"
 ACCEPTANCE = f"{TESTS}/engine/test_acceptance.py"
 SCALING = f"{TESTS}/engine/test_scaling.py"
@@ -504,10 +505,35 @@ PLANTED: dict[str, Planted] = {
         "arrays: Any = [own._replace(stopped=None) for _, own in found[::-1]]",
         (f"{TESTS}/test_parts_of_a_batch.py",),
     ),
+    "members that arrive in passes come before all others": Planted(
+        f"{ENGINE}/parallel.py",
+        "return taken(joined(arrays), order)._replace(stopped=left.stopped)",
+        "return joined(arrays)._replace(stopped=left.stopped)",
+        (ARRIVALS,),
+    ),
+    "members that arrive in passes have the units of others": Planted(
+        f"{ENGINE}/parallel.py",
+        "conditions.adopt([there, others], order)",
+        "conditions.adopt([others, there], order)",
+        (ARRIVALS,),
+    ),
+    "what is kept of a pass is not where it has arrived": Planted(
+        f"{ENGINE}/trial.py",
+        "kept.numbers[k] = places[(trials[k] - 1) % 2].numbers",
+        "kept.numbers[k] = places[trials[k] % 2].numbers",
+        (ARRIVALS,),
+    ),
+    "a residual that is rounding ends a pass though its step is long": Planted(
+        f"{ENGINE}/pursuit_kernels.py",
+        "if arrived and not _settled(standing, given, written, rows, rules[4], rules[8][1]):",
+        "if arrived and numbers[8, 0] > rules[5] and not _settled("
+        "standing, given, written, rows, rules[4], rules[8][1]):",
+        (f"{TESTS}/engine/test_pursuit.py",),
+    ),
     "members of all parts have the units of the first": Planted(
         f"{ENGINE}/conditions.py",
-        "self.units, self.barrier = joined([own.units for own in parts]), joined([own.barrier for own in parts])",
-        "self.units, self.barrier = joined([parts[0].units for own in parts]), joined([own.barrier for own in parts])",
+        "every = [own.units for own in parts], [own.barrier for own in parts], wide",
+        "every = [parts[0].units for own in parts], [own.barrier for own in parts], wide",
         (f"{TESTS}/test_parts_of_a_batch.py::test_limited_slews_are_the_same_in_parts",),
     ),
     "the rounding of one unknown ends the search for others": Planted(

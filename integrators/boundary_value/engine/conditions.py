@@ -6,7 +6,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ....manifolds.numerics.ambient import joined
+from ....manifolds.numerics.ambient import joined, taken
 from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier
 from .beginning import in_units, started
@@ -62,11 +62,11 @@ class Conditions:
         barrier = None if self.barrier is None else Barrier(*(leaf[members] for leaf in self.barrier))
         return Conditions(self.transcription, self.at_nodes, ends, data, units, barrier, wider)
 
-    def adopt(self, parts: Sequence["Conditions"]) -> None:
-        """Take the units of parts whose members are all of these, in their order."""
-        self.units, self.barrier = joined([own.units for own in parts]), joined([own.barrier for own in parts])
-        wider = any(own.wider is not None for own in parts)
-        self.wider = joined([own.measured for own in parts]) if wider else None
+    def adopt(self, parts: Sequence["Conditions"], order: np.ndarray) -> None:
+        """Take the units of parts whose members are all of these, in this order."""
+        wide = [own.measured for own in parts] if any(own.wider is not None for own in parts) else None
+        every = [own.units for own in parts], [own.barrier for own in parts], wide
+        self.units, self.barrier, self.wider = (own and taken(joined(own), order) for own in every)
 
     @property
     def judging(self) -> Units:

@@ -40,12 +40,11 @@ class Fields:
         numbers = np.empty(self.size)
         return Place(numbers, np.ndarray((), self._type, numbers))
 
-    def filled(self, **arrays: Any) -> np.ndarray:
-        """A vector with these arrays, which are all."""
-        numbers, v = self.place()
-        for name in self.shapes:
-            v[name][...] = arrays[name]
-        return numbers
+    def in_rows(self, count: int) -> Place:
+        """So many vectors of numbers that are not set, shape (count, size), and their arrays, each with a first axis
+        for the vectors."""
+        numbers = np.empty((count, self.size))
+        return Place(numbers, np.ndarray((count,), self._type, numbers))
 
     def rows(self, arrays: Iterable[tuple[str, tuple[int, ...]]]) -> np.ndarray:
         """Where arrays begin, and their lengths, in a row for each, as kernels take them (``linked.laid``); they may
@@ -59,3 +58,19 @@ class Fields:
     def all_rows(self) -> np.ndarray:
         """The rows of all arrays in their own shapes."""
         return self.rows(self.shapes.items())
+
+
+@final
+class OfEach:
+    """Arrays by their names of some vectors in rows, of which each is of one trajectory, as those of a batch."""
+
+    def __init__(self, arrays: np.ndarray, members: np.ndarray) -> None:
+        self._arrays, self._members = arrays, members
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """With the members in place of the axis for the one trajectory, which is the first one or the last."""
+        own = self._arrays[name]
+        own = own if len(self._members) == len(own) else own[self._members]
+        if own.shape[1:2] == (1,):
+            return own[:, 0]
+        return np.ascontiguousarray(own[..., 0].T) if own.shape[-1:] == (1,) else own

@@ -6,7 +6,7 @@ from typing import Any, ClassVar, final
 
 import numpy as np
 
-from ....manifolds.numerics.ambient import joined
+from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .barrier import DEARER
 from .beginning import in_units, started
@@ -34,11 +34,11 @@ class JointConditions:
         units = None if self.units is None else JointUnits(*(leaf[members] for leaf in self.units))
         return JointConditions(tuple(phase.of(members) for phase in self.phases), self.coupling, units)
 
-    def adopt(self, parts: Sequence["JointConditions"]) -> None:
-        """Take the units of parts whose members are all of these, in their order."""
+    def adopt(self, parts: Sequence["JointConditions"], order: np.ndarray) -> None:
+        """Take the units of parts whose members are all of these, in this order."""
         for phase, *own in zip(self.phases, *(part.phases for part in parts), strict=True):
-            phase.adopt(own)
-        self.units = joined([part.units for part in parts])
+            phase.adopt(own, order)
+        self.units = taken(joined([part.units for part in parts]), order)
 
     @property
     def measured(self) -> JointUnits:

@@ -5,14 +5,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ....manifolds.numerics.ambient import taken
 from ....manifolds.numerics.tolerances import EPS
 from .acceptance import RULES, SHIFTS, Merit, State
 from .aside import FAR, MET, UNMET
+from .extent import ends_meet
 from .kkt_system import Iterate
 from .scaling import SOFTEST
 from .share import DIAMETER, UNCHANGED
 from .standing import Standing
-from .trial import Pursuit, Tried
+from .trial import Arrivals, Pursuit, Share, Tried
 
 if TYPE_CHECKING:
     from .conditions import Conditions
@@ -34,9 +36,7 @@ def set_out(
     None where there is no compiled pass for it, as with inequalities, whose slacks are to be found first, or where ends
     of its steps are far apart.
     """
-    if conditions.joint or conditions.transcription.inequalities or guess.slacks is not None:
-        return None
-    if not conditions.at_nodes.flat_controls or (setting := conditions.setting) is None:
+    if not _may_set_out(conditions, guess) or (setting := conditions.setting) is None:
         return None
     begun = setting.trial.set_out(setting, guess, (_rules(conditions, tolerance), min(most, MOST)))
     if begun is None:
@@ -47,6 +47,28 @@ def set_out(
         return None, 0, [], first
     state, trials = _reached(conditions, found) or (_state(first(), found), 0)
     return state, trials, found.costs, first
+
+
+def arrivals(conditions: "Conditions", guess: Iterate, tolerance: float, most: int, share: Share) -> Arrivals | None:
+    """The members of a batch that arrive with whole steps from their guesses, each in one pass; None where there is no
+    pass for them; ``share``: see ``Trial.set_out_each``."""
+    if not _may_set_out(conditions, guess) or conditions.at_nodes.pays:
+        return None
+    trial = conditions.transcription.trial(conditions.at_nodes, conditions.data.steps.shape[1])
+    going = _rules(conditions, tolerance), min(most, MOST)
+    if trial is None:
+        return None
+    found = trial.set_out_each(conditions, guess, going, share)
+    _, assembled, appraisal, _ = found.tried
+    met = ends_meet(assembled, conditions.at_nodes.layout.in_arrays, tolerance)
+    met &= appraisal.residuals.final <= tolerance
+    return found if met.all() else taken(found, met)
+
+
+def _may_set_out(conditions: "Conditions", guess: Iterate) -> bool:
+    """Whether nothing is to be found out before passes from a guess, as slacks of inequalities are."""
+    plain = not (conditions.joint or conditions.transcription.inequalities) and guess.slacks is None
+    return plain and conditions.at_nodes.flat_controls
 
 
 def pursued(
@@ -117,4 +139,4 @@ def _state(tried: Tried, found: Pursuit) -> State:
     one, settled = np.array([1.0]), isolated > 0
     at = np.arange(1), tried.iterate, tried.assembled, tried.appraisal.residuals, found.step, one > 0
     numbers = promised, turned, Merit(*merit), funnel, one, shift, best, correction
-    return State(*at, *numbers, settled, settled, np.array([found.arrived]))
+    return State(*at, *numbers, settled, settled, np.array([found.arrived or found.exact]))

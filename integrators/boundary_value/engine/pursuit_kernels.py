@@ -83,7 +83,7 @@ from .vectors import compiled, inner
 
 NO_LIMITS = (0,) * 8
 
-FAR, TRIED, ARRIVED, GOING, LOST, APART, CHANGED = range(7)  # how a pass ends
+FAR, TRIED, ARRIVED, GOING, LOST, APART, CHANGED, EXACT = range(8)  # how a pass ends
 
 
 def addresses(limited: bool) -> tuple[int, ...]:
@@ -330,7 +330,8 @@ def pursue(
     It ends ``FAR`` where a step leads to ends of steps that are not near each other; ``TRIED`` where a trial is
     written, and is not one of those that are only followed here, or none is to be judged, ``most`` being 0; ``LOST``
     where the first step of a search is not, and ``APART`` where ends of steps of a guess are not near each other;
-    ``ARRIVED`` where a trial meets the conditions whose step was Newton's last; ``CHANGED`` where a trial is one that
+    ``ARRIVED`` where a trial meets the conditions whose step was Newton's last, ``EXACT`` where one that was gone on
+    from meets them to rounding, and so the step from it would be; ``CHANGED`` where a trial is one that
     lowers the barrier, and is not gone on from; else ``GOING``. ``standing``: what stands, and behind it the cost after
     each step.
 
@@ -386,7 +387,8 @@ def pursue(
         jammed = limited and is_jammed(calls[AT_JAMMED], (written, given, rows, tolerance, rules[4][0], rules[9][2]))
         if not fresh and (done == most or resting or jammed):
             return done, GOING
-        exact = numbers[8, 0] <= rules[5]
-        if arrived and (exact or not _settled(standing, given, written, rows, rules[4], rules[8][1])):
+        if arrived and not _settled(standing, given, written, rows, rules[4], rules[8][1]):
             return done, GOING
+        if arrived and numbers[8, 0] <= rules[5]:
+            return done, EXACT
         fresh, before = False, written

@@ -8,7 +8,7 @@ transcription: ``one_stage_trial``, ``collocation_trial``.
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, Self
 
@@ -17,23 +17,24 @@ import numpy as np
 from ....aligned import scratch
 from ...evaluator import Evaluated, Placed
 from .barrier import LAST, LOWERING, PRICES
-from .elimination import WEIGHT, clear_pivot, positive_definite, work_shapes
-from .extent import OF_POINTS, Extent
-from .fields import Fields, Place, Shapes
-from .inequalities import BOUNDARY, KEPT, VALUE, Held, Slacks, Surveyed, Turn
+from .elimination import WEIGHT, clear_pivot, positive_definite
+from .extent import Extent
+from .fields import Fields, OfEach, Place, Shapes
+from .inequalities import BOUNDARY, KEPT, VALUE, Held, Slacks, Turn
 from .kkt_system import Assembled, Iterate, Step
 from .meeting import FAR
 from .programs import joined
-from .residuals import NUMBERS, SHARES, Appraisal
-from .scaling import Units, unit_shapes
+from .residuals import SHARES, Appraisal
+from .scaling import Units
 from .standing import STANDING, Standing, standing_with_costs
 from .transcription import Blocks, Nodes
+from .trial_shapes import TOLD, given_shapes, room_shapes, setting_shapes, written_shapes
 
 if TYPE_CHECKING:
     from .conditions import Conditions
 
+Share = Callable[[Callable[[range], Iterator[None]], int], None]
 Called = tuple[Evaluated, int, list[tuple[int, ...]]]  # leading axes, and shapes of what it is evaluated for
-TOLD = "negative", "smallest", "bends", "size"  # of an elimination
 # What all passes write, in the order in which ``trial_kernels`` lays it out, as all that is listed here; where there is
 # a dot, with an axis for its one point, where there is a bar, for its one column, and where there is a stroke, without
 # axes.
@@ -62,13 +63,21 @@ class Setting(NamedTuple):
         trial = steps.trial(nodes, count) if batch == 1 and not nodes.pays else None
         if trial is None:
             return None
-        ends, (matrix, weights), layout = conditions.ends, trial.tableau, nodes.layout
-        numbers = trial.setting.filled(
-            h=data.steps[0], parameters=data.parameters[0], matrix=matrix, weights=weights,
-            fixed=conditions.fixed.ravel(), start=ends.start, end=ends.end, start_entries=ends.start_entries,
-            end_entries=ends.end_entries, columns=layout.columns, arrays=layout.arrays, mean=conditions.mean_step,
-        )  # fmt: skip
+        numbers, v = trial.setting.place()
+        put_setting(v, conditions, trial.tableau)
         return cls(trial, numbers, steps.weights(data) if steps.inequalities else None)
+
+
+def put_setting(v: Any, conditions: "Conditions", tableau: tuple[np.ndarray, np.ndarray]) -> None:
+    """Write what stays the same of one trajectory, or of each of a batch in rows."""
+    data, ends, layout = conditions.data, conditions.ends, conditions.at_nodes.layout
+    v["matrix"][...], v["weights"][...] = tableau
+    v["columns"][...], v["arrays"][...] = layout.columns, layout.arrays
+    v["start_entries"][...], v["end_entries"][...] = ends.start_entries, ends.end_entries
+    v["h"][...], v["parameters"][...] = data.steps, data.parameters
+    v["start"][..., 0, :], v["end"][..., 0, :] = ends.start, ends.end
+    v["fixed"][...] = conditions.fixed.reshape(len(data.steps), -1)
+    v["mean"][..., 0] = conditions.mean_step
 
 
 class Tried(NamedTuple):
@@ -89,6 +98,17 @@ class SetOut(NamedTuple):
     pursuit: "Pursuit | None"
 
 
+class Arrivals(NamedTuple):
+    """The members of a batch that a pass each has led to a solution: their places, the iterates with their systems, the
+    units from their guesses, whether the systems are those of strict minima, and how many trials that took."""
+
+    members: np.ndarray
+    tried: Tried
+    units: Units
+    strict: np.ndarray
+    trials: np.ndarray
+
+
 class Pursuit(NamedTuple):
     """How many whole steps were taken; where these end, the step from there, and what then stands; and a trial of that
     step that was not gone on from, if there is one; how the pass ended with it."""
@@ -99,6 +119,7 @@ class Pursuit(NamedTuple):
     standing: Standing
     ahead: Tried | None
     arrived: bool  # it is the last
+    exact: bool  # what it has led to is
     far: bool  # it takes more than a pass
     costs: list[float]  # of the guess, if it set out from one, and after each step
 
@@ -121,10 +142,10 @@ class Trial(ABC):
         self._tapes, self._count = programs, count
         self._weight, (self._programs, of_programs, self._memory) = WEIGHT * count, joined(programs)
         self._clear = clear_pivot((count + 1) * steps.manifold.dimension)
-        self.written = Fields(self.shapes(steps, count) | _written(steps, count))
-        self.setting = Fields(_setting(steps, count, self.tableau), SETTING_KINDS)
-        self._given = Fields(_given(steps, count))
-        self._room = Fields(_room(steps, count), ROOM_KINDS, lined=True)
+        self.written = Fields(self.shapes(steps, count) | written_shapes(steps, count))
+        self.setting = Fields(setting_shapes(steps, count, self.tableau), SETTING_KINDS)
+        self._given = Fields(given_shapes(steps, count))
+        self._room = Fields(room_shapes(steps, count), ROOM_KINDS, lined=True)
         common, own = self.rows(self.written)
         rows = common, of_programs, self.setting.all_rows, self._given.all_rows, self._room.all_rows, own
         self._rows = np.concatenate(rows)
@@ -183,19 +204,20 @@ class Trial(ABC):
         iterate, _, step = before
         if self.limited and (iterate.slacks is None or step.turn is None):
             return None
-        to, known = self.written.place(), self._known(*before)
+        to, known = self.written.place(), self._known(*before, self.written.place())
         known.v["part"][...] = part
         numbers, _ = self._given_for(conditions, iterate.slacks, setting.weights)
         standing = standing_with_costs(Standing(), 0)
-        _, end = self._run(setting, numbers, [to, to, known], NOT_JUDGED, (standing, 0, False))
+        _, end = self._run(setting.numbers, numbers, [to, to, known], NOT_JUDGED, (standing, 0, False))
         return None if end == self._kernels.FAR else self._tried(to.v, iterate.slacks, setting.weights)
 
     def set_out(self, setting: Setting, guess: Iterate, going: tuple[tuple, int]) -> SetOut | None:
         """The guess with its system, units from there, and iterations with whole steps; None where ends of steps are
         far apart; ``going``: rules, and how many iterations at most."""
-        places = [self.written.place(), self._known(guess, None, None), self.written.place()]
+        places = [self.written.place() for _ in range(3)]
+        self._known(guess, None, None, places[1])
         (numbers, v), stands, (rules, most) = self._given_for(None), standing_with_costs(Standing(), going[1]), going
-        count, end = self._run(setting, numbers, places, rules, (stands, most, True))
+        count, end = self._run(setting.numbers, numbers, places, rules, (stands, most, True))
         if end == self._kernels.APART:
             return None
         units, first = Units(v["unknowns"], v["nodes"], v["unit"]), partial(self._tried, places[2].v)
@@ -203,6 +225,39 @@ class Trial(ABC):
             return SetOut(first, units, None)
         last = None if count else (None, self._step(places[2].v))
         return SetOut(first, units, self._pursuit(places, (count, end, stands), last))
+
+    def set_out_each(
+        self, conditions: "Conditions", guess: Iterate, going: tuple[tuple, int], share: Share
+    ) -> Arrivals:
+        """The same for each trajectory of a batch, of which those are taken that arrive in one pass.
+
+        ``share(run, count)`` runs the passes of ranges of the batch, in threads or not, until it is to stop.
+        """
+        count, (rules, most), kinds = len(guess.costates), going, self._kernels
+        settings, given, kept = (fields.in_rows(count) for fields in (self.setting, self._given, self.written))
+        put_setting(settings.v, conditions, self.tableau)
+        _unmeasured(given.v)
+        trials, told, fresh = np.zeros(count, int), np.zeros((2, count)), standing_with_costs(Standing(), most)
+
+        def run(part: range) -> Iterator[None]:
+            places, stands = [self.written.place() for _ in range(3)], fresh.copy()
+            for k in part:
+                unknowns = type(guess.unknowns)(*[rows[k] for rows in guess.unknowns])
+                self._known(Iterate(unknowns, guess.costates[k]), None, None, places[1])
+                stands[...] = fresh
+                taken, end = self._run(settings.numbers[k], given.numbers[k], places, rules, (stands, most, True))
+                if end in (kinds.ARRIVED, kinds.EXACT):
+                    trials[k], v = taken + (end == kinds.ARRIVED), places[(taken - 1) % 2].v
+                    kept.numbers[k] = places[(trials[k] - 1) % 2].numbers
+                    told[:, k] = v["negative"][0], v["smallest"][0]
+                yield
+
+        share(run, count)
+        members = np.flatnonzero(trials)
+        tried, units = self._tried(OfEach(kept.v, members)), OfEach(given.v, members)
+        strict = positive_definite(*told[:, members], settings.v["fixed"].shape[1])
+        own = Units(units["unknowns"], units["nodes"], units["unit"])
+        return Arrivals(members, tried, own, strict, trials[members])
 
     def pursue(
         self,
@@ -212,10 +267,11 @@ class Trial(ABC):
         going: tuple[tuple, Standing, int],
     ) -> Pursuit:
         """Iterations with whole steps; ``going``: rules, what stands, and how many at most."""
-        (rules, standing, most), places = going, [self.written.place(), self.written.place(), self._known(*before)]
+        (rules, standing, most), places = going, [self.written.place() for _ in range(3)]
+        self._known(*before, places[2])
         slacks, stands = before[0].slacks, standing_with_costs(standing, most)
         numbers, _ = self._given_for(conditions, slacks, setting.weights)
-        count, end = self._run(setting, numbers, places, rules, (stands, most, False))
+        count, end = self._run(setting.numbers, numbers, places, rules, (stands, most, False))
         last = None if count else (None, before[2])
         return self._pursuit(places, (count, end, stands), last, slacks, setting.weights)
 
@@ -238,12 +294,11 @@ class Trial(ABC):
         ahead = self._tried(places[count % 2].v, slacks, weights) if is_tried else None
         numbers = standing.tolist()
         stands, costs = Standing(*numbers[:STANDING]), numbers[STANDING : STANDING + count + 1]
-        return Pursuit(count, *last, stands, ahead, arrived, end == kinds.FAR, costs)
+        return Pursuit(count, *last, stands, ahead, arrived, end == kinds.EXACT, end == kinds.FAR, costs)
 
-    def _known(self, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> Place:
-        """What a trial sets out from; without a step, the iterate where it stays."""
-        place, unknowns = self.written.place(), iterate.unknowns
-        v = place.v
+    def _known(self, iterate: Iterate, assembled: Assembled | None, step: Step | None, place: Place) -> Place:
+        """The place with what a trial sets out from; without a step, the iterate where it stays."""
+        v, unknowns = place.v, iterate.unknowns
         v["x"][...], v["u"][...], v["barrier"][...] = unknowns.centres, unknowns.controls, 0.0
         if assembled is None or step is None:
             v["covectors"][...], v["part"][...] = iterate.costates.ravel(), 0.0
@@ -262,7 +317,7 @@ class Trial(ABC):
         """What is given to a pass, of which the units are known if there are conditions."""
         given = self._given.place()
         v = given.v
-        v["least"][...], v["raised"][...], v["rate"][...] = 0.0, 0.0, 1.0
+        _unmeasured(v)
         if conditions is not None:
             judging, measured = conditions.judging, conditions.measured
             v["nodes"][...], v["unknowns"][...] = judging.nodes, judging.unknowns
@@ -276,7 +331,7 @@ class Trial(ABC):
 
     def _run(
         self,
-        setting: Setting,
+        setting: np.ndarray,
         given: np.ndarray,
         places: list[Place],
         rules: tuple,
@@ -293,7 +348,7 @@ class Trial(ABC):
             self._programs,
             memory,
             tuple([place.numbers for place in places]),
-            (setting.numbers, given, room),
+            (setting, given, room),
             self._rows,
             (rules[0], judge, steps, *others[:-1], *SIZES, (LAST, LOWERING, *others[-1])),
             *going,
@@ -325,6 +380,11 @@ class Trial(ABC):
         return Step(*whole, *inertia, every, inner, turn, share=np.array([1.0]), followed=np.array([1.0]))
 
 
+def _unmeasured(v: Any) -> None:
+    """Write what is given to passes that take their own units."""
+    v["least"][...], v["raised"][...], v["rate"][...] = 0.0, 0.0, 1.0
+
+
 def common_rows(fields: Fields) -> np.ndarray:
     """The rows of ``OUT``."""
     known = {name: (name, shape) for name, shape in fields.shapes.items()}
@@ -341,51 +401,3 @@ def common_rows(fields: Fields) -> np.ndarray:
     _, count, z = fields.shapes["steps"]
     known.setdefault("ways", ("steps", (1, count, 1, z)))
     return fields.rows(known[name] for name in OUT)
-
-
-def _written(steps: Any, count: int) -> Shapes:
-    """The shapes of what all passes write."""
-    e, n, z, c = steps.state.size, steps.manifold.dimension, steps.dimension, steps.inequalities
-    each, at, points = (1, count), (1, count + 1), (1, count, steps.stages, c)
-    return {
-        "nodes": (*at, e), "gaps": (*at, e), "apart": at, "largest": (1, e), "work": (2, e),
-        "covectors": ((count + 1) * e,), "cost": (1,), "pushed": (*each, 1, z, 2),
-        "steps": (*each, z), "multipliers": (*at, n), "finite": (1, 1), "grown": (1, z),
-        "change": (2,), "standing": (STANDING,), **dict.fromkeys(TOLD, (1,)),
-        **dict.fromkeys(("s", "nu", "t", "turn_s", "turn_nu", "turn_t"), points),
-        "part": (1,), "dual": (1,), "turned": (1, 4), "barrier": (1,), **({"driven": (*each, z)} if c else {}),
-        "along": (1, n), "entries": (1, e), "highest": (1, e), "lowest": (1, e),
-        "points": (1, OF_POINTS, n),
-        # These come as zeros.
-        "surveyed": (len(Surveyed._fields), 1), "numbers": (NUMBERS, 1),
-        "support": (1, n, e), "sizes": (1, n), "missing": (1, n), "lacking": (1, n), "held": (1,),
-        "parts": (1, z), "slope": (1, z), "curvature": (1, z),
-    }  # fmt: skip
-
-
-def _setting(steps: Any, count: int, tableau: tuple[np.ndarray, np.ndarray]) -> Shapes:
-    """The shapes of what stays the same."""
-    e, n, (matrix, weights) = steps.state.size, steps.manifold.dimension, tableau
-    return {
-        "h": (count,), "parameters": (steps.parameter.size,), "matrix": matrix.shape, "weights": weights.shape,
-        "fixed": ((count + 1) * n,), "start": (1, e), "end": (1, e), "start_entries": (e,), "end_entries": (e,),
-        "columns": (e,), "arrays": (e,), "mean": (1,),
-    }  # fmt: skip
-
-
-def _given(steps: Any, count: int) -> Shapes:
-    """The shapes of what is given to a pass."""
-    n, z, c = steps.manifold.dimension, steps.dimension, steps.inequalities
-    each = (1, count, steps.stages, c)
-    return {
-        "nodes": (1, n), "unknowns": (1, z), "least": (1,), "wide_nodes": (1, n), "unit": (1,),
-        "wide": (1, z), "inverse": (1, n), "cost": (1,), "raised": (1,), "scales": (1, z),
-        "price": each, "bounds": (1, c), "rate": (1,), "room": (c,), "weighed": each,
-    }  # fmt: skip
-
-
-def _room(steps: Any, count: int) -> Shapes:
-    """The shapes of what an elimination works in, and units are found in."""
-    n, z = steps.manifold.dimension, steps.dimension
-    own = {"swaps": (n,), "own_sizes": (1, z), "own_values": (1, z), "ways": (1, z - n), "curved": (1,)}
-    return work_shapes(count, n, z, 1) | unit_shapes(count, n, z) | own
