@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..equations import expansion, scan_parts
-from .program_keys import called, outputs_of, value_of
+from ..equations import called, scan_parts
+from .program_keys import outputs_of, value_of
 
 WHOLE = "a whole number"
 STEPS = {
     **{name: f"jnp.{name}" for name in ("round", "floor", "ceil", "sign", "argmax", "argmin")},
-    **dict.fromkeys(("gt", "ge", "lt", "le", "eq", "ne"), "a comparison"),
+    **dict.fromkeys(("gt", "ge", "lt", "le", "eq", "ne", "eq_to", "le_to", "lt_to"), "a comparison"),
     "rem": "the remainder of a division",
     "atan2": "jnp.arctan2",
     "convert_element_type": WHOLE,
@@ -49,7 +49,8 @@ def _dependent(jaxpr: Any) -> Iterator[Any]:
             continue
         known.update(map(id, equation.outvars))
         yield equation
-        params = [*equation.params.values(), expansion(equation)]
+        own = called(equation)
+        params = [*equation.params.values()] if own is None else [own]
         for inner in jax.tree.leaves(params, is_leaf=lambda leaf: hasattr(leaf, "eqns")):
             if hasattr(inner, "eqns"):
                 yield from _dependent(getattr(inner, "jaxpr", inner))

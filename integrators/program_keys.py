@@ -21,10 +21,6 @@ UNUSED = {
     "custom_vjp_call": {"fwd_jaxpr_thunk", "bwd"},
     "custom_vjp_call_jaxpr": {"fwd_jaxpr_thunk", "bwd"},
 }
-# Of a program each.
-CALLS = {"jit": "jaxpr", "pjit": "jaxpr"} | dict.fromkeys(
-    ("custom_jvp_call", "custom_vjp_call", "eval_jaxpr"), "call_jaxpr"
-)
 # How the inputs and outputs of a loop are parted in JAX 0.11 and later, objects of its own; `scan_parts` reads them.
 PARTED = {"ft_in", "ft_out"}
 PLAIN = bool | int | float | complex | str | bytes | None
@@ -52,12 +48,6 @@ def content_key(closed: ClosedJaxpr, differentiated: bool = False) -> bytes | No
     return None if writer.foreign or (differentiated and writer.has_rules) else key
 
 
-def called(equation: Any) -> Any:
-    """The program, a closed jaxpr, that an equation calls; None for one that calls none, or has several."""
-    name = equation.primitive.name
-    return equation.params[CALLS[name]] if name in CALLS else expansion(equation)
-
-
 def value_of(known: dict[Any, Any], variable: Any) -> Any:
     """The value of a variable of a program that is evaluated, or of a number in it."""
     return variable.val if isinstance(variable, Literal) else known[variable]
@@ -76,6 +66,7 @@ class _Writer:
     def __init__(self) -> None:
         self.known: dict[int, bytes] = {}
         self.kinds: dict[Any, str] = {}
+        self.kept: list[Any] = []
         self.foreign = False  # whether something was met that is not known here
         self.has_rules = False  # whether rules of derivatives were left out
 
@@ -136,9 +127,22 @@ class _Writer:
         if isinstance(value, ShapedArray) or _is_nowhere(value):
             return self._kind(value)
         if _is_high(value):
-            return type(value).__name__, self.value(value.params)
+            return self._high(value)
         self.foreign = True
         return "unknown", next(_serial)
+
+    def _high(self, high: Any) -> tuple[str, Any]:
+        """A primitive of JAX that is an object: its class, and its parameters if they say all of it, else what it
+        computes."""
+        before, self.foreign = self.foreign, False
+        params = self.value(high.params)
+        unknown, self.foreign = self.foreign, before
+        if not unknown:
+            return type(high).__name__, params
+        self.has_rules = True  # functions among the parameters may be some
+        program = expansion(high)
+        self.kept.append(program)  # what is known goes by its identity
+        return type(high).__name__, self.value(program)
 
 
 def _is_nowhere(value: Any) -> bool:

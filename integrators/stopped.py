@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..equations import name_of
+from ..equations import is_in_scalars, name_of
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
@@ -122,7 +122,7 @@ def _words(problem: "OptimalControlProblem", q: Ambient, lines: Any, found: list
 
 def own_rules(function: Any, *arguments: Any) -> list[str]:
     """What a function computes from its arguments that has a rule of its own for derivatives, or none, each once."""
-    rules = (MADE_BY.get(name_of(equation)) for equation in dependent(function, *arguments))
+    rules = (MADE_BY.get(name_of(own)) for own in dependent(function, *arguments) if not is_in_scalars(own))
     return list(dict.fromkeys(filter(None, rules)))
 
 

@@ -3,7 +3,15 @@
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
+from jax.extend.core import ClosedJaxpr
+from jaxtyping import Array
 
+# Of the programs that equations call, by the names of parameters.
+CALLS = {
+    **dict.fromkeys(("jit", "pjit", "remat", "remat2", "checkpoint"), "jaxpr"),
+    **dict.fromkeys(("closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "eval_jaxpr"), "call_jaxpr"),
+}
 HIGH = "call_hi_primitive"  # since JAX 0.11: an object says what is computed, and how that is differentiated
 
 T = TypeVar("T")
@@ -11,20 +19,64 @@ T = TypeVar("T")
 
 def name_of(equation: Any) -> str:
     """What an equation computes."""
-    name = equation.primitive.name
-    return type(equation.params["_prim"]).__name__ if name == HIGH else name
-
-
-def expansion(equation: Any) -> Any:
-    """The program, a closed jaxpr, of an equation whose primitive is an object; None for another one."""
     if equation.primitive.name != HIGH:
-        return None
+        return equation.primitive.name
     high = equation.params["_prim"]
+    while type(high).__name__ == "VmapOf":
+        high = high.prim
+    return type(high).__name__
+
+
+def called(equation: Any) -> Any:
+    """The program, a closed jaxpr, that an equation calls; None for one that calls none, or has several."""
+    name = equation.primitive.name
+    if name == HIGH:
+        return expansion(equation.params["_prim"])
+    if name not in CALLS:
+        return None
+    program = equation.params[CALLS[name]]
+    return in_scalars(program) or (program if hasattr(program, "consts") else ClosedJaxpr(program, []))
+
+
+def expansion(high: Any) -> Any:
+    """The program, a closed jaxpr, that a primitive that is an object stands for."""
 
     def flat(*arguments: Any) -> list[Any]:
         return jax.tree.leaves(high.expand(*jax.tree.unflatten(high.in_tree, arguments)))
 
-    return jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in equation.invars))
+    return jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(kind.shape, kind.dtype) for kind in high.in_avals_flat))
+
+
+def _det2(a: Array) -> Array:
+    return a[0, 0] * a[1, 1] - a[0, 1] * a[1, 0]
+
+
+def _det3(a: Array) -> Array:
+    return jnp.dot(a[0], jnp.cross(a[1], a[2]))
+
+
+# Functions that JAX 0.11 and later compute with comparisons of entries, a pivot by the input, or bits, by their names.
+IN_SCALARS = {"_det_2x2": _det2, "_det_3x3": _det3, "exp_neg_sq": lambda x: jnp.exp(-(x**2))}
+
+
+def is_in_scalars(equation: Any) -> bool:
+    """Whether an equation calls a function that ``in_scalars`` knows, whose derivatives are those of its values."""
+    name = equation.primitive.name
+    return name in CALLS and in_scalars(equation.params[CALLS[name]]) is not None
+
+
+def in_scalars(program: Any) -> Any:
+    """The same as a program of JAX's own, in products, sums and elementary functions, which have the derivatives that
+    JAX states for it; None if it is not one of these."""
+    source = str(getattr(getattr(getattr(program, "jaxpr", program), "debug_info", None), "func_src_info", ""))
+    name, _, place = source.partition(" at ")
+    if name not in IN_SCALARS or "/jax/_src/" not in place.replace("\\", "/"):
+        return None
+    (kind,) = program.in_avals
+    # A batch may have its axis anywhere.
+    if name != "exp_neg_sq" and kind.ndim != 2:
+        return None
+    return jax.make_jaxpr(IN_SCALARS[name])(jax.ShapeDtypeStruct(kind.shape, kind.dtype))
 
 
 def scan_parts(params: dict[str, Any], inputs: list[T]) -> tuple[list[T], list[T], list[T]]:

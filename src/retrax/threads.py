@@ -65,7 +65,7 @@ def parts_of(count: int, locked: float, most: int) -> list[range]:
         return _ranges(count, 1)
     fastest = max(1, round(math.sqrt(count / locked)))
     parts = fastest if fastest == 1 else min(os.cpu_count() or 1, fastest)  # the system is asked only where it matters
-    return _ranges(count, min(count, max(parts, -(-count // most))))
+    return _ranges(count, max(1, min(count, max(parts, -(-count // most)))))
 
 
 def _ranges(count: int, parts: int, unit: int = 1) -> list[range]:

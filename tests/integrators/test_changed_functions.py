@@ -7,7 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.extend.core import Jaxpr
-from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, classify, integrate, integrate_many, solve
+from retrax.integrators import (
+    OptimalControlProblem,
+    SymplecticIntegrator,
+    classify,
+    compilation,
+    integrate,
+    integrate_many,
+    solve,
+)
 from retrax.integrators.compilation import call_compiled
 from retrax.integrators.problem import is_same_problem
 from retrax.manifolds import Euclidean, InvalidInputError
@@ -101,6 +109,23 @@ def test_a_classification_of_other_values_is_refused():
         InvalidInputError, match="classification must be that of the problem with its functions as they are"
     ):
         solve(problem, Midpoint(Exponential(LINE)), np.zeros(1), np.ones(1), 1.0, 4, classification=found)
+
+
+def test_a_root_with_a_rule_of_its_own_is_compiled_once():
+    def root(x):
+        def solve(f, y):
+            return jax.lax.fori_loop(0, 9, lambda i, y: y - f(y) / (1 + 3 * y**2), y)
+
+        return jax.lax.custom_root(lambda y: y + y**3 - x, x, solve, lambda g, y: y / g(1.0))
+
+    def seconds():
+        return call_compiled(lambda x: root(x) + jax.grad(root)(x), jnp.array(1.0))[1]
+
+    first = seconds()
+    known = len(compilation._compiled)
+    again = [seconds() for _ in range(3)]
+    assert len(compilation._compiled) == known
+    assert max(again) < first
 
 
 def test_what_a_user_compiled_is_left_alone():

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -22,6 +23,8 @@ JUMPS: dict[str, tuple[Any, str]] = {
     "cast": (lambda u: u[0].astype(int), "a whole number"),
     "step": (lambda u: jnp.where(u[0] > 0.3, 1.0, 0.0), "a comparison"),
     "remainder": (lambda u: u[0] % 1.0, "the remainder of a division"),
+    "place in a table": (lambda u: jnp.searchsorted(jnp.array([0.1, 0.3, 0.6]), u[0]), "a comparison"),
+    "within a checkpoint": (lambda u: jax.checkpoint(jnp.floor)(u[0] / 3e3), "jnp.floor"),
 }
 
 CONTINUOUS = {

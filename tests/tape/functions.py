@@ -51,6 +51,12 @@ SMOOTH = {
         x.at[jnp.array([0, 5, 1])].get(mode="fill", fill_value=2.0) * x.at[jnp.array([0, 7])].set(x[:2])
         + x.at[jnp.array([2, 7])].add(x[:2]) * x.at[jnp.array([0, 7])].set(x[1:], mode="clip")
     ),
+    "updates where the input says": lambda x: (
+        x.at[jnp.argmax(x)].set(x[1] ** 2) * x.at[jnp.argmin(x)].multiply(3 * x[0])
+        + x.at[(4 * x[0]).astype(int)].add(x[2])
+        + x.at[jnp.stack([jnp.argmin(x), jnp.argmax(x)])].max(0.3) * x.at[(4 * x[1]).astype(int)].set(0.1, mode="clip")
+        + jnp.outer(x, x).at[jnp.argmax(x), jnp.argmin(x)].add(x[1] ** 3)[0]
+    ),
     "indices of what is known": lambda x: (
         x * jax.lax.fori_loop(0, 3, lambda i, c: c.at[i].add(i + 1.0).at[0].multiply(2.0).at[1].max(c[0]), jnp.ones(3))
     ),
@@ -63,6 +69,7 @@ SMOOTH = {
     "pieces": lambda x: jnp.concatenate([*jnp.split(x, 3)][::-1]) + jnp.array([*x])[::-1] + jnp.repeat(x, 2)[::2],
     "dynamic": lambda x: (
         jax.lax.dynamic_slice(x, ((2 * x[0]).astype(int),), (2,))[0] * jax.lax.dynamic_update_slice(x, x[:1], (2,))
+        + jax.lax.dynamic_update_slice(x, x[:2] ** 2, ((2 * x[1]).astype(int),))
     ),
     "sums": lambda x: jnp.sum(jnp.outer(x, x), 0) * jnp.prod(x) + jnp.mean(x) + jnp.var(x),
     "truth": lambda x: (
@@ -91,6 +98,7 @@ SMOOTH = {
     "gradient inside": lambda x: (
         jax.grad(lambda y: jnp.sum(y * y[0]) + jnp.sum(y**3) + jnp.sum(jnp.arcsin(y / 2)))(x)
         * jnp.searchsorted(x, 0.5, side="right")
+        * (1 + jnp.searchsorted(x, 0.6))
     ),
     "own rule of a root": lambda x: _root(x) * x,
     "remat": lambda x: jax.checkpoint(jnp.sin)(x) * x,
@@ -146,7 +154,7 @@ def _root(x):
     """The roots ``y`` of ``y + y^3 = x``, whose derivatives are those of the implicit function theorem."""
 
     def solve(f, y):
-        return jax.lax.fori_loop(0, 9, lambda i, y: y - f(y) / (1 + 3 * y**2), y)
+        return jax.lax.stop_gradient(jax.lax.fori_loop(0, 9, lambda i, y: y - f(y) / (1 + 3 * y**2), y))
 
     return jax.lax.custom_root(lambda y: y + y**3 - x, x, solve, lambda g, y: y / g(jnp.ones_like(y)))
 

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.equations import expansion
+from retrax.equations import called
 from retrax.tape import Tape
 from retrax.tape.elementwise import KINDS
 from retrax.tape.linear import LINEAR
@@ -72,7 +72,7 @@ def primitives(jaxpr, found):
     for eqn in jaxpr.eqns:
         found.add(eqn.primitive.name)
         for value in jax.tree.leaves(
-            [*eqn.params.values(), expansion(eqn)], is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")
+            [*eqn.params.values(), called(eqn)], is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")
         ):
             if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
                 primitives(getattr(value, "jaxpr", value), found)

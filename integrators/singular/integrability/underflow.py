@@ -8,7 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
-from ...program_keys import called, outputs_of, value_of
+from ....equations import called
+from ...program_keys import outputs_of, value_of
 
 
 def _vanishes(out: Array, *_: Array) -> Array:

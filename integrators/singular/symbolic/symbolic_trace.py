@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 import sympy
 
+from ....equations import called
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.errors import TRACEABLE
 from ....reading import traced
-from ...program_keys import called
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
 MOVES: dict[str, tuple[int, ...] | None] = {

@@ -86,6 +86,7 @@ REAL: dict[str, Function] = {
     "log2": lambda x: ca.log(x) / np.log(2.0),
     "logistic": _logistic,
     "lt": lambda x, y: x < y,
+    "le_to": lambda x, y: x <= y,
     "lt_to": lambda x, y: x < y,
     "max": larger,
     "min": smaller,

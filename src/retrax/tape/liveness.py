@@ -4,14 +4,9 @@ from typing import Any
 
 from jax.extend.core import Literal
 
-from ..equations import expansion
+from ..equations import CALLS, called
 
-CALLS = {"jit", "pjit", "closed_call", "core_call", "eval_jaxpr", "remat", "remat2", "checkpoint"}
-
-
-def called(eqn: Any) -> Any:
-    """The jaxpr that an equation calls, closed or not."""
-    return eqn.params.get("jaxpr") or eqn.params.get("call_jaxpr") or eqn.params.get("fun_jaxpr") or expansion(eqn)
+RULES = {"custom_jvp_call", "custom_vjp_call"}  # calls with derivatives of their own
 
 
 def opened(jaxpr: Any) -> Any:
@@ -34,7 +29,7 @@ def needed(jaxpr: Any, wanted: list[bool]) -> tuple[list[tuple[Any, list[bool], 
 
 
 def _inputs(eqn: Any, outputs: list[bool]) -> list[bool]:
-    if eqn.primitive.name in CALLS:
+    if eqn.primitive.name in CALLS.keys() - RULES:
         inner = opened(called(eqn))
         live = needed(inner, outputs)[1]
         return [v in live for v in inner.invars]

@@ -2,14 +2,14 @@
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial, reduce
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_known, joined, moved, parts, scalars, taken
+from .arrays import Complex, Entries, Scalars, column, is_known, joined, moved, parts, scalars, taken
 from .elementwise import elementwise, select
 
 OUTSIDE = -1  # the place of an entry that lies outside of the array
@@ -89,18 +89,20 @@ def _clamped(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]) 
 
 def _window(x: Entries, starts: list[int | ca.SX], sizes: tuple[int, ...]) -> Entries:
     """The part of an array of these sizes that starts at an index; one that depends on the input selects among all."""
+    return _chosen([(c, moved(x, lambda a, part=part: a[part])) for c, part in _parts(starts, x.shape, sizes)])
+
+
+def _parts(
+    starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]
+) -> Iterator[tuple[Any, tuple[slice, ...]]]:
+    """All parts of an array of this shape that a window may be, and of each the condition that it is; None where that
+    is known."""
     unknown = [k for k, start in enumerate(starts) if not isinstance(start, int)]
-    choices = itertools.product(*(range(x.shape[k] - sizes[k] + 1) for k in unknown))
-    found: list[tuple[Any, Entries]] = []
-    for choice in choices:
-        at = list(starts)
-        for k, index in zip(unknown, choice, strict=True):
-            at[k] = index
-        part = tuple(slice(s, s + size) for s, size in zip(at, sizes, strict=True))
+    for choice in itertools.product(*(range(shape[k] - sizes[k] + 1) for k in unknown)):
+        at = dict(enumerate(starts)) | dict(zip(unknown, choice, strict=True))
         conditions = [starts[k] == index for k, index in zip(unknown, choice, strict=True)]
-        condition = reduce(ca.logic_and, conditions) if conditions else None
-        found.append((condition, moved(x, lambda a, part=part: a[part])))
-    return _chosen(found)
+        part = tuple(slice(at[k], at[k] + size) for k, size in enumerate(sizes))
+        yield reduce(ca.logic_and, conditions) if conditions else None, part
 
 
 def _chosen(found: list[tuple[Any, Entries]]) -> Entries:
@@ -122,13 +124,7 @@ def _dynamic_slice(params: dict[str, Any], x: Entries, *starts: Entries) -> Entr
 
 def _dynamic_update_slice(params: dict[str, Any], x: Entries, update: Entries, *starts: Entries) -> Entries:
     at = _clamped(list(starts), x.shape, update.shape)
-    if not all(isinstance(start, int) for start in at):
-        raise NotTraceableError("dynamic_update_slice", "whose index depends on the input")
-    part = tuple(slice(s, s + size) for s, size in zip(at, update.shape, strict=True))
-    count = math.prod(x.shape)
-    order = np.arange(count).reshape(x.shape)
-    order[part] = count + np.arange(math.prod(update.shape)).reshape(update.shape)
-    return joined([x, update], x.shape, order)
+    return _chosen([(c, _combined("scatter", x, part, update)) for c, part in _parts(at, x.shape, update.shape)])
 
 
 def _entry(indices: Entries, at: tuple[int, ...], k: int) -> Any:
@@ -152,7 +148,7 @@ def _starts(
 
 
 def _is_outside(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]) -> bool:
-    known = [(s, n, size) for s, n, size in zip(starts, shape, sizes, strict=True) if not isinstance(s, Scalars)]
+    known = [(s, n, size) for s, n, size in zip(starts, shape, sizes, strict=True) if isinstance(s, int)]
     return any(s < 0 or s + size > n for s, n, size in known)
 
 
@@ -183,20 +179,21 @@ def _gather(params: dict[str, Any], x: Entries, indices: Entries) -> Entries:
 
 def _scatter(name: str, params: dict[str, Any], x: Entries, indices: Entries, updates: Entries) -> Entries:
     """``x`` with windows set to the updates, or increased by them; updates outside of the array are dropped."""
-    if not is_known(indices):
-        raise NotTraceableError(name, "whose index depends on the input")
     count, result = math.prod(x.shape), x
     order = np.arange(count).reshape(x.shape)
-    for into, of in _windows(params, x.shape, indices, updates.shape):
-        if name == "scatter":
-            order[into] = count + of
-        else:
-            result = _combined(name, result, into, taken(updates, of))
-    return joined([x, updates], x.shape, order) if name == "scatter" else result
+    for starts, sizes, of in _windows(params, x.shape, indices, updates.shape):
+        before, update, found = result, taken(updates, of), list[tuple[Any, Entries]]()
+        for condition, into in _parts(starts, x.shape, sizes):
+            if name == "scatter" and is_known(indices):
+                order[into] = count + of
+            else:
+                found.append((condition, _combined(name, before, into, update)))
+        result = _chosen([*found, (None, before)] if found and found[0][0] is not None else found or [(None, before)])
+    return joined([x, updates], x.shape, order) if name == "scatter" and is_known(indices) else result
 
 
 def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: Any, updated: tuple[int, ...]) -> list[tuple]:
-    """For each update window: where it goes, and the places of the updates."""
+    """For each update window: where it begins, its sizes, and the places of the updates."""
     d = params["dimension_numbers"]
     batching = tuple(zip(d.operand_batching_dims, d.scatter_indices_batching_dims, strict=True))
     dropped = {*d.inserted_window_dims, *d.operand_batching_dims}
@@ -212,20 +209,19 @@ def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: Any, updat
         if "CLIP" in str(params["mode"]):
             starts = _clamped(starts, shape, tuple(sizes))
         if not _is_outside(starts, shape, tuple(sizes)):
-            part = tuple(slice(s, s + size) for s, size in zip(starts, sizes, strict=True))
-            found.append((part, places[at].reshape(sizes)))
+            known = [s.values if isinstance(s, Scalars) else s for s in starts]
+            found.append((known, tuple(sizes), places[at].reshape(sizes)))
     return found
 
 
 def _combined(name: str, x: Entries, into: tuple[slice, ...], update: Entries) -> Entries:
     """``x`` with a window combined with an update of its shape."""
-    inside = np.zeros(x.shape, bool)
-    inside[into] = True
     window = moved(x, lambda a: a[into])
     function = name.removeprefix("scatter-")
-    if is_known(window, update):
-        new: Any = {"add": np.add, "mul": np.multiply, "min": np.minimum, "max": np.maximum}[function](window, update)
-    else:
+    new: Any = update
+    if function != "scatter" and is_known(window, update):
+        new = {"add": np.add, "mul": np.multiply, "min": np.minimum, "max": np.maximum}[function](window, update)
+    elif function != "scatter":
         new = elementwise(function, {}, [window, update])
     order = np.arange(math.prod(x.shape)).reshape(x.shape)
     order[into] = math.prod(x.shape) + np.arange(math.prod(update.shape)).reshape(update.shape)

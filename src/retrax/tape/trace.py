@@ -10,14 +10,14 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
-from ..equations import HIGH, name_of, scan_parts
+from ..equations import CALLS, HIGH, called, is_in_scalars, name_of, scan_parts
 from ..reading import traced
 from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, is_known, parts, scalars, taken
 from .elementwise import elementwise, select_n
 from .graph import Graph, Mark
 from .known import evaluated
 from .linear import LINEAR, inverse
-from .liveness import CALLS, called, needed, opened
+from .liveness import RULES, needed, opened
 from .moves import MOVES, stacked
 
 BACKWARD = {"custom_vjp_call", "CustomVJPTraced"}  # what has a rule in reverse mode only
@@ -47,12 +47,12 @@ class Tracer:
 
     def _equation(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
         name, params = name_of(eqn), eqn.params
+        if name in RULES or eqn.primitive.name == HIGH:
+            return self._custom(eqn, arrays)
         if name in CALLS:
             return self.closed(called(eqn), arrays, wanted)
         if name in _CONTROL:
             return _CONTROL[name](self, eqn, arrays)
-        if eqn.primitive.name == HIGH:
-            return self._custom(eqn, arrays)
         if name in MOVES:
             return _as_list(MOVES[name](params, *arrays))
         if is_known(*arrays):
@@ -144,6 +144,8 @@ class Tracer:
     def _custom(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         """A function with a derivative of its own, which JAX knows."""
         values = self.closed(called(eqn), arrays)
+        if is_in_scalars(eqn):
+            return values
         if any(is_complex(a) for a in (*arrays, *values)):
             raise NotTraceableError(name_of(eqn), "here of complex numbers")
         varying = [k for k, a in enumerate(arrays) if isinstance(a, Scalars) and _is_real(eqn.invars[k])]
@@ -240,9 +242,7 @@ def _row(a: Entries, k: int) -> Entries:
 
 _CONTROL: dict[str, Callable[[Tracer, Any, list[Entries]], list[Entries]]] = {
     "cond": Tracer._cond,
-    "custom_jvp_call": Tracer._custom,
     "custom_linear_solve": Tracer._linear_solve,
-    "custom_vjp_call": Tracer._custom,
     "platform_index": Tracer._platform_index,
     "scan": Tracer._scan,
     "stop_gradient": Tracer._stop_gradient,
