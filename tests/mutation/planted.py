@@ -532,8 +532,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "members of all parts have the units of the first": Planted(
         f"{ENGINE}/conditions.py",
-        "every = [own.units for own in parts], [own.barrier for own in parts], wide",
-        "every = [parts[0].units for own in parts], [own.barrier for own in parts], wide",
+        "self.units, self.barrier = every([own.units for own in parts]), every([own.barrier for own in parts])",
+        "self.units, self.barrier = every([parts[0].units for own in parts]), every([own.barrier for own in parts])",
         (f"{TESTS}/test_parts_of_a_batch.py::test_limited_slews_are_the_same_in_parts",),
     ),
     "the rounding of one unknown ends the search for others": Planted(

@@ -14,7 +14,8 @@ from .fields import Fields, Shapes
 from .inequalities import Held
 from .kkt_system import Assembled, Iterate, Step
 from .transcription import Blocks, Nodes
-from .trial import Called, Trial, common_rows
+from .trial import Called, Trial
+from .trial_shapes import common_rows
 
 # What its kernels work with, in the order in which ``collocation_kernels`` lays it out: of all steps, or where there is
 # a dot of the trajectory; with an axis for one column where there is a bar, with both where there is a plus; the last

@@ -64,9 +64,13 @@ class Conditions:
 
     def adopt(self, parts: Sequence["Conditions"], order: np.ndarray) -> None:
         """Take the units of parts whose members are all of these, in this order."""
-        wide = [own.measured for own in parts] if any(own.wider is not None for own in parts) else None
-        every = [own.units for own in parts], [own.barrier for own in parts], wide
-        self.units, self.barrier, self.wider = (own and taken(joined(own), order) for own in every)
+
+        def every(own: list[Any]) -> Any:
+            return taken(joined(own), order)
+
+        self.units, self.barrier = every([own.units for own in parts]), every([own.barrier for own in parts])
+        wider = any(own.wider is not None for own in parts)
+        self.wider = every([own.measured for own in parts]) if wider else None
 
     @property
     def judging(self) -> Units:

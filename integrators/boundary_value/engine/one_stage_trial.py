@@ -9,7 +9,8 @@ from .fields import Fields, Shapes
 from .inequalities import Held
 from .kkt_system import Assembled, Iterate, Step
 from .transcription import Blocks, Nodes, OneStage, Unknowns
-from .trial import Called, Trial, common_rows
+from .trial import Called, Trial
+from .trial_shapes import common_rows
 
 
 @final

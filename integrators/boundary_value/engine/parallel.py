@@ -32,9 +32,10 @@ def newton_of_all(conditions: Any, guess: Any, shape: tuple[int, int], tolerance
 
     def share(run: Callable[[range], Iterator[None]], count: int) -> None:
         def to_its_end(part: range) -> None:
-            for _ in run(part):
-                if stop.is_set():
-                    return
+            with np.errstate(all="ignore"):
+                for _ in run(part):
+                    if stop.is_set():
+                        return
 
         _side_by_side(to_its_end, parts_of(count, OF_PASSES / points, TOGETHER), stop)
 

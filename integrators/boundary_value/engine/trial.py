@@ -6,7 +6,6 @@ longer than the kernels. In batches they take next to nothing of each. What a tr
 transcription: ``one_stage_trial``, ``collocation_trial``.
 """
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property, partial
@@ -28,24 +27,13 @@ from .residuals import SHARES, Appraisal
 from .scaling import Units
 from .standing import STANDING, Standing, standing_with_costs
 from .transcription import Blocks, Nodes
-from .trial_shapes import TOLD, given_shapes, room_shapes, setting_shapes, written_shapes
+from .trial_shapes import given_shapes, room_shapes, setting_shapes, written_shapes
 
 if TYPE_CHECKING:
     from .conditions import Conditions
 
 Share = Callable[[Callable[[range], Iterator[None]], int], None]
 Called = tuple[Evaluated, int, list[tuple[int, ...]]]  # leading axes, and shapes of what it is evaluated for
-# What all passes write, in the order in which ``trial_kernels`` lays it out, as all that is listed here; where there is
-# a dot, with an axis for its one point, where there is a bar, for its one column, and where there is a stroke, without
-# axes.
-OUT = (
-    *("begins", "finishes", "work", "covectors", "frames", "gap", "coordinates", "costates"),
-    *("nodes", "gaps", "apart", "largest", "hessian", "left", "right", "slopes", "gradient"),
-    *("hessian.", "slopes.", "limits", "pushes", "costs", "cost", *Extent._fields),
-    *("along", "entries", "numbers", "surveyed", "points", "s", "nu", "t", "pushed", "zeros"),
-    *("driven|", "lacks|", "steps|", "multipliers|", "finite", "grown", *TOLD, "change", "standing"),
-    *("x/", "u/", "part", "dual", "turn_s", "turn_nu", "turn_t", "turned", "barrier", "ways"),
-)
 
 
 class Setting(NamedTuple):
@@ -255,7 +243,8 @@ class Trial(ABC):
         share(run, count)
         members = np.flatnonzero(trials)
         tried, units = self._tried(OfEach(kept.v, members)), OfEach(given.v, members)
-        strict = positive_definite(*told[:, members], settings.v["fixed"].shape[1])
+        negative, smallest = told[:, members]
+        strict = positive_definite(negative, smallest, settings.v["fixed"].shape[1])
         own = Units(units["unknowns"], units["nodes"], units["unit"])
         return Arrivals(members, tried, own, strict, trials[members])
 
@@ -383,21 +372,3 @@ class Trial(ABC):
 def _unmeasured(v: Any) -> None:
     """Write what is given to passes that take their own units."""
     v["least"][...], v["raised"][...], v["rate"][...] = 0.0, 0.0, 1.0
-
-
-def common_rows(fields: Fields) -> np.ndarray:
-    """The rows of ``OUT``."""
-    known = {name: (name, shape) for name, shape in fields.shapes.items()}
-    for name, (first, shape) in tuple(known.items()):
-        known |= {
-            f"{name}.": (first, (*shape[:2], 1, *shape[2:])),
-            f"{name}|": (first, (*shape, 1)),
-            f"{name}/": (first, (math.prod(shape),)),
-        }
-    for name, first in (("driven", "slopes"), ("lacks", "gap")):
-        for sign in ("", "|"):
-            known.setdefault(f"{name}{sign}", known[f"{first}{sign}"])
-    known["zeros"] = "surveyed", (fields.size - fields.begins["surveyed"],)
-    _, count, z = fields.shapes["steps"]
-    known.setdefault("ways", ("steps", (1, count, 1, z)))
-    return fields.rows(known[name] for name in OUT)

@@ -16,7 +16,7 @@ from ....linked import address, array, called, laid, leaves, put, view
 from ....tape import machine
 from . import elimination_kernels, extent_kernels, scaling_kernels
 from .arrays import LANES
-from .trial import OUT
+from .trial_shapes import OUT
 from .vectors import add, filled, inner, part, put_part
 
 REAL, WHOLE, TRUTH = types.float64, types.int64, types.boolean

@@ -1,18 +1,30 @@
-"""The shapes of the arrays of a compiled pass on one trajectory of so many steps."""
+"""The shapes of the arrays of a compiled pass on one trajectory of so many steps, and where its kernels find them."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from .elimination import work_shapes
-from .extent import OF_POINTS
-from .fields import Shapes
+from .extent import OF_POINTS, Extent
+from .fields import Fields, Shapes
 from .inequalities import Surveyed
 from .residuals import NUMBERS
 from .scaling import unit_shapes
 from .standing import STANDING
 
 TOLD = "negative", "smallest", "bends", "size"  # of an elimination
+# What all passes write, in the order in which ``trial_kernels`` lays it out, as all that is listed here; where there is
+# a dot, with an axis for its one point, where there is a bar, for its one column, and where there is a stroke, without
+# axes.
+OUT = (
+    *("begins", "finishes", "work", "covectors", "frames", "gap", "coordinates", "costates"),
+    *("nodes", "gaps", "apart", "largest", "hessian", "left", "right", "slopes", "gradient"),
+    *("hessian.", "slopes.", "limits", "pushes", "costs", "cost", *Extent._fields),
+    *("along", "entries", "numbers", "surveyed", "points", "s", "nu", "t", "pushed", "zeros"),
+    *("driven|", "lacks|", "steps|", "multipliers|", "finite", "grown", *TOLD, "change", "standing"),
+    *("x/", "u/", "part", "dual", "turn_s", "turn_nu", "turn_t", "turned", "barrier", "ways"),
+)
 
 
 def written_shapes(steps: Any, count: int) -> Shapes:
@@ -61,3 +73,21 @@ def room_shapes(steps: Any, count: int) -> Shapes:
     n, z = steps.manifold.dimension, steps.dimension
     own = {"swaps": (n,), "own_sizes": (1, z), "own_values": (1, z), "ways": (1, z - n), "curved": (1,)}
     return work_shapes(count, n, z, 1) | unit_shapes(count, n, z) | own
+
+
+def common_rows(fields: Fields) -> np.ndarray:
+    """The rows of ``OUT``."""
+    known = {name: (name, shape) for name, shape in fields.shapes.items()}
+    for name, (first, shape) in tuple(known.items()):
+        known |= {
+            f"{name}.": (first, (*shape[:2], 1, *shape[2:])),
+            f"{name}|": (first, (*shape, 1)),
+            f"{name}/": (first, (math.prod(shape),)),
+        }
+    for name, first in (("driven", "slopes"), ("lacks", "gap")):
+        for sign in ("", "|"):
+            known.setdefault(f"{name}{sign}", known[f"{first}{sign}"])
+    known["zeros"] = "surveyed", (fields.size - fields.begins["surveyed"],)
+    _, count, z = fields.shapes["steps"]
+    known.setdefault("ways", ("steps", (1, count, 1, z)))
+    return fields.rows(known[name] for name in OUT)
