@@ -257,6 +257,7 @@ def _located(known: Any, given: Given, lines: Lines, steps: Array, above: Array,
 
 def rates(problem: "OptimalControlProblem", q: Ambient, u: Ambient, _: None = None) -> Array:
     """The entries of the velocity, the running cost, and the constraints."""
+    q, u = jax.tree.map(jnp.asarray, (q, u))  # functions may ask for what arrays of NumPy lack
     leaves = jax.tree.leaves(problem.velocity(q, u))
     halves = [
         jnp.ravel(half) for leaf in leaves for half in ((leaf.real, leaf.imag) if jnp.iscomplexobj(leaf) else (leaf,))

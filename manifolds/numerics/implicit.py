@@ -109,3 +109,5 @@ def _batch(operands: Sequence[Any], dims: Sequence[Any], *, axes: Axes, **parame
 ad.primitive_jvps[_root] = _derivative
 batching.primitive_batchers[_root] = _batch
 mlir.register_lowering(_root, mlir.lower_fun(partial(_value), multiple_results=True))
+# Since JAX 0.11 some primitives, as that of ``jnp.interp``, are objects, which are written out before XLA compiles.
+vars(_root)["to_lojax"] = _value

@@ -6,10 +6,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Solver, SymplecticIntegrator, integrate
+from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, Solver, SymplecticIntegrator, integrate
 from retrax.integrators.evaluator import TapeEvaluator
 from retrax.manifolds import Euclidean
-from retrax.retractions import Addition, CotangentLift, Midpoint
+from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape.linear import LARGEST_FACTOR
 from retrax.tape.trace import LONGEST_LOOP
@@ -56,6 +56,41 @@ def test_steps_run_on_the_tape_as_far_as_loops_are_written_out():
         assert path.evaluator.startswith("tape" if count <= LONGEST_LOOP else "XLA"), path.evaluator
         assert (f"{count} iterations" in path.evaluator) == (count > LONGEST_LOOP)
     np.testing.assert_allclose(ends, [(0.3 - 3 * 0.3**2 / 2, 1 - 3 * 0.3)] * 3, rtol=1e-12)
+
+
+PLANE, TABLE, CUBES = Euclidean(2), np.linspace(-3.0, 3.0, 25), np.arange(3.0) ** 3
+TERMS = {
+    "an entry added to": (lambda q: 0.1 * q.at[1].add(q[1]).sum(), "tape"),
+    "an entry of zeros": (lambda q: 0.1 * jnp.zeros(3).at[1].multiply(2.0).at[2].add(q[1]).sum(), "tape"),
+    "a determinant": (lambda q: jnp.linalg.det(jnp.array([[2 + jnp.cos(q[0]), 0.3], [0.3, 1.5 + q[1] ** 2]])), "tape"),
+    "one of three rows": (lambda q: 0.1 * jnp.linalg.det(jnp.outer(q[0] * CUBES, CUBES) + jnp.eye(3)), "tape"),
+    "the error function": (lambda q: jax.scipy.special.erf(q[0]), "tape"),
+    "a table": (lambda q: jnp.interp(q[0], TABLE, TABLE**2), "tape"),
+    "random numbers": (lambda q: 0.1 * jax.random.normal(jax.random.key(0), (2,)) @ q, "xla"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TERMS)
+def test_what_users_write_has_the_same_optimum_on_both(name):
+    term, kind = TERMS[name]
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u: jnp.stack([q[1], u[0] + term(q)]), lambda q, u: u @ u / 2 + q @ q / 2, 1
+    )
+    solvers = [Solver(problem, Gauss(2, Addition(PLANE)), 6, evaluator=of) for of in ("automatic", "xla")]
+    costs = [solver.solve(np.zeros(2), np.array([0.5, 0.0]), 1.0).cost for solver in solvers]
+    assert solvers[0].evaluator == kind, solvers[0].reason
+    assert costs[0] == pytest.approx(costs[1], rel=1e-11)
+
+
+@pytest.mark.parametrize("evaluator", [None, "tape", "xla"])
+def test_controls_are_found_where_the_dynamics_reads_a_table(evaluator):
+    """The control of a double integrator is ``p_2``, by the implicit function theorem, whatever the drift."""
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u: jnp.stack([q[1], u[0] + jnp.interp(q[0], TABLE, TABLE**2)]), lambda q, u: u @ u / 2, 1
+    )
+    method = PresymplecticIntegrator(Gauss(1, Addition(PLANE)))
+    path = integrate(problem, method, (jnp.zeros(2), jnp.array([0.1, 0.2])), 0.1, 4, evaluator=evaluator)
+    np.testing.assert_allclose(np.ravel(path.controls), (path.p[1:, 1] + path.p[:-1, 1]) / 2, rtol=1e-9)
 
 
 @pytest.mark.parametrize(

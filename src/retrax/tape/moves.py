@@ -173,7 +173,7 @@ def _gather(params: dict[str, Any], x: Entries, indices: Entries) -> Entries:
     order = np.argsort([*outer, *d.offset_dims])
     if not windows:
         return np.transpose(np.zeros((*batch, *kept)), order)
-    whole = moved(stacked(windows), lambda a: a.reshape(*batch, *kept))
+    whole = moved(stacked(windows), lambda a: a.reshape((*batch, *kept)))
     return moved(whole, lambda a: np.transpose(a, order))
 
 
@@ -210,7 +210,7 @@ def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: Any, updat
             starts = _clamped(starts, shape, tuple(sizes))
         if not _is_outside(starts, shape, tuple(sizes)):
             known = [s.values if isinstance(s, Scalars) else s for s in starts]
-            found.append((known, tuple(sizes), places[at].reshape(sizes)))
+            found.append((known, tuple(sizes), np.reshape(places[at], sizes)))
     return found
 
 
