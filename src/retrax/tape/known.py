@@ -4,6 +4,7 @@ them."""
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from .arrays import NotTraceableError
@@ -54,7 +55,7 @@ _REDUCTIONS: dict[str, Any] = {
 def evaluated(eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
     """The values of one equation of a jaxpr."""
     out = eqn.outvars[0].aval
-    if jax.dtypes.issubdtype(out.dtype, jax.dtypes.extended):
+    if jnp.issubdtype(out.dtype, jax.dtypes.extended):
         raise NotTraceableError(eqn.primitive.name, "which makes a random key")
     with np.errstate(all="ignore"):
         found = _by_numpy(eqn.primitive.name, eqn.params, np.dtype(out.dtype), arrays)
