@@ -28,7 +28,7 @@ class Flow:
     [0.5403, -0.4161]
     """
 
-    def __init__(self, system: Any, integrator: Integrator, evaluator: str | None = None) -> None:
+    def __init__(self, system: Any, integrator: Integrator, evaluator: str = "automatic") -> None:
         check_call(integrator, 1, 1, evaluator)
         require_concrete("Flow", system, integrator)
         self.system, self.integrator = system, integrator

@@ -27,7 +27,7 @@ def integrate_many(
     step_sizes: ArrayLike,
     steps: int,
     save_every: int = 1,
-    evaluator: str | None = None,
+    evaluator: str = "automatic",
     verbose: bool = False,
 ) -> Trajectory:
     """Integrate ``system`` from many starts at once: ``integrate`` for each member of a leading axis.

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def tape_steps(
-    system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray, evaluator: str | None
+    system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray, evaluator: str
 ) -> "TapeSteps | str":
     """The steps on the tape, or in words why XLA computes them; raises if ``evaluator`` asks for a tape that cannot
     be."""
@@ -25,7 +25,7 @@ def tape_steps(
     found = traced_steps(system, integrator)
     if isinstance(found, str):
         if evaluator == "tape":
-            raise InvalidInputError(f"the steps cannot run on the tape: {found}; try evaluator=None")
+            raise InvalidInputError(f"the steps cannot run on the tape: {found}; try evaluator='automatic'")
         return found
     from .lanes import TapeSteps
 

@@ -128,7 +128,7 @@ def integrate(
     steps: int,
     save_every: int = 1,
     throw: bool = True,
-    evaluator: str | None = None,
+    evaluator: str = "automatic",
     verbose: bool = False,
 ) -> Trajectory:
     """Integrate ``system`` from ``start = (q0, p0)`` over ``steps`` steps of size ``step_size`` (negative: backward in
@@ -222,8 +222,8 @@ def check_call(integrator: Any, steps: Any, save_every: Any, evaluator: Any) -> 
             f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift) "
             "or the first of what singular_integrator returns"
         )
-    if evaluator not in (None, "tape", "xla"):
-        raise InvalidInputError(f"evaluator must be 'tape', 'xla' or None, got {evaluator!r}")
+    if evaluator not in (kinds := ("automatic", "tape", "xla")):
+        raise InvalidInputError(f"evaluator must be one of {', '.join(map(repr, kinds))}, got {evaluator!r}")
     warn_about_precision()
     for name, count in (("steps", steps), ("save_every", save_every)):
         if not is_count(count):
@@ -273,7 +273,7 @@ def _in_pieces(
     step_size: Array,
     saves: int,
     every: int,
-    evaluator: str | None,
+    evaluator: str,
     verbose: bool,
 ) -> Trajectory:
     """The same trajectory by ``run``; here nothing is compiled for the number of its nodes, so NumPy computes the

@@ -82,7 +82,7 @@ def test_what_users_write_has_the_same_optimum_on_both(name):
     assert costs[0] == pytest.approx(costs[1], rel=1e-11)
 
 
-@pytest.mark.parametrize("evaluator", [None, "tape", "xla"])
+@pytest.mark.parametrize("evaluator", ["automatic", "tape", "xla"])
 def test_controls_are_found_where_the_dynamics_reads_a_table(evaluator):
     """The control of a double integrator is ``p_2``, by the implicit function theorem, whatever the drift."""
     problem = OptimalControlProblem(

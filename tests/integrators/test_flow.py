@@ -24,9 +24,9 @@ def starts_of(manifold) -> tuple:
 
 
 CASES = {
-    "Gauss": (ENERGIES["SO3"], SymplecticIntegrator(Gauss(2, Cayley(SO3))), None),
+    "Gauss": (ENERGIES["SO3"], SymplecticIntegrator(Gauss(2, Cayley(SO3))), "automatic"),
     "a lift, by XLA": (pendulum_energy, SymplecticIntegrator(CotangentLift(Midpoint(Projection(SPHERE)))), "xla"),
-    "optimal control": (KINEMATIC, PresymplecticIntegrator(CotangentLift(Midpoint(Cayley(SO3)))), None),
+    "optimal control": (KINEMATIC, PresymplecticIntegrator(CotangentLift(Midpoint(Cayley(SO3)))), "automatic"),
 }
 
 

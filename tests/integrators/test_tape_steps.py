@@ -206,9 +206,11 @@ def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
     start = np.array([0.6, 0.8]), np.array([-0.4, 0.3])
     path = integrate(quartic, method, start, 0.1, 2)
     assert "it calls implicit_root" in path.evaluator
-    with pytest.raises(InvalidInputError, match=r"(?s)cannot run on the tape: .*implicit_root.*try evaluator=None"):
+    with pytest.raises(
+        InvalidInputError, match=r"(?s)cannot run on the tape: .*implicit_root.*try evaluator='automatic'"
+    ):
         integrate(quartic, method, start, 0.1, 2, evaluator="tape")
-    with pytest.raises(InvalidInputError, match="evaluator must be 'tape', 'xla' or None, got 'gpu'"):
+    with pytest.raises(InvalidInputError, match="evaluator must be one of 'automatic', 'tape', 'xla', got 'gpu'"):
         integrate(quartic, method, start, 0.1, 2, evaluator="gpu")
 
 
