@@ -218,21 +218,29 @@ def errors(torques, angles, axes):
     return [attitude_error(*parts) for parts in zip(torques, angles, axes, strict=True)]
 
 
-def many_of_ours(stages, angles, axes):
-    """All slews at once: for each number of steps their errors and a call that solves them again."""
+def at_once(steps, stages, angles, axes, evaluator="automatic"):
+    """All slews at once: the seconds of the first call, their errors, and a call that solves them again."""
     import numpy as np
     from retrax_slew import HORIZON, RetraxSlew, at_rest, polynomials, turns
 
     start, ends = at_rest(np.eye(3)), at_rest(turns(angles, axes))
+    solver = RetraxSlew(steps, stages, TOLERANCE, evaluator=evaluator).solver
+
+    def call():
+        return solver.solve_many(start, ends, HORIZON, tolerance=TOLERANCE)
+
+    began = time.perf_counter()
+    found = call()
+    seconds = time.perf_counter() - began
+    torques = [polynomials(s.require_success().times, s.stage_times, s.controls) for s in found]
+    solver.compile()
+    return seconds, errors(torques, angles, axes), call
+
+
+def many_of_ours(stages, angles, axes):
+    """All slews at once: for each number of steps their errors and a call that solves them again."""
     for steps in FEW:
-        solver = RetraxSlew(steps, stages, TOLERANCE).solver
-
-        def call(solver=solver):
-            return solver.solve_many(start, ends, HORIZON, tolerance=TOLERANCE)
-
-        torques = [polynomials(s.require_success().times, s.stage_times, s.controls) for s in call()]
-        solver.compile()
-        yield steps, errors(torques, angles, axes), call
+        yield steps, *at_once(steps, stages, angles, axes)[1:]
 
 
 def many_of_fatrop(stages, angles, axes):
@@ -281,24 +289,14 @@ def device(repeats):
     """Milliseconds a slew of the same, four stages, by the tape and by XLA where that computes; seconds of the first
     call; how many reach the error."""
     import jax
-    import numpy as np
-    from retrax_slew import HORIZON, RetraxSlew, at_rest, polynomials, turns
 
-    angles, axes = random_targets()
-    start, ends, rows = at_rest(np.eye(3)), at_rest(turns(angles, axes)), {}
+    rows = {}
     for evaluator in ("tape", "xla"):
-        solver = RetraxSlew(ON_DEVICE, 4, TOLERANCE, evaluator=evaluator).solver
-
-        def call(solver=solver):
-            return solver.solve_many(start, ends, HORIZON, tolerance=TOLERANCE)
-
-        first = timed(call)
-        torques = [polynomials(s.require_success().times, s.stage_times, s.controls) for s in call()]
-        solver.compile()
+        first, found, call = at_once(ON_DEVICE, 4, *random_targets(), evaluator)
         rows[evaluator] = {
             "first_s": round(first, 1),
             "ms_each": round(1e3 * statistics.median(timed(call) for _ in range(repeats)) / COUNT, 3),
-            "reached": sum(error <= LARGEST_ERROR for error in errors(torques, angles, axes)),
+            "reached": sum(error <= LARGEST_ERROR for error in found),
         }
     return {"case": f"{COUNT} slews", "device": str(jax.devices()[0]), "processors": os.cpu_count(), **rows}
 

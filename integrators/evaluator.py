@@ -388,7 +388,18 @@ def chosen(evaluator: str | Evaluator) -> Evaluator:
     one."""
     if isinstance(evaluator, Evaluator):
         return evaluator
-    kinds = {"automatic": Automatic, "tape": TapeEvaluator, "xla": lambda: XlaEvaluator("it was asked for")}
-    if evaluator not in kinds:
-        raise InvalidInputError(f"evaluator must be one of {', '.join(map(repr, kinds))}, got {evaluator!r}")
-    return kinds[evaluator]()
+    check_evaluator(evaluator)
+    return KINDS[evaluator]()
+
+
+KINDS: dict[str, Callable[[], Evaluator]] = {
+    "automatic": Automatic,
+    "tape": TapeEvaluator,
+    "xla": lambda: XlaEvaluator("it was asked for"),
+}
+
+
+def check_evaluator(evaluator: Any) -> None:
+    """Raise ``InvalidInputError`` for what is not the name of an evaluator."""
+    if not (isinstance(evaluator, str) and evaluator in KINDS):
+        raise InvalidInputError(f"evaluator must be one of {', '.join(map(repr, KINDS))}, got {evaluator!r}")

@@ -151,7 +151,7 @@ def _is_nowhere(value: Any) -> bool:
 
 
 def _is_high(value: Any) -> bool:
-    """Whether this is a primitive of JAX that is an object, whose class and parameters say all of it."""
+    """Whether this is a primitive of JAX that is an object."""
     kinds = type(value).__mro__
     return kinds[0].__module__.startswith("jax.") and any(kind.__name__ == "HiPrim" for kind in kinds)
 

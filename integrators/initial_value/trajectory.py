@@ -14,6 +14,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
 from ...reading import reads_once
 from ..compilation import compiled
+from ..evaluator import check_evaluator
 from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
@@ -222,8 +223,7 @@ def check_call(integrator: Any, steps: Any, save_every: Any, evaluator: Any) -> 
             f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift) "
             "or the first of what singular_integrator returns"
         )
-    if evaluator not in (kinds := ("automatic", "tape", "xla")):
-        raise InvalidInputError(f"evaluator must be one of {', '.join(map(repr, kinds))}, got {evaluator!r}")
+    check_evaluator(evaluator)
     warn_about_precision()
     for name, count in (("steps", steps), ("save_every", save_every)):
         if not is_count(count):

@@ -35,7 +35,10 @@ def called(equation: Any) -> Any:
     if name not in CALLS:
         return None
     program = equation.params[CALLS[name]]
-    return in_scalars(program) or (program if hasattr(program, "consts") else ClosedJaxpr(program, []))
+    own = _in_scalars(program)
+    if own is not None:
+        return jax.make_jaxpr(own)(*(jax.ShapeDtypeStruct(kind.shape, kind.dtype) for kind in program.in_avals))
+    return program if hasattr(program, "consts") else ClosedJaxpr(program, [])
 
 
 def expansion(high: Any) -> Any:
@@ -60,23 +63,20 @@ IN_SCALARS = {"_det_2x2": _det2, "_det_3x3": _det3, "exp_neg_sq": lambda x: jnp.
 
 
 def is_in_scalars(equation: Any) -> bool:
-    """Whether an equation calls a function that ``in_scalars`` knows, whose derivatives are those of its values."""
+    """Whether an equation calls one of these functions, whose derivatives are those of its values."""
     name = equation.primitive.name
-    return name in CALLS and in_scalars(equation.params[CALLS[name]]) is not None
+    return name in CALLS and _in_scalars(equation.params[CALLS[name]]) is not None
 
 
-def in_scalars(program: Any) -> Any:
+def _in_scalars(program: Any) -> Any:
     """The same as a program of JAX's own, in products, sums and elementary functions, which have the derivatives that
     JAX states for it; None if it is not one of these."""
     source = str(getattr(getattr(getattr(program, "jaxpr", program), "debug_info", None), "func_src_info", ""))
     name, _, place = source.partition(" at ")
     if name not in IN_SCALARS or "/jax/_src/" not in place.replace("\\", "/"):
         return None
-    (kind,) = program.in_avals
-    # A batch may have its axis anywhere.
-    if name != "exp_neg_sq" and kind.ndim != 2:
-        return None
-    return jax.make_jaxpr(IN_SCALARS[name])(jax.ShapeDtypeStruct(kind.shape, kind.dtype))
+    # The axis of a batch may be anywhere in matrices.
+    return IN_SCALARS[name] if name == "exp_neg_sq" or program.in_avals[0].ndim == 2 else None
 
 
 def scan_parts(params: dict[str, Any], inputs: list[T]) -> tuple[list[T], list[T], list[T]]:

@@ -501,20 +501,20 @@ PLANTED: dict[str, Planted] = {
     ),
     "parts of a batch come in another order": Planted(
         f"{ENGINE}/parallel.py",
-        "arrays: Any = [own._replace(stopped=None) for _, own in found]",
-        "arrays: Any = [own._replace(stopped=None) for _, own in found[::-1]]",
+        "arrays: Any = [found._replace(stopped=None) for _, found in parts]",
+        "arrays: Any = [found._replace(stopped=None) for _, found in parts[::-1]]",
         (f"{TESTS}/test_parts_of_a_batch.py",),
     ),
     "members that arrive in passes come before all others": Planted(
         f"{ENGINE}/parallel.py",
-        "return taken(joined(arrays), order)._replace(stopped=left.stopped)",
-        "return joined(arrays)._replace(stopped=left.stopped)",
+        "return taken(joined(arrays), order)",
+        "return joined(arrays)",
         (ARRIVALS,),
     ),
     "members that arrive in passes have the units of others": Planted(
         f"{ENGINE}/parallel.py",
-        "conditions.adopt([there, others], order)",
-        "conditions.adopt([others, there], order)",
+        "conditions.adopt([own for own, _ in parts], order)",
+        "conditions.adopt([own for own, _ in parts[::-1]], order)",
         (ARRIVALS,),
     ),
     "what is kept of a pass is not where it has arrived": Planted(

@@ -62,7 +62,7 @@ class Conditions:
         barrier = None if self.barrier is None else Barrier(*(leaf[members] for leaf in self.barrier))
         return Conditions(self.transcription, self.at_nodes, ends, data, units, barrier, wider)
 
-    def adopt(self, parts: Sequence["Conditions"], order: np.ndarray) -> None:
+    def adopt(self, parts: Sequence["Conditions"], order: np.ndarray | slice) -> None:
         """Take the units of parts whose members are all of these, in this order."""
 
         def every(own: list[Any]) -> Any:

@@ -34,7 +34,7 @@ class JointConditions:
         units = None if self.units is None else JointUnits(*(leaf[members] for leaf in self.units))
         return JointConditions(tuple(phase.of(members) for phase in self.phases), self.coupling, units)
 
-    def adopt(self, parts: Sequence["JointConditions"], order: np.ndarray) -> None:
+    def adopt(self, parts: Sequence["JointConditions"], order: np.ndarray | slice) -> None:
         """Take the units of parts whose members are all of these, in this order."""
         for phase, *own in zip(self.phases, *(part.phases for part in parts), strict=True):
             phase.adopt(own, order)

@@ -50,9 +50,7 @@ def newton_of_all(conditions: Any, guess: Any, shape: tuple[int, int], tolerance
     others = conditions.of(rest)
     left = _in_parts(others, taken(guess, rest), (len(rest), points), options, stop)
     order = np.argsort(np.concatenate([ahead.members, rest]))
-    conditions.adopt([there, others], order)
-    arrays: Any = [own._replace(stopped=None) for own in (arrived, left)]
-    return taken(joined(arrays), order)._replace(stopped=left.stopped)
+    return _merged(conditions, [(there, arrived), (others, left)], order)._replace(stopped=left.stopped)
 
 
 def _arrived(conditions: Any, ahead: Arrivals, max_iterations: int) -> Found:
@@ -78,10 +76,14 @@ def _in_parts(conditions: Any, guess: Any, shape: tuple[int, int], options: tupl
         with np.errstate(all="ignore"):
             return own, newton(own, taken(guess, members), *options, lambda _: stop.is_set())
 
-    found = _side_by_side(run, parts, stop)
-    conditions.adopt([own for own, _ in found], np.arange(count))
-    arrays: Any = [own._replace(stopped=None) for _, own in found]
-    return joined(arrays)._replace(stopped=stop.is_set())
+    return _merged(conditions, _side_by_side(run, parts, stop), slice(None))._replace(stopped=stop.is_set())
+
+
+def _merged(conditions: Any, parts: list[tuple[Any, Found]], order: np.ndarray | slice) -> Found:
+    """What is found of parts, one after the other in this order; the conditions take their units."""
+    conditions.adopt([own for own, _ in parts], order)
+    arrays: Any = [found._replace(stopped=None) for _, found in parts]
+    return taken(joined(arrays), order)
 
 
 def _side_by_side(run: Callable[[range], R], parts: list[range], stop: Event) -> list[R]:

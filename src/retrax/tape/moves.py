@@ -179,17 +179,20 @@ def _gather(params: dict[str, Any], x: Entries, indices: Entries) -> Entries:
 
 def _scatter(name: str, params: dict[str, Any], x: Entries, indices: Entries, updates: Entries) -> Entries:
     """``x`` with windows set to the updates, or increased by them; updates outside of the array are dropped."""
-    count, result = math.prod(x.shape), x
-    order = np.arange(count).reshape(x.shape)
-    for starts, sizes, of in _windows(params, x.shape, indices, updates.shape):
-        before, update, found = result, taken(updates, of), list[tuple[Any, Entries]]()
-        for condition, into in _parts(starts, x.shape, sizes):
-            if name == "scatter" and is_known(indices):
-                order[into] = count + of
-            else:
-                found.append((condition, _combined(name, before, into, update)))
-        result = _chosen([*found, (None, before)] if found and found[0][0] is not None else found or [(None, before)])
-    return joined([x, updates], x.shape, order) if name == "scatter" and is_known(indices) else result
+    windows = _windows(params, x.shape, indices, updates.shape)
+    if name == "scatter" and is_known(indices):  # entries that only move are moved at once
+        count = math.prod(x.shape)
+        order = np.arange(count).reshape(x.shape)
+        for starts, sizes, of in windows:
+            ((_, into),) = _parts(starts, x.shape, sizes)
+            order[into] = count + of
+        return joined([x, updates], x.shape, order)
+    result = x
+    for starts, sizes, of in windows:
+        update = taken(updates, of)
+        found = [(c, _combined(name, result, into, update)) for c, into in _parts(starts, x.shape, sizes)]
+        result = found[0][1] if found[0][0] is None else _chosen([*found, (None, result)])
+    return result
 
 
 def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: Any, updated: tuple[int, ...]) -> list[tuple]:
