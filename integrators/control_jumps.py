@@ -6,7 +6,6 @@ import jax
 import numpy as np
 
 from ..manifolds import InvalidInputError
-from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
 from .constraints import OF_CONTROL
@@ -33,15 +32,16 @@ def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -
     found = steps_in(lambda u: rates(problem, q, u), u)
     if not found:
         return
-    states, controls = vec.taken((q, u), None)
-    lines = control_lines(problem, states, controls, np.zeros(1, working_precision()), SCALES)
-    jump = control_jump(Crossings(rates, problem, None), (None, None), lines)
+    given = None, None
+    crossings = Crossings(rates, problem, None, given)
+    states, controls = crossings.state.rows(q, 0)[None], crossings.control.rows(u, 0)[None]
+    jump = control_jump(crossings, given, control_lines(problem, states, controls, np.zeros(1), SCALES))
     if jump:
         raise InvalidInputError(control_words(problem, jump, found))
 
 
 def control_lines(
-    problem: "OptimalControlProblem", states: Ambient, controls: Ambient, times: np.ndarray, scales: np.ndarray
+    problem: "OptimalControlProblem", states: np.ndarray, controls: np.ndarray, times: np.ndarray, scales: np.ndarray
 ) -> Lines:
     """Lines from each of some controls along every coordinate to both sides, in pieces between these distances."""
     count, n, m = len(times), problem.manifold.dimension, problem.controls.dimension
@@ -49,9 +49,8 @@ def control_lines(
     k, entry, piece = (
         part.ravel() for part in np.meshgrid(range(count), range(m), range(len(grid) - 1), indexing="ij")
     )
-    q, u = vec.taken((states, controls), k)
-    turns, none = np.eye(m, dtype=grid.dtype)[entry], np.zeros((len(k), n), grid.dtype)
-    return Lines.through(q, u, times[k], none, turns)._replace(low=grid[piece], high=grid[piece + 1])
+    found = Lines.through(states[k], controls[k], times[k], np.zeros((len(k), n)), np.eye(m)[entry])
+    return found._replace(low=grid[piece], high=grid[piece + 1])
 
 
 def control_jump(crossings: Crossings, given: Given, lines: Lines, sizes: np.ndarray | None = None) -> Jump | None:

@@ -2,7 +2,7 @@
 there."""
 
 from collections.abc import Callable
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import jax
@@ -14,9 +14,11 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.tolerances import EPS, FINEST, HALF, tolerance
 from ..retractions import Retraction
-from .compilation import held, in_chunks
+from .evaluated import Evaluated
+from .evaluator import Automatic
 from .jumps import with_margins
 from .kinks import JUMP, LASTS, LESS
+from .layout import Layout, parameter_layout
 
 if TYPE_CHECKING:
     from .problem import OptimalControlProblem
@@ -24,6 +26,10 @@ if TYPE_CHECKING:
 DEGREE = 4  # of polynomials that are a trajectory between two of its points
 CLOSER = 4.0  # times: each distance from a place at which both sides are compared is that of the one before
 EACH = 24  # places of a step at which it is looked at
+AROUND = 2.0 ** np.array([-3, -7, -14, -28])  # of an interval: how near to where a line puts a change it is looked for
+ROUNDS = 60  # in each of which an interval is halved, at least
+CLOSE = 1 / 16  # of the smallest of these distances: how closely such a place is known
+ROUNDED = 4.0  # times eps, of what a step compares: a smaller margin is rounding
 NEAR = EPS**HALF  # of the largest of what a step compares: nearer ones are at the jump
 HIDDEN = 1e4  # times eps, of the largest entry: a smaller change may be rounding of its terms
 
@@ -33,17 +39,17 @@ Looked = Callable[["OptimalControlProblem", Ambient, Ambient, Any], Array]  # a 
 
 
 class Lines(NamedTuple):
-    """K curves through states, controls and times: their coordinates there, polynomials of a place, and from where to
-    where."""
+    """K curves through flat states, controls and times: their coordinates there, polynomials of a place, and from where
+    to where."""
 
-    states: Ambient
-    controls: Ambient
-    times: Any  # (K,)
-    ways: Any  # (K, DEGREE, n): of each power of the place
-    turns: Any  # (K, m)
-    spans: Any  # (K,)
-    low: Any
-    high: Any
+    states: np.ndarray  # (K, E)
+    controls: np.ndarray  # (K, U)
+    times: np.ndarray  # (K,)
+    ways: np.ndarray  # (K, DEGREE, n): of each power of the place
+    turns: np.ndarray  # (K, m)
+    spans: np.ndarray  # (K,)
+    low: np.ndarray
+    high: np.ndarray
 
     def __getitem__(self, which: Any) -> "Lines":  # pyright: ignore[reportIncompatibleMethodOverride]  # lines, not their parts
         """Some of the lines."""
@@ -51,33 +57,46 @@ class Lines(NamedTuple):
 
     @classmethod
     def through(
-        cls, states: Ambient, controls: Ambient, times: np.ndarray, ways: np.ndarray, turns: np.ndarray
+        cls, states: np.ndarray, controls: np.ndarray, times: np.ndarray, ways: np.ndarray, turns: np.ndarray
     ) -> "Lines":
         """Straight lines to both sides of points, in one direction each."""
-        powers = np.concatenate([ways[:, None], np.zeros((len(ways), DEGREE - 1, ways.shape[1]), ways.dtype)], axis=1)
+        powers = np.concatenate([ways[:, None], np.zeros((len(ways), DEGREE - 1, ways.shape[1]))], axis=1)
         return cls(states, controls, times, powers, turns, 0 * times, 0 * times - 1, 0 * times + 1)
 
 
 class Seen(NamedTuple):
-    """At both ends of lines: the values, the margins of the steps in them and their sizes, and slopes of the
-    margins."""
+    """At places of lines: the points there, the values, the margins of the steps in them and their sizes, and slopes of
+    the margins along the line."""
 
-    values: np.ndarray  # (K, 2, E)
-    margins: np.ndarray  # (K, 2, G)
+    states: np.ndarray  # (K, j, E)
+    controls: np.ndarray
+    times: np.ndarray  # (K, j, 1)
+    values: np.ndarray
+    margins: np.ndarray  # (K, j, G)
     sizes: np.ndarray
     slopes: np.ndarray
+
+    def of_step(self, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """On each line the margins of one step, shape ``(K, j)``, and their slopes."""
+        margins, slopes = (np.take_along_axis(a, step[:, None, None], 2)[:, :, 0] for a in (self.margins, self.slopes))
+        return margins, slopes
 
 
 class Located(NamedTuple):
     """The place on each line where a margin changes its sign, or else is smallest, and what changes there."""
 
-    states: Ambient
-    controls: Ambient
-    times: Any  # (K,)
-    margins: Any  # at the place
-    values: Any  # (K, E), on one side
-    changes: Any  # (K, J, E): from one side to the other, at several distances
-    opposite: Any  # (K, J): whether the margin has another sign there
+    states: np.ndarray
+    controls: np.ndarray
+    times: np.ndarray  # (K,)
+    margins: np.ndarray  # (K,): at the place
+    values: np.ndarray  # (K, E), on one side
+    changes: np.ndarray  # (K, J, E): from one side to the other, at several distances
+    opposite: np.ndarray  # (K, J): whether the margin has another sign there
+
+    @property
+    def compared(self) -> np.ndarray:
+        """Whether the sides are compared, at enough distances to tell a jump."""
+        return np.sum(self.opposite, axis=1) >= LASTS
 
 
 class Jump(NamedTuple):
@@ -97,22 +116,25 @@ class Crossings:
     computes.
 
     With a ``retraction`` the states move along the lines, else they are as they are. The function takes one thing more,
-    which is ``given`` in each call behind the parameters of the problem. What is traced is traced once.
+    which is ``given`` in each call behind the parameters of the problem, in the shapes of the ``example``. What is
+    traced is traced once.
     """
 
-    def __init__(self, function: Looked, problem: "OptimalControlProblem", retraction: Retraction | None) -> None:
-        self.problem, self.retraction = problem, retraction
-        self._seen, self._slopes, self._located = (
-            held(partial(kernel, (function, problem, retraction))) for kernel in (_seen, _slopes, _located)
-        )
+    def __init__(
+        self, function: Looked, problem: "OptimalControlProblem", retraction: Retraction | None, example: Given
+    ) -> None:
+        self.function, self.problem, self.retraction = function, problem, retraction
+        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self._given = parameter_layout(example)
 
     def seen(self, given: Given, lines: Lines) -> Seen:
         """What is seen at the ends of lines."""
-        return Seen(*in_chunks(partial(self._seen, given), lines))
+        return self._at(given, lines, np.stack([lines.low, lines.high], axis=1))
 
-    def slopes(self, given: Given, lines: Lines) -> np.ndarray:
-        """At points the derivatives of the margins by coordinates of states."""
-        return in_chunks(partial(self._slopes, given), lines)
+    def slopes(self, given: Given, points: Lines) -> np.ndarray:
+        """At points the derivatives of the margins by coordinates of states, shape ``(K, G, n)``."""
+        rows = points.states, points.controls, points.times[:, None], self._row(given)[None]
+        return self._by_states.of_any(1, *rows)[0]
 
     def located(
         self, given: Given, lines: Lines, seen: Seen, of_step: np.ndarray | None = None
@@ -122,26 +144,31 @@ class Crossings:
         ``of_step``: on each line one step alone is looked at.
         """
         before, after = seen.margins[:, 0] >= 0, seen.margins[:, 1] >= 0
-        crossed = before != after
         dips = (seen.margins[:, 0] * seen.slopes[:, 0] < 0) & (seen.margins[:, 1] * seen.slopes[:, 1] > 0)
-        changing = (crossed | dips) & np.all(np.isfinite(seen.margins), axis=1)
+        changing = ((before != after) | dips) & np.all(np.isfinite(seen.margins), axis=1)
         if of_step is not None:
             changing &= np.arange(changing.shape[1]) == np.reshape(of_step, (-1, 1))
         line, step = some(changing)
         if not len(line):
             return None, step
-        own = lines[line], step, before[line, step], crossed[line, step]
-        return in_chunks(partial(self._located, given), *own), step
+        own = lines[line]
+        place = self._places(given, own, step, vec.taken(seen, line))
+        count = int(-np.log(FINEST * tolerance(place, 1.0)) / np.log(CLOSER))
+        widths = (own.high - own.low)[:, None] * CLOSER ** -np.arange(1.0, count + 1)
+        at = np.concatenate([place[:, None], place[:, None] - widths, place[:, None] + widths], axis=1)
+        found = self._at(given, own, at)
+        margins, values = found.of_step(step)[0], found.values
+        changes, sides = values[:, count + 1 :] - values[:, 1 : count + 1], margins[:, 1:] >= 0
+        point = found.states[:, 0], found.controls[:, 0], found.times[:, 0, 0]
+        return Located(*point, margins[:, 0], values[:, count], changes, sides[:, :count] != sides[:, count:]), step
 
     def jumps(self, located: Located | None, sizes: np.ndarray | None = None) -> list[Jump]:
         """The jumps at places; ``sizes`` of the entries, where the values at the place do not tell them."""
         if located is None:
             return []
         found = []
-        for k in range(len(located.times)):
+        for k in np.flatnonzero(located.compared):
             levels = np.flatnonzero(located.opposite[k])[-LASTS:]
-            if len(levels) < LASTS:
-                continue
             changes = np.abs(located.changes[k, levels])
             own = np.abs(located.values[k]) if sizes is None else sizes
             least = np.maximum(JUMP * own, HIDDEN * EPS * np.max(own[np.isfinite(own)], initial=0.0))
@@ -152,11 +179,105 @@ class Crossings:
                 shares = np.where(lasts, changes[-1] / np.maximum(own, changes[-1]), 0.0)
             if np.any(lasts):
                 i = int(np.argmax(shares))
-                state, control = vec.taken((located.states, located.controls), k)
+                state, control = self.state.points(located.states[k]), self.control.points(located.controls[k])
                 found.append(
                     Jump(shares[i], i, located.changes[k, levels[-1], i], state, control, float(located.times[k]))
                 )
         return found
+
+    def _places(self, given: Given, lines: Lines, step: np.ndarray, seen: Seen) -> np.ndarray:
+        """Where on each line the margin of a step changes its sign, or else is nearest to zero; ``seen`` at their
+        ends."""
+        ends = np.stack([lines.low, lines.high], axis=1).astype(self._points.precision)
+        rounding = ROUNDED * tolerance(ends, 1.0) * np.take_along_axis(seen.sizes, step[:, None, None], 2)[:, :, 0]
+        finest = CLOSE * FINEST * tolerance(ends, 1.0) * (ends[:, 1:] - ends[:, :1])
+        margins, slopes = seen.of_step(step)
+        above, crossed = margins[:, 0] >= 0, (margins[:, 0] >= 0) != (margins[:, 1] >= 0)
+        for _ in range(ROUNDS):
+            middle, width = ends.mean(axis=1, keepdims=True), ends[:, 1:] - ends[:, :1]
+            known = (width <= finest) | np.any(middle == ends, axis=1, keepdims=True)
+            if np.all(known | np.all(np.abs(margins) <= rounding, axis=1, keepdims=True)):
+                break
+            # Where both ends are on one side, what is between may be on the other one, about where it is nearest to it.
+            falls = np.where(crossed[:, None], margins, slopes)
+            likely = ends[:, :1] + width * _zero(falls)[:, None]
+            inner = np.concatenate([middle, likely, likely - width * AROUND, likely + width * AROUND], axis=1)
+            inner = np.clip(np.sort(inner, axis=1), ends[:, :1], ends[:, 1:]).astype(ends.dtype)
+            here = self._at(given, lines, inner).of_step(step)
+            other = (here[0] >= 0) != above[:, None]
+            crossed |= np.any(other, axis=1)
+            beyond = np.where(crossed[:, None], other, np.sign(here[0]) * here[1] > 0)
+            first = np.where(np.any(beyond, axis=1), np.argmax(beyond, axis=1), beyond.shape[1])
+            interval = np.stack([first, first + 1], axis=1)
+            ends, margins, slopes = (
+                np.take_along_axis(np.concatenate([a[:, :1], b, a[:, 1:]], axis=1), interval, 1)
+                for a, b in ((ends, inner), (margins, here[0]), (slopes, here[1]))
+            )
+        return ends[:, 1]
+
+    def _at(self, given: Given, lines: Lines, places: np.ndarray) -> Seen:
+        """What is seen at some places of each line, shape ``(K, j)``."""
+        ways = lines.ways.reshape(len(places), -1)
+        own = lines.states, lines.controls, lines.times[:, None], ways, lines.turns, lines.spans[:, None]
+        rows = *(a[:, None] for a in own), places[..., None], self._row(given)[None, None]
+        return Seen(*(a.astype(self._points.precision, copy=False) for a in self._points.of_any(2, *rows)))
+
+    def _row(self, given: Given) -> np.ndarray:
+        return self._given.rows(given, 0) if self._given.size else np.zeros(0)
+
+    @cached_property
+    def _points(self) -> Evaluated:
+        sizes, n, m = (self.state.size, self.control.size, 1), *self._dimensions
+        return Automatic().values(self._seen, *sizes, DEGREE * n, m, 1, 1, self._given.size)
+
+    @cached_property
+    def _by_states(self) -> Evaluated:
+        return Automatic().values(self._slopes, self.state.size, self.control.size, 1, self._given.size)
+
+    @property
+    def _dimensions(self) -> tuple[int, int]:
+        return self.problem.manifold.dimension, self.problem.controls.dimension
+
+    def _seen(self, *line: Array) -> tuple[Array, ...]:
+        """What is seen at a place of a line."""
+        q, u, t, ways, turn, span, place, given = line
+
+        def value(s: Array) -> tuple[Array, Any]:
+            powers = jnp.stack([s**k for k in range(1, DEGREE + 1)])
+            state = self._moved(self.state.point(q), powers @ ways.reshape(DEGREE, -1))
+            control, time = self.problem.steer(self.control.point(u), s * turn), t[0] + s * span[0]
+            point = self.state.flat(state), self.control.flat(control), time[None]
+            return self._value(state, control, time, given), point
+
+        s = place[0]
+        looked = partial(with_margins, lambda s: value(s)[0])
+        (found, margins), (_, slopes) = jax.jvp(looked, (s,), (jnp.ones_like(s),))
+        return *value(s)[1], found, *margins, slopes.values
+
+    def _slopes(self, q: Array, u: Array, t: Array, given: Array) -> tuple[Array]:
+        """The derivatives of the margins by coordinates of the state."""
+
+        def margins(way: Array) -> Array:
+            state = self._moved(self.state.point(q), way)
+            return with_margins(lambda: self._value(state, self.control.point(u), t[0], given))[1].values
+
+        return (jax.jacfwd(margins)(jnp.zeros(self._dimensions[0])),)
+
+    def _value(self, q: Ambient, u: Ambient, t: Array, given: Array) -> Array:
+        parameters, own = self._given.point(given)
+        return self.function(self.problem.with_parameters(parameters).at_time(t), q, u, own)
+
+    def _moved(self, q: Ambient, way: Array) -> Ambient:
+        retraction = self.retraction
+        return q if retraction is None else retraction(q, vec.combine(retraction.manifold.basis(q), way))
+
+
+def _zero(values: np.ndarray) -> np.ndarray:
+    """Where a straight line between two values, shape ``(K, 2)``, is zero, as a fraction of the way; halfway if
+    nowhere."""
+    with np.errstate(all="ignore"):
+        found = values[:, 0] / (values[:, 0] - values[:, 1])
+    return np.where((found >= 0) & (found <= 1), found, 0.5)
 
 
 def some(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -173,86 +294,6 @@ def some(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def largest(jumps: list[Jump]) -> Jump | None:
     """The one that changes most, relative to the size of its entry."""
     return max(jumps, key=lambda jump: jump.share, default=None)
-
-
-def _along(known: Any, given: Given, line: Lines) -> tuple[Callable[[Array], Any], Callable[[Array], Array]]:
-    """The point of a line at a place, and the value there."""
-    function, problem, retraction = known
-    bound = problem.with_parameters(given[0])
-
-    def point(s: Array) -> tuple[Ambient, Ambient, Array]:
-        powers = jnp.stack([s**k for k in range(1, DEGREE + 1)])
-        return (
-            _moved(retraction, line.states, powers @ line.ways),
-            bound.steer(line.controls, s * line.turns),
-            line.times + s * line.spans,
-        )
-
-    def value(s: Array) -> Array:
-        q, u, t = point(s)
-        return function(bound.at_time(t), q, u, given[1])
-
-    return point, value
-
-
-def _moved(retraction: Retraction | None, q: Ambient, way: Array) -> Ambient:
-    return q if retraction is None else retraction(q, vec.combine(retraction.manifold.basis(q), way))
-
-
-def _seen(known: Any, given: Given, lines: Lines) -> tuple[Array, ...]:
-    def one(line: Lines) -> tuple[Array, ...]:
-        _, value = _along(known, given, line)
-
-        def at(s: Array) -> tuple[Array, ...]:
-            (found, margins), (_, slopes) = jax.jvp(lambda s: with_margins(value, s), (s,), (jnp.ones_like(s),))
-            return found, *margins, slopes.values
-
-        return jax.vmap(at)(jnp.stack([line.low, line.high]))
-
-    return jax.vmap(one)(lines)
-
-
-def _slopes(known: Any, given: Given, lines: Lines) -> Array:
-    def one(line: Lines) -> Array:
-        def margins(way: Array) -> Array:
-            there = line._replace(ways=jnp.zeros_like(line.ways).at[0].set(way))
-            return with_margins(_along(known, given, there)[1], jnp.ones_like(line.times))[1].values
-
-        return jax.jacfwd(margins)(jnp.zeros_like(line.ways[0]))
-
-    return jax.vmap(one)(lines)
-
-
-def _located(known: Any, given: Given, lines: Lines, steps: Array, above: Array, crossed: Array) -> Located:
-    def one(line: Lines, step: Array, above: Array, crossed: Array) -> Located:
-        point, value = _along(known, given, line)
-
-        def margin(s: Array) -> Array:
-            return with_margins(value, s)[1].values[step]
-
-        def halved(ends: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
-            low, high, crossed = ends
-            middle = (low + high) / 2
-            here, slope = jax.jvp(margin, (middle,), (jnp.ones_like(middle),))
-            other = (here >= 0) != above
-            # Where both ends are on one side, what is between may be on the other one, about where it is nearest to it.
-            beyond = other | (~crossed & (jnp.sign(here) * slope > 0))
-            return (jnp.where(beyond, low, middle), jnp.where(beyond, middle, high), crossed | other), None
-
-        def side(s: Array) -> tuple[Array, Array]:
-            found, margins = with_margins(value, s)
-            return found, margins.values[step]
-
-        begin = jnp.asarray(line.low), jnp.asarray(line.high), crossed
-        place = jax.lax.scan(halved, begin, None, jnp.finfo(begin[0].dtype).nmant + 8)[0][1]
-        count = int(-np.log(FINEST * tolerance(place, 1.0)) / np.log(CLOSER))
-        widths = (begin[1] - begin[0]) * CLOSER ** -jnp.arange(1.0, count + 1, dtype=place.dtype)
-        values, margins = jax.vmap(side)(jnp.concatenate([place[None], place - widths, place + widths]))
-        changes, sides = values[count + 1 :] - values[1 : count + 1], margins[1:] >= 0
-        q, u, t = point(place)
-        return Located(q, u, t, margins[0], values[count], changes, sides[:count] != sides[count:])
-
-    return jax.vmap(one)(lines, steps, above, crossed)
 
 
 def rates(problem: "OptimalControlProblem", q: Ambient, u: Ambient, _: None = None) -> Array:

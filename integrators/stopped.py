@@ -142,15 +142,13 @@ def _missed(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndar
         apart = np.abs(quotients - slopes)
         clear = apart > rounding / SETTLED
         settled = clear[1:] & clear[:-1] & (np.abs(np.diff(quotients, axis=0)) < SETTLED * apart[1:])
-        shares = apart / size
-    found, clearness = np.zeros(slopes.shape[-1]), tolerance(above, 1 / 3)
-    for i in range(len(found)):
-        # The shortest spans that are clear of rounding: over longer ones a function may be anything.
-        known = np.flatnonzero(np.isfinite(quotients[:, i]) & (rounding[:, i] < clearness * size[:, i]))
-        first = known[: LASTS + 1]
-        if len(first) > LASTS and np.all(settled[first[:-1], i]):
-            found[i] = shares[first[0], i]
-    return found
+        known = np.isfinite(quotients) & (rounding < tolerance(above, 1 / 3) * size)
+        shares = np.take_along_axis(apart / size, np.argmax(known, axis=0)[None], 0)[0]
+    # The shortest spans that are clear of rounding: over longer ones a function may be anything.
+    ranks = np.cumsum(known, axis=0)
+    shortest = known & (ranks <= LASTS)
+    tells = (ranks[-1] > LASTS) & np.all(settled | ~shortest[:-1], axis=0)
+    return np.where(tells, shares, 0.0)
 
 
 def _lines(

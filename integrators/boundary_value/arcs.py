@@ -11,7 +11,8 @@ from jaxtyping import Array
 
 from ..boundary_conditions import BoundaryConditions
 from ..constraints import LOWER, PARAMETERS_LOWER, PARAMETERS_UPPER, UPPER, Inequalities
-from ..evaluator import Automatic, Evaluated
+from ..evaluated import Evaluated
+from ..evaluator import Automatic
 from ..free import Free, is_free
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem

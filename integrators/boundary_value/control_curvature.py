@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import Euclidean
-from ..evaluator import Automatic, Evaluated
+from ..evaluated import Evaluated
+from ..evaluator import Automatic
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
 from .solution import Solution

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ..evaluator import Evaluator
+from ..evaluated import Evaluator
 from ..problem import OptimalControlProblem
 from .engine.coupling import Coupling, Link
 

@@ -13,7 +13,8 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.tolerances import EPS
 from ...reading import one_reading
 from ...retractions import Retraction, default_retraction
-from ..evaluator import Automatic, Evaluated
+from ..evaluated import Evaluated
+from ..evaluator import Automatic
 from ..layout import Layout
 from .engine.chart import Chart, lagrange
 from .guess import Guess
@@ -148,18 +149,18 @@ class Interpolant:
         jumps = {name: after * _along(times, record.times, rows / before) for name, rows in at_nodes.items()}
         return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers, jumps)
 
-    def within(self, record: "Solution", places: np.ndarray) -> Sample:
+    def within(self, record: "Solution", places: np.ndarray, costates: bool = True) -> Sample:
         """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own
         controls.
 
-        Entries are NaN where a step does not fit into a chart.
+        Entries are NaN where a step does not fit into a chart. Without costates these are None.
         """
         count = len(record.times) - 1
         each, at = np.repeat(np.arange(count), len(places)), np.tile(places, count)
         with one_reading(), np.errstate(all="ignore"):
-            rows = self._evaluated(self._steps(record, np.arange(count)), each, at)
+            rows = self._evaluated(self._steps(record, np.arange(count)), each, at, costates)
         q, p, u = (
-            layout.points(a.reshape(count, len(places), -1))
+            layout.points(a.reshape(count, len(places), -1)) if len(a) else None
             for layout, a in zip((self.state, self.state, self.control), rows, strict=True)
         )
         return Sample(record.times[each].reshape(count, -1) + np.outer(np.diff(record.times), places), q, u, p)
@@ -179,27 +180,35 @@ class Interpolant:
         return _Step(*ends, states, costates, controls, places, jumps)
 
     def _evaluated(
-        self, steps: _Step, where: np.ndarray, places: np.ndarray
+        self, steps: _Step, where: np.ndarray, places: np.ndarray, with_costates: bool = True
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them."""
+        """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them.
+
+        There is an empty array in place of the costates unless these are asked for.
+        """
         if len(steps.places) == 1:  # the base point of a discretization map, which may be at a node
             centres, through = steps.states[:, 0], np.array([0.0, 1.0])
-            covectors = np.stack([steps.begin_costates, steps.end_costates], axis=1)
             coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
         else:
-            covectors = np.stack([steps.begin_costates, *np.moveaxis(steps.costates, 1, 0), steps.end_costates], axis=1)
             through, centres, coordinates = self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
-        momenta = self.chart.pulled(centres[:, None], coordinates, covectors)
-        if np.any(steps.jumps):
-            momenta = self._on_this_side(steps, centres, (through, momenta))
-        shares = lagrange(through, places)
-        c, momentum = (np.einsum("tj,tjn->tn", shares, a[where]) for a in (coordinates, momenta))
+        shares, costates = lagrange(through, places), np.zeros(0)
+        c = np.einsum("tj,tjn->tn", shares, coordinates[where])
         states = self.chart.points(centres[where], c)
-        costates = self.chart.pushed(centres[where], c, momentum)
+        if with_costates:
+            momenta = self._momenta(steps, through, centres, coordinates)
+            momentum = np.einsum("tj,tjn->tn", shares, momenta[where])
+            costates = self.chart.pushed(centres[where], c, momentum)
         bases = steps.controls[:, 0]
         (offsets,) = self._offset.at(2, bases[:, None], steps.controls)
         offset = np.einsum("tj,tjm->tm", lagrange(steps.places, places), offsets[where])
         return states, costates, self._steered.at(1, bases[where], offset)[0]
+
+    def _momenta(self, steps: _Step, through: np.ndarray, centres: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
+        """The covectors of the charts of steps at the places ``through`` which their polynomials go."""
+        inner = () if len(steps.places) == 1 else np.moveaxis(steps.costates, 1, 0)
+        covectors = np.stack([steps.begin_costates, *inner, steps.end_costates], axis=1)
+        momenta = self.chart.pulled(centres[:, None], coordinates, covectors)
+        return self._on_this_side(steps, centres, (through, momenta)) if np.any(steps.jumps) else momenta
 
     def _on_this_side(self, steps: _Step, centres: np.ndarray, known: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """The momenta at the places of steps, where there is a jump those of the polynomial through the others."""

@@ -9,7 +9,7 @@ import numpy as np
 from ...retractions import Gauss, Midpoint
 from ...undisturbed import undisturbed
 from ..controls import resting_control
-from ..evaluator import Evaluator
+from ..evaluated import Evaluator
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .arguments import Method, structure_of

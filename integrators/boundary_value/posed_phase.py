@@ -8,7 +8,8 @@ import numpy as np
 from ...manifolds import DomainError, InvalidInputError, NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
 from ..controls import resting_control
-from ..evaluator import Automatic, Evaluator
+from ..evaluated import Evaluator
+from ..evaluator import Automatic
 from ..inspection import Inspection
 from ..problem import OptimalControlProblem
 from .arguments import Given, Method, Options, fractions_of

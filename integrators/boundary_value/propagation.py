@@ -17,7 +17,8 @@ from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.tolerances import EPS, HALF, ROUNDING
 from ...reading import reads_once
 from ...retractions import Retraction, default_retraction
-from ..evaluator import Automatic, Evaluator
+from ..evaluated import Evaluator
+from ..evaluator import Automatic
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
 from .arguments import ALONG, BETWEEN, check_parameters

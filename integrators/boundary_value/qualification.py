@@ -13,7 +13,8 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.tolerances import ACTIVE, EPS, HALF
 from ..boundary_conditions import boundary_words
 from ..constraints import entry_words
-from ..evaluator import Automatic, Evaluated
+from ..evaluated import Evaluated
+from ..evaluator import Automatic
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
 from .checks import RegularChecks

@@ -19,7 +19,8 @@ from ...manifolds.numerics.ambient import is_finite_number
 from ...manifolds.numerics.precision import default_tolerance, working_precision
 from ...manifolds.numerics.tolerances import ROUNDING
 from ...retractions import DiscretizationMap
-from ..evaluator import Automatic, Evaluated, Evaluator
+from ..evaluated import Evaluated, Evaluator
+from ..evaluator import Automatic
 from ..free import all_guessed, guessed, is_free
 from ..layout import Layout, parameter_layout
 from ..options import HORIZON

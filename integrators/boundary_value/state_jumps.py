@@ -61,11 +61,11 @@ class Jumps:
         words = words or (self._beside(retraction, solution) if self.of_controls else "")
         return words or (self._at_ends(retraction, solution, fixed) if any(self.of_ends) else "")
 
-    def _traced(self, function: Looked, retraction: Retraction) -> Crossings:
+    def _traced(self, function: Looked, retraction: Retraction, given: Given) -> Crossings:
         """What looks for jumps of a function; the same for solutions with one retraction."""
-        known = self._crossings.setdefault(function, Crossings(function, self.problem, retraction))
-        if known.retraction is not retraction:
-            known = self._crossings[function] = Crossings(function, self.problem, retraction)
+        known = self._crossings.get(function)
+        if known is None or known.retraction is not retraction:
+            known = self._crossings[function] = Crossings(function, self.problem, retraction, given)
         return known
 
     def _along(self, retraction: Retraction, solution: Solution) -> str:
@@ -73,28 +73,29 @@ class Jumps:
         segments, given = self._segments(solution), (solution.parameters, None)
         if not len(segments.times):
             return ""
-        crossings, names = (
-            self._traced(rates, retraction),
-            rate_names(self.problem.with_parameters(solution.parameters)),
-        )
+        crossings = self._traced(rates, retraction, given)
         seen = crossings.seen(given, segments)
         sizes = self._sizes(seen.values)
         located, step = crossings.located(given, segments, seen)
         jump = largest(crossings.jumps(located, sizes))
         if jump:
-            return self._words(jump, names[jump.entry], self.of_states, "where the trajectory passes")
+            return self._words(jump, self._name(jump, solution), self.of_states, "where the trajectory passes")
         size = np.max(np.where(np.isfinite(seen.sizes), seen.sizes, 0.0), axis=(0, 1), initial=0.0)
         after = (segments.times - solution.times[0]) / np.ptp(solution.times)
         inner = (after > ENDS) & (after < 1 - ENDS)
         k, steps = some((np.abs(seen.margins[:, 0]) <= NEAR * size) & inner[:, None])
         near = segments[k]
-        if located is not None:  # between two points it comes near to a jump
-            touches = np.abs(located.margins) <= NEAR * size[step]
+        if located is not None:  # between two points it comes near to a jump, or passes a window that is narrower
+            touches = (np.abs(located.margins) <= NEAR * size[step]) & ~located.compared
             steps = np.concatenate([steps, step[touches]])
-            at = vec.taken((located.states, located.controls, located.times), touches)
-            near = vec.joined([near, self._resting(*at)])
+            near = vec.joined([near, self._resting(*vec.taken(located[:3], touches))])
         jump = self._on(crossings, given, near, steps, (size, sizes))
-        return self._words(jump, names[jump.entry], self.of_states, "beside the trajectory, at") if jump else ""
+        where = "beside the trajectory, at"
+        return self._words(jump, self._name(jump, solution), self.of_states, where) if jump else ""
+
+    def _name(self, jump: Jump, solution: Solution) -> str:
+        """That of the function that jumps."""
+        return rate_names(self.problem.with_parameters(solution.parameters))[jump.entry]
 
     def _on(
         self,
@@ -125,12 +126,12 @@ class Jumps:
         """Words on a jump in the controls, from those of some stages."""
         count, given = len(solution.stage_times), (solution.parameters, None)
         stages = np.unique(np.linspace(0, count - 1, min(count, STAGES)).round().astype(int))
-        q, u = vec.taken((solution.stage_states, solution.controls), stages)
-        reach = 1.0
+        crossings, reach = self._traced(rates, retraction, given), 1.0
+        q = crossings.state.rows(vec.taken(solution.stage_states, stages), 1)
+        u = crossings.control.rows(vec.taken(solution.controls, stages), 1)
         if isinstance(self.problem.controls, Euclidean):
-            reach = float(np.max(np.abs(np.asarray(u)), initial=0.0)) or 1.0
+            reach = float(np.max(np.abs(u), initial=0.0)) or 1.0
         lines = control_lines(self.problem, q, u, solution.stage_times[stages], reach * REACHES)
-        crossings = self._traced(rates, retraction)
         sizes = self._sizes(crossings.seen(given, lines[lines.low == 0]).values[:, :1])
         jump = control_jump(crossings, given, lines, sizes)
         bound = self.problem.with_parameters(solution.parameters)
@@ -144,7 +145,8 @@ class Jumps:
             one, other = (vec.taken(solution.states, [k]) for k in (-end, end - 1))
             u, t = vec.taken((solution.controls, solution.times), [-end])
             given = solution.parameters, vec.taken(other, 0)
-            crossings, point = self._traced((_at_start, _at_end)[end], retraction), self._resting(one, u, t)
+            crossings = self._traced((_at_start, _at_end)[end], retraction, given)
+            point = self._resting(crossings.state.rows(one, 1), crossings.control.rows(u, 1), t)
             seen = crossings.seen(given, point)
             size = seen.sizes[0, 0]
             near = np.flatnonzero(np.abs(seen.margins[0, 0]) <= NEAR * size)
@@ -169,7 +171,7 @@ class Jumps:
         """The segments between points of the trajectory where they are known."""
         interpolant: Any = solution.interpolant
         count = POINTS * len(solution.stage_times) // solution.steps
-        found = interpolant.within(solution, np.linspace(EDGE, 1 - EDGE, DEGREE * count + 1))
+        found = interpolant.within(solution, np.linspace(EDGE, 1 - EDGE, DEGREE * count + 1), costates=False)
         rows, of_controls = self.state.rows(found.states, 2), interpolant.control.rows(found.controls, 2)
         # Within the steps, polynomials through points; from each step to the next one, all points are the last one.
         inner = np.arange(count)[:, None] * DEGREE + np.arange(DEGREE + 1)
@@ -186,10 +188,10 @@ class Jumps:
         parts = through[:, 0], ways.reshape(len(ways), -1), u
         known = np.all([np.all(np.isfinite(part), axis=1) for part in parts], axis=0)
         spans = ends - times if self.timed else 0 * times
-        lines = self._resting(self.state.points(through[:, 0]), interpolant.control.points(u), times)
+        lines = self._resting(through[:, 0], u, times)
         return lines._replace(ways=ways, spans=spans, low=0 * times)[known]
 
-    def _resting(self, states: Ambient, controls: Ambient, times: np.ndarray) -> Lines:
+    def _resting(self, states: np.ndarray, controls: np.ndarray, times: np.ndarray) -> Lines:
         """Lines that stay at points."""
         n, m = self.problem.manifold.dimension, self.problem.controls.dimension
         return Lines.through(states, controls, times, np.zeros((len(times), n)), np.zeros((len(times), m)))

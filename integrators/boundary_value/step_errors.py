@@ -11,7 +11,8 @@ from jaxtyping import Array
 
 from ...manifolds import DomainError, Euclidean, InvalidInputError, Product
 from ...reading import one_reading, reads_once
-from ..evaluator import Automatic, Evaluated
+from ..evaluated import Evaluated
+from ..evaluator import Automatic
 from ..problem import OptimalControlProblem
 from .arguments import check_parameters
 from .control_curvature import ControlCurvature
@@ -140,7 +141,7 @@ class Estimator:
         if not self.problem.limits.any or solution.interpolant is None:
             return np.zeros((solution.steps, 0)), np.zeros(0, bool), {}
         stages = len(solution.stage_times) // solution.steps
-        found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1))
+        found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1), costates=False)
         layouts = (self.propagator.state, found.states), (self.propagator.control, found.controls)
         q, u = (layout.rows(points, 2) for layout, points in layouts)
         given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)

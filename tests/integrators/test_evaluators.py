@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, Solver, SymplecticIntegrator, integrate
-from retrax.integrators.evaluator import TapeEvaluator
+from retrax.integrators.tape_evaluator import TapeEvaluator
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint
 from retrax.tape import NotTraceableError, Tape

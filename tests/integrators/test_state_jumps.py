@@ -1,6 +1,7 @@
 """Functions that jump in the states, and derivatives that do not tell of their values: nothing of it ends in a
 success."""
 
+import warnings
 from typing import Any
 
 import equinox as eqx
@@ -74,6 +75,27 @@ def test_every_kind_of_step_is_seen(solver, k):
     solution = solver.solve(0 * END, END, 1.0, parameters=(JUMP[k], 0 * KINK[0]), throw=False)
     assert not solution.success
     assert "running_cost jumps by" in solution.result
+
+
+def decomposed(q: Array, u: Array, height: Array) -> Array:
+    """What XLA computes for want of scalars, with a jump."""
+    matrix = jnp.array([[2 + q[0] ** 2, q[1]], [q[1], 3.0]])
+    return u @ u / 2 + 1e-3 * jnp.linalg.eigvalsh(matrix)[0] + height * STEPS[0](q)
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_a_jump_is_seen_where_xla_computes_too(double):
+    jax.config.update("jax_enable_x64", double)
+    try:
+        by_xla = solver_of(decomposed)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # single precision
+            found = [by_xla.solve(0 * END, END, 1.0, parameters=h, throw=False) for h in (0.0, 1e-7, 1e-2, -1e-2, 1.0)]
+    finally:
+        jax.config.update("jax_enable_x64", True)
+    assert by_xla.evaluator.startswith("xla")
+    assert [solution.success for solution in found] == [True, True, False, False, False]
+    assert all("jumps by" in solution.result for solution in found[2:])
 
 
 @pytest.mark.parametrize("k", range(len(CONTINUOUS)))

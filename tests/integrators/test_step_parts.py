@@ -26,10 +26,11 @@ from retrax.integrators import (
 from retrax.integrators.boundary_value.arcs import Arcs
 from retrax.integrators.boundary_value.engine.collocation import Collocation
 from retrax.integrators.boundary_value.engine.transcription import Data
-from retrax.integrators.evaluator import Automatic, TapeEvaluator, XlaEvaluator
+from retrax.integrators.evaluator import Automatic, XlaEvaluator
 from retrax.integrators.initial_value.step import StepEquations, StepResult, restored
 from retrax.integrators.probing import flat_directions
 from retrax.integrators.stages import ControlStage, GaussStage, HamiltonianStage
+from retrax.integrators.tape_evaluator import TapeEvaluator
 from retrax.manifolds import SO, Euclidean, Sphere
 from retrax.manifolds.numerics.tolerances import EPS, REGULAR
 from retrax.retractions import Addition, Gauss, Midpoint, Projection, Theta

@@ -442,7 +442,7 @@ PLANTED: dict[str, Planted] = {
         (f"{PARTS}::test_evaluators_have_the_same_derivatives",),
     ),
     "shared arguments of tapes go on from point to point": Planted(
-        "integrators/evaluator.py",
+        "integrators/tape_evaluator.py",
         "size if length > 1 else 0) for k",
         "size) for k",
         (f"{SOLVER}::test_both_evaluators_give_the_same_numbers", f"{FREE}"),

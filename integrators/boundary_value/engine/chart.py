@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from ....manifolds.numerics import ambient as vec
 from ....retractions import Retraction
-from ...evaluator import Evaluated, Evaluator
+from ...evaluated import Evaluated, Evaluator
 from ...layout import Layout
 
 ROUNDS = 30  # of Newton's method, which takes three to five

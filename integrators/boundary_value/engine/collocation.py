@@ -11,7 +11,7 @@ from jaxtyping import Array
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Gauss, default_retraction
-from ...evaluator import Arrays, Evaluator
+from ...evaluated import Arrays, Evaluator
 from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from .arrays import plain

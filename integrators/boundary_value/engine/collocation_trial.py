@@ -6,7 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ...evaluator import Placed
+from ...evaluated import Placed
 from .arrays import whole
 from .collocation import Collocation, GaussUnknowns, Inner
 from .condensing import Ends, Points

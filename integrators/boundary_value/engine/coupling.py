@@ -11,7 +11,7 @@ from jaxtyping import Array
 from ....manifolds import Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ...evaluator import Evaluator
+from ...evaluated import Evaluator
 from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from .transcription import Terminal

@@ -16,7 +16,7 @@ from jaxtyping import Array
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
-from ...evaluator import Evaluator
+from ...evaluated import Evaluator
 from .augmented import of_lagrangian, solved
 from .collocation import Collocation
 from .condensing import Condensed, condense

@@ -14,7 +14,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.tolerances import EPS, ROUNDING
 from ....manifolds.product import homogeneous_factors
-from ...evaluator import Evaluated, Evaluator
+from ...evaluated import Evaluated, Evaluator
 from ...layout import Layout, parameter_layout
 from ...probing import flat_directions
 from ...problem import OptimalControlProblem

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ....aligned import LINE
-from ...evaluator import Placed
+from ...evaluated import Placed
 from .fields import Fields
 
 

@@ -12,7 +12,8 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import Retraction, default_retraction
-from ...evaluator import Automatic, Evaluated
+from ...evaluated import Evaluated
+from ...evaluator import Automatic
 from ...layout import Layout
 
 ASIDE = 0.05  # of the chord

@@ -12,7 +12,8 @@ from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....retractions import DiscretizationMap, default_retraction
 from ...constraints import entry_words
-from ...evaluator import Arrays, Automatic, Evaluated, Evaluator
+from ...evaluated import Arrays, Evaluated, Evaluator
+from ...evaluator import Automatic
 from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage

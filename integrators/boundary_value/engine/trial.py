@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from ....aligned import scratch
-from ...evaluator import Evaluated, Placed
+from ...evaluated import Evaluated, Placed
 from .barrier import LAST, LOWERING, PRICES
 from .elimination import WEIGHT, clear_pivot, positive_definite
 from .extent import Extent
