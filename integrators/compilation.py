@@ -67,27 +67,6 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
     return call
 
 
-def held(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, traced once for arguments of each structure; for who holds what it reads, as it was then."""
-    known: dict[Any, Any] = {}
-
-    @wraps(function)
-    def call(*arguments: P.args, **options: P.kwargs) -> R:
-        if jax.config.jax_disable_jit:  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
-            return function(*arguments, **options)
-        leaves, structure = jax.tree.flatten(arguments)
-        data = [np.asarray(leaf) for leaf in leaves]
-        key = structure, tuple((a.shape, a.dtype) for a in data)
-        if key not in known:
-            program = _traced(function, structure, data, data)
-            known[key] = program, _executable(program, data)
-        program, executable = known[key]
-        outputs = executable(program.closed.consts, data)
-        return eqx.combine(jax.tree.unflatten(program.structure, outputs), program.fixed)
-
-    return call
-
-
 def in_chunks(function: Callable[..., Any], *rows: Any, size: int = CHUNK) -> Any:
     """What a compiled function of rows gives for each of them; one program serves any number of rows.
 

@@ -11,7 +11,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
-from ..reading import traced
+from ..reading import differentiable, traced
 from .compilation import compiler_options, in_chunks
 from .compiling import told
 from .evaluated import Arrays, Evaluated, Evaluator, Function
@@ -75,7 +75,7 @@ class _Compiled(Evaluated):
         """The values at points in rows."""
         count = len(filled[0])
         if count not in self.executables:
-            with told():
+            with told(), differentiable():
                 self.executables[count] = jax.jit(self.function).lower(*filled).compile(compiler_options())
         # Copies: the arrays of XLA are read-only, and the assembly adds to them.
         return tuple(np.array(v, dtype=float, order="C") for v in self.executables[count](*filled))

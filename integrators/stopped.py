@@ -1,7 +1,7 @@
 """Derivatives that do not tell how a function changes, as where ``jax.lax.stop_gradient`` hides a state or a
 control."""
 
-from functools import partial
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple, final
 
 import jax
@@ -13,12 +13,13 @@ from ..equations import is_in_scalars, name_of
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.precision import working_precision
 from ..manifolds.numerics.tolerances import rounding_of, tolerance
 from ..retractions import default_retraction
 from .boundary_conditions import boundary_words
-from .compilation import call_compiled, held
+from .evaluated import Evaluated
+from .evaluator import Automatic
 from .jumps import dependent
+from .layout import Layout, parameter_layout
 
 if TYPE_CHECKING:
     from .problem import OptimalControlProblem
@@ -44,9 +45,9 @@ class Line(NamedTuple):
     """The values of all functions along a line, at distances ``-s`` and ``s`` from its middle, and the derivatives
     there."""
 
-    below: Array
-    above: Array
-    slopes: Array
+    below: Any
+    above: Any
+    slopes: Any
 
 
 def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
@@ -54,18 +55,17 @@ def require_true_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Am
 
     Only functions that have rules of their own for derivatives, or stop some, are looked at.
     """
-    found = own_rules(partial(_values, problem), q, u)
-    if found:
-        lines = call_compiled(_lines, problem, q, u, *_moves(problem, (BASES,)), SPANS.astype(working_precision()))[0]
-        words = _words(problem, q, vec.taken(lines, None), found, [""])
+    derivatives = TrueDerivatives(problem, None)
+    if derivatives:
+        points = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (q, u))
+        words = derivatives.words((*points, np.zeros(1)), None, [""])
         if words:
             raise InvalidInputError(words)
 
 
 @final
 class TrueDerivatives:
-    """Looks at some points of trajectories whether the derivatives of a problem's functions tell of their values;
-    traced once."""
+    """Looks at some points whether the derivatives of a problem's functions tell of their values; traced once."""
 
     def __init__(self, problem: "OptimalControlProblem", parameters: Any) -> None:
         self.problem, bound = problem, problem.with_parameters(parameters).at_time(0.0)
@@ -73,14 +73,15 @@ class TrueDerivatives:
             jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (problem.manifold, problem.controls)
         )
         self.rules = own_rules(partial(_values, bound), *points)
-        self._traced = held(self._lines)
+        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self._given = parameter_layout(parameters)
 
     def __bool__(self) -> bool:
         """Whether a function has rules of its own, or stops derivatives."""
         return bool(self.rules)
 
     def __call__(self, states: Ambient, controls: Ambient, times: np.ndarray, parameters: Any) -> str:
-        """Words on the function whose derivative is off by most; empty if none is."""
+        """Words on the function whose derivative is off by most along a trajectory; empty if none is."""
         known = np.all(
             [np.isfinite(leaf.reshape(len(times), -1)).all(axis=1) for leaf in jax.tree.leaves((states, controls))],
             axis=0,
@@ -89,35 +90,65 @@ class TrueDerivatives:
         if not (self.rules and len(stages)):
             return ""
         stages = stages[np.linspace(0, len(stages) - 1, PLACES).round().astype(int)]
-        q, u, t = vec.taken((states, controls, times), stages)
-        lines: Any = jax.tree.map(np.asarray, self._traced(parameters, q, u, t, *_moves(self.problem, (PLACES, BASES))))
-        bound, first = self.problem.with_parameters(parameters).at_time(0.0), vec.taken(q, 0)
-        return _words(bound, first, lines, self.rules, [f" near t = {time:.6g}" for time in t])
+        points = vec.taken((states, controls, times), stages)
+        return self.words(points, parameters, [f" near t = {time:.6g}" for time in points[-1]])
 
-    def _lines(self, parameters: Any, *points: Any) -> tuple[Line, Line]:
-        bound, spans = self.problem.with_parameters(parameters), jnp.asarray(SPANS, working_precision())
-        return jax.vmap(lambda q, u, t, ways, turns: _lines(bound.at_time(t), q, u, ways, turns, spans))(*points)
+    def words(self, points: tuple[Ambient, Ambient, np.ndarray], parameters: Any, places: list[str]) -> str:
+        """Words on that function at some states, controls and times, which have these names."""
+        bound, first = self.problem.with_parameters(parameters).at_time(0.0), vec.taken(points[0], 0)
+        for about, line in zip(("states", "controls"), self._lines(points, parameters), strict=True):
+            wrong = usually_missed(line)
+            place, entry = np.unravel_index(np.argmax(wrong), wrong.shape)
+            if wrong[place, entry] > 0:
+                return (
+                    f"{_names(bound, first)[entry]} changes with the {about} at another rate than its "
+                    f"derivative{places[place]}, which is off by {wrong[place, entry]:.1e} of it, where the functions "
+                    f"use {' and '.join(self.rules)}; expected the derivatives of the values, because dH/du = 0 and "
+                    "the costates are made of them; try it without, or a rule that agrees with the values"
+                )
+        return ""
 
+    def _lines(self, points: tuple[Ambient, Ambient, np.ndarray], parameters: Any) -> list[Line]:
+        """Lines through several points near each state and control, along which the one, or the other, moves."""
+        draw, count = np.random.default_rng(0).standard_normal, len(points[-1])
+        rows = self.state.rows(points[0], 1), self.control.rows(points[1], 1), points[2][:, None]
+        moves = [draw((count, BASES, 2, m.dimension)) for m in (self.problem.manifold, self.problem.controls)]
+        spans = np.concatenate([[0.0], -SPANS, SPANS])[:, None]
+        given = (self._given.rows(parameters, 0) if self._given.size else np.zeros(0))[None, None, None]
+        own = *(a[:, None, None] for a in rows), *(a.reshape(count, BASES, 1, -1) for a in moves)
+        found = self._along.of_any(3, *own, spans[None, None], given)
+        found = [a.astype(self._along.precision, copy=False) for a in found]
+        below, above = slice(1, 1 + len(SPANS)), slice(1 + len(SPANS), None)
+        return [Line(a[:, :, below], a[:, :, above], b[:, :, 0]) for a, b in (found[:2], found[2:])]
 
-def _moves(problem: "OptimalControlProblem", count: tuple[int, ...]) -> list[np.ndarray]:
-    """Random directions of states and of controls, two for each line."""
-    draw = np.random.default_rng(0).standard_normal
-    return [draw((*count, 2, m.dimension)).astype(working_precision()) for m in (problem.manifold, problem.controls)]
+    @cached_property
+    def _along(self) -> Evaluated:
+        n, m = self.problem.manifold.dimension, self.problem.controls.dimension
+        sizes = self.state.size, self.control.size, 1, 2 * n, 2 * m, 1, self._given.size
+        return Automatic().values(self._values_along, *sizes)
 
+    def _values_along(self, *line: Array) -> tuple[Array, ...]:
+        """The values of all functions, and their derivatives, at one place of a line of states and of one of
+        controls."""
+        state, control, time, ways, turns, place, given = line
+        way, turn, q, u = (
+            ways.reshape(2, -1),
+            turns.reshape(2, -1),
+            self.state.point(state),
+            self.control.point(control),
+        )
+        bound = self.problem.with_parameters(self._given.point(given)).at_time(time[0])
+        retraction, steered = default_retraction(self.problem.manifold), default_retraction(self.problem.controls)
+        base, beside = near(retraction, q, MOVE * way[0]), near(steered, u, MOVE * turn[0])
 
-def _words(problem: "OptimalControlProblem", q: Ambient, lines: Any, found: list[str], places: list[str]) -> str:
-    """What is said of the lines near some places, along which states and along which controls move."""
-    for about, line in zip(("states", "controls"), lines, strict=True):
-        wrong = usually_missed(line)
-        place, entry = np.unravel_index(np.argmax(wrong), wrong.shape)
-        if wrong[place, entry] > 0:
-            return (
-                f"{_names(problem, q)[entry]} changes with the {about} at another rate than its "
-                f"derivative{places[place]}, which is off by {wrong[place, entry]:.1e} of it, where the functions use "
-                f"{' and '.join(found)}; expected the derivatives of the values, because dH/du = 0 and the costates "
-                "are made of them; try it without, or a rule that agrees with the values"
-            )
-    return ""
+        def by_state(s: Array) -> Array:
+            return _values(bound, near(retraction, base, s * way[1]), beside)
+
+        def by_control(s: Array) -> Array:
+            return _values(bound, base, near(steered, beside, s * turn[1]))
+
+        one = jnp.ones_like(place[0])
+        return *jax.jvp(by_state, (place[0],), (one,)), *jax.jvp(by_control, (place[0],), (one,))
 
 
 def own_rules(function: Any, *arguments: Any) -> list[str]:
@@ -149,31 +180,6 @@ def _missed(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndar
     shortest = known & (ranks <= LASTS)
     tells = (ranks[-1] > LASTS) & np.all(settled | ~shortest[:-1], axis=0)
     return np.where(tells, shares, 0.0)
-
-
-def _lines(
-    problem: "OptimalControlProblem", q: Ambient, u: Ambient, ways: Array, turns: Array, spans: Array
-) -> tuple[Line, Line]:
-    """Lines through several points near a state and a control, along which the one and the other moves."""
-
-    def one(way: Array, turn: Array) -> tuple[Line, Line]:
-        retraction, steered = default_retraction(problem.manifold), default_retraction(problem.controls)
-        base, control = near(retraction, q, MOVE * way[0]), near(steered, u, MOVE * turn[0])
-
-        def by_state(s: Array) -> Array:
-            return _values(problem, near(retraction, base, s * way[1]), control)
-
-        def by_control(s: Array) -> Array:
-            return _values(problem, base, near(steered, control, s * turn[1]))
-
-        return along_line(by_state, spans), along_line(by_control, spans)
-
-    return jax.vmap(one)(ways, turns)
-
-
-def along_line(value: Any, spans: Array) -> Line:
-    slope = jax.jvp(value, (jnp.zeros_like(spans[0]),), (jnp.ones_like(spans[0]),))[1]
-    return Line(jax.vmap(value)(-spans), jax.vmap(value)(spans), slope)
 
 
 def near(retraction: Any, x: Ambient, way: Array) -> Ambient:

@@ -6,6 +6,7 @@ if __package__ != "retrax.manifolds":
         "a second copy of its classes would not match the first"
     )
 
+from ..errors import NotDifferentiableError
 from . import groups, matrices, vectors
 from .bundles import CotangentBundle, TangentBundle
 from .combined_metrics import PowerMetric, ProductMetric, ScaledMetric
@@ -49,6 +50,7 @@ __all__ = [
     "LevelSet",
     "Manifold",
     "Metric",
+    "NotDifferentiableError",
     "NotOnManifoldError",
     "Power",
     "PowerMetric",

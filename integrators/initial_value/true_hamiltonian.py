@@ -16,7 +16,7 @@ from ...retractions import Retraction
 from ..compilation import call_compiled
 from ..functions import real_number
 from ..stages.hamiltonian import Hamiltonian
-from ..stopped import BASES, MOVE, SPANS, Line, along_line, near, own_rules, usually_missed
+from ..stopped import BASES, MOVE, SPANS, Line, near, own_rules, usually_missed
 
 
 def require_true_hamiltonian(hamiltonian: Hamiltonian, retraction: Retraction, q: Ambient, p: Ambient) -> None:
@@ -55,9 +55,14 @@ def _lines(
                 "the Hamiltonian", hamiltonian(base, _moved(retraction, base, covector, s * way[1, 1]))
             )[None],
         )
-        return along_line(by_state, spans), along_line(by_covector, spans)
+        return _along(by_state, spans), _along(by_covector, spans)
 
     return jax.vmap(one)(ways)
+
+
+def _along(value: Any, spans: Array) -> Line:
+    slope = jax.jvp(value, (jnp.zeros_like(spans[0]),), (jnp.ones_like(spans[0]),))[1]
+    return Line(jax.vmap(value)(-spans), jax.vmap(value)(spans), slope)
 
 
 def _moved(retraction: Retraction, q: Ambient, p: Ambient, way: Array) -> Ambient:

@@ -7,3 +7,12 @@ class RetraxError(Exception):
     >>> issubclass(InvalidInputError, RetraxError), issubclass(ConvergenceError, RetraxError)
     (True, True)
     """
+
+
+class NotDifferentiableError(RetraxError, ValueError):
+    """JAX cannot differentiate a user's function: costates and Newton's method need its derivatives, forward and
+    backward.
+
+    >>> issubclass(NotDifferentiableError, ValueError)
+    True
+    """

@@ -9,13 +9,28 @@ from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
+from traceback import walk_tb
+from types import FrameType
 from typing import Any, ParamSpec, TypeVar, final
 
 import jax
 from jax._src.interpreters import partial_eval
 from jax.extend.core import ClosedJaxpr
 
+from .errors import NotDifferentiableError, RetraxError
 from .undisturbed import with_room
+
+# Parts of what JAX says of functions without derivatives, and what may be tried.
+WITHOUT = {
+    "to a custom_vjp function": "jax.custom_jvp, whose rule serves both ways",
+    "does not work for lax.while_loop": (
+        "jax.lax.fori_loop with a number of rounds that no value decides, jax.lax.scan, or find_root for an equation"
+    ),
+    "allbacks do not support JVP": "the same in jax.numpy, or jax.custom_jvp with a rule around the callback",
+    "supported for the pure_callback": (
+        "the same in jax.numpy, or vmap_method='sequential' and a jax.custom_jvp with a rule around it"
+    ),
+}
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -103,6 +118,42 @@ def reads_once(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def traced(function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
-    """The program of a function as it is now, a closed jaxpr; ``examples``: arrays, or their shapes."""
-    with one_reading() as reading:
+    """The program of a function as it is now, a closed jaxpr; ``examples``: arrays, or their shapes.
+
+    Raises ``NotDifferentiableError`` where it has derivatives of a function of which JAX knows none.
+    """
+    with one_reading() as reading, differentiable():
         return with_room(reading.traced, function, *examples)
+
+
+@contextmanager
+def differentiable() -> Iterator[None]:
+    """A time in which JAX traces or compiles: what it says of functions without derivatives is a
+    ``NotDifferentiableError``."""
+    try:
+        yield
+    except RetraxError:
+        raise
+    except (TypeError, ValueError, NotImplementedError) as error:
+        words = _undifferentiable(error)
+        if words:
+            raise NotDifferentiableError(words) from error
+        raise
+
+
+def _undifferentiable(error: Exception) -> str:
+    """What to say of an error of JAX about a function without derivatives; empty for other ones."""
+    said = " ".join(str(error).split())
+    hint = next((hint for part, hint in WITHOUT.items() if part in said), "")
+    if not hint:
+        return ""
+    frames = [(frame.f_code.co_filename, line) for frame, line in walk_tb(error.__traceback__) if _is_users(frame)]
+    where = f", called in line {frames[-1][1]} of {frames[-1][0]}," if frames else ""
+    return (
+        f"JAX cannot differentiate a function{where} and says: {said.rstrip('.')}; expected one with derivatives, "
+        f"forward and backward, because costates and Newton's method need them; try {hint}"
+    )
+
+
+def _is_users(frame: FrameType) -> bool:
+    return frame.f_globals.get("__name__", "").partition(".")[0] not in ("jax", "equinox", "retrax")

@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import SymplecticIntegrator, compilation, integrate
+from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, compilation, integrate, solve
 from retrax.integrators.compilation import call_compiled, digest
 from retrax.integrators.functions import in_precision, is_transformed, require_concrete
-from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.manifolds import Euclidean, InvalidInputError, NotDifferentiableError
 from retrax.reading import one_reading, reads_once
-from retrax.retractions import CotangentLift, Exponential, Midpoint
+from retrax.retractions import Addition, CotangentLift, Exponential, Gauss, Midpoint
 
 LINE = Euclidean(1)
 MIDPOINT = Midpoint(Exponential(LINE))
@@ -177,3 +177,51 @@ def test_a_loop_runs_where_jit_is_disabled():
     with jax.disable_jit():
         value, *_ = call_compiled(lambda x: jax.lax.while_loop(lambda y: jnp.sum(y) < 30, lambda y: 2 * y, x), THREE)
     np.testing.assert_array_equal(value, 16 * THREE)
+
+
+@jax.custom_vjp
+def backward_only(x):
+    return x**2
+
+
+backward_only.defvjp(lambda x: (x**2, x), lambda x, t: (2 * x * t,))
+
+
+def looped(x):
+    return jax.lax.while_loop(lambda c: c[0] < 3, lambda c: (c[0] + 1, c[1] * 1.1), (0, x))[1]
+
+
+def called(x, method=None):
+    return jax.pure_callback(np.sin, jax.ShapeDtypeStruct(x.shape, x.dtype), x, vmap_method=method)
+
+
+WITHOUT_DERIVATIVES = {
+    "custom_vjp": (backward_only, "try jax.custom_jvp"),
+    "while_loop": (looped, "try jax.lax.fori_loop with a number of rounds that no value decides"),
+    "callback": (called, "try the same in jax.numpy"),
+    "callback in turn": (lambda x: called(x, "sequential"), "try the same in jax.numpy"),
+}
+
+
+@pytest.mark.parametrize("name", WITHOUT_DERIVATIVES)
+def test_functions_without_derivatives_are_answered_with_what_has_some(name):
+    function, hint = WITHOUT_DERIVATIVES[name]
+    problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2 + function(q[0]), 1)
+    with pytest.raises(NotDifferentiableError, match=f"JAX cannot differentiate a function.*{hint}"):
+        solve(problem, Gauss(2, Addition(LINE)), np.zeros(1), np.ones(1), 1.0, 5)
+    with pytest.raises(NotDifferentiableError, match=f"JAX cannot differentiate a function.*{hint}"):
+        integrate(
+            lambda q, p: p @ p / 2 + function(q[0]),
+            SymplecticIntegrator(CotangentLift(MIDPOINT)),
+            (np.zeros(1), np.ones(1)),
+            0.1,
+            5,
+        )
+
+
+def test_an_equation_that_is_no_function_of_jax_keeps_its_own_error():
+    def failing(q, u):
+        raise ValueError("a table ends at 3")
+
+    with pytest.raises(ValueError, match="a table ends at 3"):
+        OptimalControlProblem(LINE, lambda q, u: u, failing, 1).check(np.zeros(1), np.zeros(1))
