@@ -91,7 +91,7 @@ class Located(NamedTuple):
     margins: np.ndarray  # (K,): at the place
     values: np.ndarray  # (K, E), on one side
     changes: np.ndarray  # (K, J, E): from one side to the other, at several distances
-    opposite: np.ndarray  # (K, J): whether the margin has another sign there
+    opposite: np.ndarray  # (K, J): whether the margin has another sign there, beyond rounding
 
     @property
     def compared(self) -> np.ndarray:
@@ -157,10 +157,13 @@ class Crossings:
         widths = (own.high - own.low)[:, None] * CLOSER ** -np.arange(1.0, count + 1)
         at = np.concatenate([place[:, None], place[:, None] - widths, place[:, None] + widths], axis=1)
         found = self._at(given, own, at)
-        margins, values = found.of_step(step)[0], found.values
-        changes, sides = values[:, count + 1 :] - values[:, 1 : count + 1], margins[:, 1:] >= 0
+        margins, sizes = (np.take_along_axis(a, step[:, None, None], 2)[:, :, 0] for a in (found.margins, found.sizes))
+        clear = np.abs(margins) > ROUNDED * tolerance(margins, 1.0) * sizes  # nearer the sides are rounding
+        before, after = slice(1, count + 1), slice(count + 1, None)
+        opposite = ((margins[:, before] >= 0) != (margins[:, after] >= 0)) & clear[:, before] & clear[:, after]
         point = found.states[:, 0], found.controls[:, 0], found.times[:, 0, 0]
-        return Located(*point, margins[:, 0], values[:, count], changes, sides[:, :count] != sides[:, count:]), step
+        changes = found.values[:, after] - found.values[:, before]
+        return Located(*point, margins[:, 0], found.values[:, count], changes, opposite), step
 
     def jumps(self, located: Located | None, sizes: np.ndarray | None = None) -> list[Jump]:
         """The jumps at places; ``sizes`` of the entries, where the values at the place do not tell them."""
@@ -187,16 +190,18 @@ class Crossings:
 
     def _places(self, given: Given, lines: Lines, step: np.ndarray, seen: Seen) -> np.ndarray:
         """Where on each line the margin of a step changes its sign, or else is nearest to zero; ``seen`` at their
-        ends."""
+        ends.
+
+        Intervals around the places close in: each is cut in its middle and near to where a straight line between its
+        ends would put the place.
+        """
         ends = np.stack([lines.low, lines.high], axis=1).astype(self._points.precision)
-        rounding = ROUNDED * tolerance(ends, 1.0) * np.take_along_axis(seen.sizes, step[:, None, None], 2)[:, :, 0]
         finest = CLOSE * FINEST * tolerance(ends, 1.0) * (ends[:, 1:] - ends[:, :1])
         margins, slopes = seen.of_step(step)
         above, crossed = margins[:, 0] >= 0, (margins[:, 0] >= 0) != (margins[:, 1] >= 0)
         for _ in range(ROUNDS):
             middle, width = ends.mean(axis=1, keepdims=True), ends[:, 1:] - ends[:, :1]
-            known = (width <= finest) | np.any(middle == ends, axis=1, keepdims=True)
-            if np.all(known | np.all(np.abs(margins) <= rounding, axis=1, keepdims=True)):
+            if np.all((width <= finest) | np.any(middle == ends, axis=1, keepdims=True)):
                 break
             # Where both ends are on one side, what is between may be on the other one, about where it is nearest to it.
             falls = np.where(crossed[:, None], margins, slopes)
@@ -242,12 +247,9 @@ class Crossings:
         """What is seen at a place of a line."""
         q, u, t, ways, turn, span, place, given = line
 
-        def value(s: Array) -> tuple[Array, Any]:
+        def value(s: Array) -> tuple[Array, tuple[Array, ...]]:
             powers = jnp.stack([s**k for k in range(1, DEGREE + 1)])
-            state = self._moved(self.state.point(q), powers @ ways.reshape(DEGREE, -1))
-            control, time = self.problem.steer(self.control.point(u), s * turn), t[0] + s * span[0]
-            point = self.state.flat(state), self.control.flat(control), time[None]
-            return self._value(state, control, time, given), point
+            return self._value((q, u, t, given), powers @ ways.reshape(DEGREE, -1), s * turn, s * span)
 
         s = place[0]
         looked = partial(with_margins, lambda s: value(s)[0])
@@ -256,20 +258,24 @@ class Crossings:
 
     def _slopes(self, q: Array, u: Array, t: Array, given: Array) -> tuple[Array]:
         """The derivatives of the margins by coordinates of the state."""
+        n, m = self._dimensions
 
         def margins(way: Array) -> Array:
-            state = self._moved(self.state.point(q), way)
-            return with_margins(lambda: self._value(state, self.control.point(u), t[0], given))[1].values
+            # Those of the retraction count too, as they do along lines.
+            value = partial(self._value, (q, u, t, given), turn=jnp.zeros(m), span=jnp.zeros(1))
+            return with_margins(lambda way: value(way)[0], way)[1].values
 
-        return (jax.jacfwd(margins)(jnp.zeros(self._dimensions[0])),)
+        return (jax.jacfwd(margins)(jnp.zeros(n)),)
 
-    def _value(self, q: Ambient, u: Ambient, t: Array, given: Array) -> Array:
-        parameters, own = self._given.point(given)
-        return self.function(self.problem.with_parameters(parameters).at_time(t), q, u, own)
-
-    def _moved(self, q: Ambient, way: Array) -> Ambient:
-        retraction = self.retraction
-        return q if retraction is None else retraction(q, vec.combine(retraction.manifold.basis(q), way))
+    def _value(self, start: tuple[Array, ...], way: Array, turn: Array, span: Array) -> tuple[Array, tuple[Array, ...]]:
+        """The value where a state, a control and a time have moved so far, and the point there."""
+        q, u, t, given = start
+        (parameters, own), state, time = self._given.point(given), self.state.point(q), (t + span)[0]
+        if self.retraction is not None:
+            state = self.retraction(state, vec.combine(self.retraction.manifold.basis(state), way))
+        control = self.problem.steer(self.control.point(u), turn)
+        found = self.function(self.problem.with_parameters(parameters).at_time(time), state, control, own)
+        return found, (self.state.flat(state), self.control.flat(control), time[None])
 
 
 def _zero(values: np.ndarray) -> np.ndarray:

@@ -117,11 +117,9 @@ def _margin(equation: Any, inputs: list[Any]) -> list[Margins]:
     if name in ("sign", "atan2"):
         return [Margins(x, jnp.abs(x))]
     if name in ("floor", "ceil", "round") or (name == "convert_element_type" and _is_cut(equation)):
-        # Of whole numbers, and of those halfway between; their sizes are of the distance between two of them.
-        wave = jnp.cos if name == "round" else jnp.sin
-        return [Margins(wave(jnp.pi * x), jnp.ones_like(x))]
+        return [_wave(x - 0.5 if name == "round" else x)]
     if name == "rem":
-        return [Margins(jnp.sin(jnp.pi * x / inputs[1]), jnp.ones_like(x))]
+        return [_wave(x / inputs[1])]
     if name in ("argmax", "argmin"):
         rows = jnp.moveaxis(x, equation.params["axes"][0], -1)
         rows = rows if name == "argmax" else -rows
@@ -130,3 +128,11 @@ def _margin(equation: Any, inputs: list[Any]) -> list[Margins]:
     if name == "convert_element_type":
         return []
     return [Margins(x - inputs[1], jnp.maximum(jnp.abs(x), jnp.abs(inputs[1])))]
+
+
+def _wave(x: Array) -> Margins:
+    """``sin(pi x)``, exactly zero at whole numbers in every precision; its size is the distance between two of them, or
+    what rounding of ``x`` makes of it."""
+    whole = jnp.round(x)
+    sign = 1 - 2 * jnp.abs(whole - 2 * jnp.round(whole / 2))
+    return Margins(sign * jnp.sin(jnp.pi * (x - whole)), jnp.maximum(1.0, 4 * jnp.abs(x)))

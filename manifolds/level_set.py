@@ -92,8 +92,8 @@ class LevelSet(Manifold):
 
     def violations(self, x: Array) -> dict[str, Array]:
         values, j = self.in_lengths(x)
-        singular = jnp.linalg.svd(j, compute_uv=False)
-        lost = jnp.sum(singular <= default_tolerance() * singular[0])
+        apart = jnp.abs(jnp.diagonal(jnp.linalg.qr(j.T, mode="r")))  # of each unit row from those before it
+        lost = jnp.sum(apart <= default_tolerance())
         off = vec.size(values) / jnp.maximum(vec.size(x), 1.0)
         return {"max |constraint / its gradient|": off, "rank lost by the constraint's Jacobian": lost}
 

@@ -180,7 +180,7 @@ class Interpolant:
         return _Step(*ends, states, costates, controls, places, jumps)
 
     def _evaluated(
-        self, steps: _Step, where: np.ndarray, places: np.ndarray, with_costates: bool = True
+        self, steps: _Step, where: np.ndarray, places: np.ndarray, costates: bool = True
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them.
 
@@ -191,17 +191,17 @@ class Interpolant:
             coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
         else:
             through, centres, coordinates = self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
-        shares, costates = lagrange(through, places), np.zeros(0)
+        shares, found = lagrange(through, places), np.zeros(0)
         c = np.einsum("tj,tjn->tn", shares, coordinates[where])
         states = self.chart.points(centres[where], c)
-        if with_costates:
+        if costates:
             momenta = self._momenta(steps, through, centres, coordinates)
             momentum = np.einsum("tj,tjn->tn", shares, momenta[where])
-            costates = self.chart.pushed(centres[where], c, momentum)
+            found = self.chart.pushed(centres[where], c, momentum)
         bases = steps.controls[:, 0]
         (offsets,) = self._offset.at(2, bases[:, None], steps.controls)
         offset = np.einsum("tj,tjm->tm", lagrange(steps.places, places), offsets[where])
-        return states, costates, self._steered.at(1, bases[where], offset)[0]
+        return states, found, self._steered.at(1, bases[where], offset)[0]
 
     def _momenta(self, steps: _Step, through: np.ndarray, centres: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
         """The covectors of the charts of steps at the places ``through`` which their polynomials go."""

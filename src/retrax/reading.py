@@ -32,6 +32,8 @@ WITHOUT = {
     ),
 }
 
+LIBRARIES = frozenset({"contextlib", "equinox", "functools", "jax", "jaxlib", "jaxtyping", "numpy", "retrax"})
+
 P = ParamSpec("P")
 R = TypeVar("R")
 T = TypeVar("T")
@@ -150,10 +152,10 @@ def _undifferentiable(error: Exception) -> str:
     frames = [(frame.f_code.co_filename, line) for frame, line in walk_tb(error.__traceback__) if _is_users(frame)]
     where = f", called in line {frames[-1][1]} of {frames[-1][0]}," if frames else ""
     return (
-        f"JAX cannot differentiate a function{where} and says: {said.rstrip('.')}; expected one with derivatives, "
-        f"forward and backward, because costates and Newton's method need them; try {hint}"
+        f"JAX cannot differentiate, or map, a function{where} and says: {said.rstrip('.')}; expected one with "
+        f"derivatives, forward and backward, because costates and Newton's method need them; try {hint}"
     )
 
 
 def _is_users(frame: FrameType) -> bool:
-    return frame.f_globals.get("__name__", "").partition(".")[0] not in ("jax", "equinox", "retrax")
+    return frame.f_globals.get("__name__", "").partition(".")[0] not in LIBRARIES

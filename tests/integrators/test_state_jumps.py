@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
-from retrax.manifolds import SO, Euclidean, InvalidInputError
-from retrax.retractions import Addition, Cayley, Gauss
+from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere
+from retrax.retractions import Addition, Cayley, Exponential, Gauss, Projection
 
 PLANE = Euclidean(2)
 METHOD, AT, END = Gauss(2, Addition(PLANE)), np.array([0.3, 0.2]), np.array([1.0, 0.0])
@@ -96,6 +96,54 @@ def test_a_jump_is_seen_where_xla_computes_too(double):
     assert by_xla.evaluator.startswith("xla")
     assert [solution.success for solution in found] == [True, True, False, False, False]
     assert all("jumps by" in solution.result for solution in found[2:])
+
+
+SINGLE = {
+    "round": lambda q, place: jnp.round(q[0] - place + 0.5),
+    "floor": lambda q, place: jnp.floor(q[0] - place + 3),
+    "remainder": lambda q, place: (q[0] - place + 5) % 1.0,
+    "whole": lambda q, place: (q[0] - place + 5).astype(int).astype(q.dtype),
+    "sign": lambda q, place: jnp.sign(q[0] - place),
+    "comparison": lambda q, place: jnp.where(q[0] > place, 1.0, 0.0),
+    "flat": lambda q, place: jnp.sign(jnp.sinh(30 * (q[0] - place)) ** 13),
+}
+
+
+@pytest.mark.parametrize("double", [True, False])
+@pytest.mark.parametrize("name", SINGLE)
+def test_jumps_are_seen_wherever_they_are(name, double):
+    """Beside zero and far from it, where states and margins are rounded, in both precisions."""
+    jax.config.update("jax_enable_x64", double)
+    try:
+        step = SINGLE[name]
+        solver = solver_of(lambda q, u, place: u @ u / 2 + 0.1 * step(q, place))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # single precision
+            for begin in (0.0, 30.0) if name != "flat" else (0.0,):
+                start = np.array([begin, 0.0])
+                for place in begin + np.array([0.313, 0.5, 0.7071]):
+                    found = solver.solve(start, start + END, 1.0, parameters=place, throw=False)
+                    assert "running_cost jumps by" in found.result, (begin, place)
+    finally:
+        jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.parametrize("family", [Exponential, Projection])
+def test_a_jump_is_told_from_the_steps_that_a_retraction_computes(family):
+    """It lies on the way of the trajectory, and others lie beside it."""
+    sphere = Sphere(2)
+    begin, end = np.eye(3)[:2]
+
+    def price(q: Array, u: Array, given: tuple[Array, Array]) -> Array:
+        height, place = given
+        beside = sum(jnp.where(q[0] > 5.0 + k, 1.0, 0.0) for k in range(6))
+        return u @ u / 2 + height * jnp.where(q[2] >= place, 1.0, 0.0) + beside
+
+    problem = OptimalControlProblem(sphere, lambda q, u, _: jnp.cross(u, q), price, 3)
+    solver = Solver(problem, Gauss(2, family(sphere)), 8)
+    for height, place, is_jump in ((0.1, 0.0, True), (0.0, 0.0, False), (0.1, 1e-3, False), (1e-9, 0.0, False)):
+        found = solver.solve(begin, end, 1.0, parameters=(height, place), throw=False)
+        assert found.success != is_jump, (height, place, found.result)
 
 
 @pytest.mark.parametrize("k", range(len(CONTINUOUS)))

@@ -200,15 +200,28 @@ class Circle(LevelSet):
         return x @ x - 1
 
 
-def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
-    """Projections to level sets are found by iteration."""
+def test_a_level_set_is_on_the_tape():
+    """Its projections are found by iteration, which is written out."""
     method = SymplecticIntegrator(lifted(default_retraction(Circle())))
     start = np.array([0.6, 0.8]), np.array([-0.4, 0.3])
+    found = [integrate(quartic, method, start, 0.1, 20, evaluator=evaluator) for evaluator in ("tape", "xla")]
+    assert found[0].evaluator.startswith("tape")
+    for one, other in zip((found[0].q, found[0].p), (found[1].q, found[1].p), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-13)
+    assert np.ptp(found[0].q[:, 0]) > 0.3
+
+
+def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
+    """Eigenvalues are LAPACK's."""
+    method = SymplecticIntegrator(lifted(default_retraction(Euclidean(2))))
+    start = np.array([0.6, 0.8]), np.array([-0.4, 0.3])
+
+    def quartic(q, p):
+        return p @ p / 2 + jnp.linalg.eigvalsh(jnp.diag(2 + q**2))[0]
+
     path = integrate(quartic, method, start, 0.1, 2)
-    assert "it calls implicit_root" in path.evaluator
-    with pytest.raises(
-        InvalidInputError, match=r"(?s)cannot run on the tape: .*implicit_root.*try evaluator='automatic'"
-    ):
+    assert "it calls eigh" in path.evaluator
+    with pytest.raises(InvalidInputError, match=r"(?s)cannot run on the tape: .*eigh.*try evaluator='automatic'"):
         integrate(quartic, method, start, 0.1, 2, evaluator="tape")
     with pytest.raises(InvalidInputError, match="evaluator must be one of 'automatic', 'tape', 'xla', got 'gpu'"):
         integrate(quartic, method, start, 0.1, 2, evaluator="gpu")

@@ -19,6 +19,8 @@ from .known import evaluated
 from .linear import LINEAR, inverse
 from .liveness import RULES, needed, opened
 from .moves import MOVES, stacked
+from .roots import PRIMITIVE as ROOT
+from .roots import roots
 
 BACKWARD = {"custom_vjp_call", "CustomVJPTraced"}  # what has a rule in reverse mode only
 LONGEST_LOOP = 1000  # iterations of a loop that is written out
@@ -29,12 +31,13 @@ class Tracer:
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
+        self._roots: dict[Any, tuple[list[Any], list[Entries]]] = {}  # with the operands, which keep their identities
 
     def run(self, jaxpr: Any, constants: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
         """Values of a jaxpr, None for those that are not wanted; arguments that these do not need may be None."""
         wanted = [True] * len(jaxpr.outvars) if wanted is None else wanted
         values: dict[Any, Any] = {}
-        values.update(zip(jaxpr.constvars, map(np.asarray, constants), strict=True))
+        values.update(zip(jaxpr.constvars, map(_entries, constants), strict=True))
         values.update(zip(jaxpr.invars, arguments, strict=True))
         for eqn, outputs, inputs in needed(jaxpr, wanted)[0]:
             arrays = [_read(values, v) if need else None for v, need in zip(eqn.invars, inputs, strict=True)]
@@ -144,11 +147,34 @@ class Tracer:
     def _custom(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         """A function with a derivative of its own, which JAX knows."""
         values = self.closed(called(eqn), arrays)
-        if is_in_scalars(eqn):
-            return values
+        return values if is_in_scalars(eqn) else self._marked(eqn, arrays, values)
+
+    def _root(self, eqn: Any, arrays: list[Any]) -> list[Entries]:
+        """A root with the derivatives of the implicit function theorem; one that is met again, in a derivative of
+        itself, is the same."""
+        key = id(eqn.params["jaxpr"]), eqn.params["axes"], *map(id, arrays)
+        if key not in self._roots:
+            self._roots[key] = arrays, []
+            self._roots[key][1][:] = self._marked(eqn, arrays, roots(eqn.params, arrays, self._system))
+        return list(self._roots[key][1])
+
+    def _system(self, jaxpr: Any, operands: list[Any]) -> ca.Function:
+        """The residual of an equation for a root, and its Jacobian, as a function of the unknowns and the operands."""
+        unknown = ca.SX.sym("c", jaxpr.invars[0].aval.size)
+        given = [ca.SX.sym(f"a{k}", int(np.prod(a.shape))) for k, a in enumerate(operands)]
+        inner = Tracer(Graph([unknown, *given]))
+        constants = [scalars(symbols, a.shape) for symbols, a in zip(given, operands, strict=True)]
+        (value,) = inner.run(jaxpr, constants, [scalars(unknown, unknown.shape[:1])])
+        residual = column(value)
+        found = inner.graph.unmarked([residual, inner.graph.jacobian(residual, unknown)])
+        return ca.Function("residual", [unknown, ca.vertcat(ca.SX(0, 1), *given)], found, {"cse": True})
+
+    def _marked(self, eqn: Any, arrays: list[Any], values: list[Entries]) -> list[Entries]:
+        """The values of an equation with a derivative of its own, as symbols of the graph."""
         if any(is_complex(a) for a in (*arrays, *values)):
             raise NotTraceableError(name_of(eqn), "here of complex numbers")
-        varying = [k for k, a in enumerate(arrays) if isinstance(a, Scalars) and _is_real(eqn.invars[k])]
+        begin = eqn.params["begin"] if name_of(eqn) == ROOT else 0  # before it: where an iteration begins
+        varying = [k for k, a in enumerate(arrays) if k >= begin and isinstance(a, Scalars) and _is_real(eqn.invars[k])]
         smooth = [k for k, v in enumerate(values) if isinstance(v, Scalars) and _is_real(eqn.outvars[k])]
         if not varying or not smooth:
             return values
@@ -191,7 +217,7 @@ def _function(eqn: Any) -> Callable[..., list[Any]]:
     variable = gensym()
     ins, outs = ([variable(v.aval) for v in part] for part in (eqn.invars, eqn.outvars))
     alone = new_jaxpr_eqn(ins, outs, eqn.primitive, eqn.params, eqn.effects)
-    debug = opened(called(eqn)).debug_info
+    debug = opened(called(eqn) or eqn.params["jaxpr"]).debug_info
     return jaxpr_as_fun(ClosedJaxpr(Jaxpr([], ins, outs, [alone], eqn.effects, debug), []))
 
 
@@ -201,6 +227,10 @@ def _as_list(value: Entries | list[Entries]) -> list[Entries]:
 
 def _read(values: dict[Any, Entries], variable: Any) -> Entries:
     return np.asarray(variable.val) if isinstance(variable, Literal) else values[variable]
+
+
+def _entries(constant: Any) -> Entries:
+    return constant if isinstance(constant, Scalars | Complex) else np.asarray(constant)
 
 
 def _is_real(variable: Any) -> bool:
@@ -242,6 +272,7 @@ def _row(a: Entries, k: int) -> Entries:
 
 _CONTROL: dict[str, Callable[[Tracer, Any, list[Entries]], list[Entries]]] = {
     "cond": Tracer._cond,
+    ROOT: Tracer._root,
     "custom_linear_solve": Tracer._linear_solve,
     "platform_index": Tracer._platform_index,
     "scan": Tracer._scan,

@@ -1,0 +1,99 @@
+"""Roots of small systems, Newton's method written out: what ``find_root`` computes with as many steps as it needs."""
+
+from collections.abc import Callable
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from .arrays import Entries, NotTraceableError, column, is_complex, scalars, taken
+from .elementwise import larger, select
+from .linear import inverse
+
+PRIMITIVE = "implicit_root"
+LARGEST = 6  # unknowns: what is written out grows with their third power
+ROUNDS = 15  # of Newton's method, each with a Jacobian of its own: as many as the loop has at most
+EPS = float(np.finfo(float).eps)
+QUADRATIC = EPS**0.65  # of the unknowns' sizes: a step that is no longer is the last but for rounding
+# Unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding.
+PROBE = 8.0
+SMALLEST_PART = 0.25  # of eps: the unknowns are known where so much of their sizes remains
+
+
+def roots(params: dict[str, Any], arrays: list[Any], system: Callable[[Any, list[Any]], ca.Function]) -> list[Entries]:
+    """The roots, and whether the iteration converged to them, of an equation with axes of ``vmap``.
+
+    ``system(jaxpr, operands)``: the residual and its Jacobian as a function of the unknowns and of all scalars of the
+    operands, one column each.
+    """
+    if any(is_complex(a) for a in arrays):
+        raise NotTraceableError(PRIMITIVE, "here of complex numbers")
+    if params["axes"]:
+        return _batch(params, arrays, system)
+    start, operands = arrays[0], arrays[params["begin"] :]
+    if params["known"]:
+        return [start, np.array(True)]
+    count = start.shape[0]
+    if count > LARGEST:
+        raise NotTraceableError(PRIMITIVE, f"here of {count} unknowns, where at most {LARGEST} are written out")
+    at = ca.vertcat(ca.SX(0, 1), *(column(a) for a in operands))
+    root, converged = _root(system(params["jaxpr"], operands), column(start), at)
+    return [scalars(root, (count,)), scalars(converged, ())]
+
+
+def _batch(params: dict[str, Any], arrays: list[Any], system: Any) -> list[Entries]:
+    """Those of a batch, along the first axis: the outermost level of ``vmap`` is the last one."""
+    *inner, outer = params["axes"]
+    size = next(a.shape[axis] for a, axis in zip(arrays, outer, strict=True) if axis is not None)
+    one = {**params, "axes": tuple(inner)}
+    found = []
+    for k in range(size):
+        own = [a if axis is None else _slice(a, axis, k) for a, axis in zip(arrays, outer, strict=True)]
+        found.append(roots(one, own, system))
+    return [
+        scalars(ca.vertcat(*(column(each[part]) for each in found)), (size, *found[0][part].shape)) for part in (0, 1)
+    ]
+
+
+def _slice(a: Any, axis: int, k: int) -> Any:
+    places = np.arange(int(np.prod(a.shape))).reshape(a.shape)
+    return taken(a, np.take(places, k, axis))
+
+
+def _root(system: ca.Function, start: ca.SX, at: ca.SX) -> tuple[ca.SX, ca.SX]:
+    c, step, inverted = start, ca.SX(1, 1), ca.SX()
+    for _ in range(ROUNDS):
+        residual, jacobian = system.call([c, at], True, False)
+        inverted = _inverse(jacobian)
+        move = ca.mtimes(inverted, residual)
+        c, step = c - move, _largest(move)
+    moves = [ca.mtimes(inverted, system.call([c + moved, at], True, False)[0]) for moved in _patterns(c)]
+    changed = SMALLEST_PART * EPS * ca.SX.ones(c.shape[0])
+    for move in moves[1:]:
+        changed = larger(changed, ca.fabs(move - moves[0]))
+    # An unknown may be as small as the rounding of others: its size says nothing of how exactly it can be known.
+    rounding = _largest(ca.fabs(moves[0]) / changed) <= PROBE
+    return ca.densify(c), select(step <= QUADRATIC, 1.0, select(rounding, 1.0, 0.0))
+
+
+def _patterns(c: ca.SX) -> list[ca.SX]:
+    """No move of the unknowns, and moves of some of their roundings."""
+    turns = ca.DM(1.0 - 2.0 * (np.arange(c.shape[0]) % 2))
+    units = PROBE * EPS * larger(ca.fabs(c), ca.SX.ones(c.shape[0]))
+    return [0 * c, turns * units, -turns * units, units]
+
+
+def _inverse(jacobian: ca.SX) -> ca.SX:
+    """Its inverse, with rows in units of their largest entries, which are pivots that compare then."""
+    if jacobian.shape[0] == 1:
+        return 1 / ca.densify(jacobian)
+    rows = [_largest(jacobian[k, :].T) for k in range(jacobian.shape[0])]
+    units = ca.vertcat(*(select(row > 0, row, 1.0) for row in rows))
+    return ca.mtimes(inverse(jacobian / ca.repmat(units, 1, jacobian.shape[1])), ca.diag(1 / units))
+
+
+def _largest(vector: ca.SX) -> ca.SX:
+    found = ca.SX(1, 1)
+    for entry in ca.vertsplit(ca.fabs(ca.densify(vector))):
+        found = larger(found, entry)
+    return found
