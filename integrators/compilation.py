@@ -13,7 +13,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.compiler import Option, known_options
-from ..reading import one_reading, traced
+from ..reading import differentiable, one_reading, traced
 from ..undisturbed import with_room
 from .compiling import told
 from .functions import is_transformed
@@ -49,7 +49,7 @@ def call_compiled(function: Callable[..., R], *arguments: Any) -> tuple[R, float
     data = [leaf for leaf in leaves if _is_data(leaf)]
     began = time.perf_counter()
     program = _read(function, structure, leaves, data)
-    executable = _executable(program, data)
+    executable = _executable(program.closed, program.key, data)
     called = time.perf_counter()
     outputs = executable(program.closed.consts, data)
     jax.block_until_ready(outputs[:1])  # all outputs of one executable become ready together
@@ -116,22 +116,38 @@ def _traced(function: Callable[..., Any], structure: Any, leaves: list, data: li
     return _Program(closed, program_key(closed), *found[-1])
 
 
-def _executable(program: _Program, data: list) -> Any:
-    """The compiled program, as a function of its constants and ``data``."""
+def _executable(closed: ClosedJaxpr, digest: bytes, data: list, rows: int | None = None) -> Any:
+    """The compiled program, as a function of its constants and ``data``; of so many ``rows`` of these at once, if there
+    are any."""
     device = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
     settings = jax.default_backend(), device, tuple(compiler_options().items())
-    key = program.key, settings
+    key = digest, rows, settings
     if key not in _compiled:
 
         def run(constants: list, data: list) -> list:
-            return jaxpr_as_fun(ClosedJaxpr(program.closed.jaxpr, constants))(*data)
+            function = jaxpr_as_fun(ClosedJaxpr(closed.jaxpr, constants))
+            return function(*data) if rows is None else jax.vmap(function)(*data)
 
         if len(_compiled) >= MOST_COMPILED:
             del _compiled[next(iter(_compiled))]
-        with told():
-            lowered = with_room(jax.jit(run).lower, program.closed.consts, data)
+        with told(), differentiable():
+            lowered = with_room(jax.jit(run).lower, closed.consts, data)
             _compiled[key] = lowered.compile(compiler_options())
     return _compiled[key]
+
+
+def of_rows(closed: ClosedJaxpr) -> Callable[..., list[Any]]:
+    """The function of rows of arguments, compiled for each number of them; programs that differ in their constants only
+    have one executable."""
+    digest, known = program_key(closed), dict[int, Any]()
+
+    def call(*data: np.ndarray) -> list[Any]:
+        rows = len(data[0])
+        if rows not in known:
+            known[rows] = _executable(closed, digest, list(data), rows)
+        return known[rows](closed.consts, list(data))
+
+    return call
 
 
 def digest(function: Callable[..., Any], *shapes: Any) -> bytes | None:

@@ -7,13 +7,12 @@ from typing import Any, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
+from jax.extend.core import ClosedJaxpr
 
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
-from ..reading import differentiable, traced
-from .compilation import compiler_options, in_chunks
-from .compiling import told
+from ..reading import traced
+from .compilation import in_chunks, of_rows
 from .evaluated import Arrays, Evaluated, Evaluator, Function
 from .tape_evaluator import ALL_TRACED, TapeEvaluator
 
@@ -56,8 +55,7 @@ class _Compiled(Evaluated):
     """A traced function, compiled for each number of points."""
 
     def __init__(self, program: ClosedJaxpr) -> None:
-        self.function = jax.vmap(jaxpr_as_fun(program))
-        self.executables: dict[int, Any] = {}
+        self._function = of_rows(program)
 
     @property
     def precision(self) -> np.dtype[Any]:
@@ -73,12 +71,8 @@ class _Compiled(Evaluated):
 
     def _rows(self, *filled: np.ndarray) -> Arrays:
         """The values at points in rows."""
-        count = len(filled[0])
-        if count not in self.executables:
-            with told(), differentiable():
-                self.executables[count] = jax.jit(self.function).lower(*filled).compile(compiler_options())
         # Copies: the arrays of XLA are read-only, and the assembly adds to them.
-        return tuple(np.array(v, dtype=float, order="C") for v in self.executables[count](*filled))
+        return tuple(np.array(v, dtype=float, order="C") for v in self._function(*filled))
 
 
 def _filled(axes: int, arguments: Sequence[np.ndarray]) -> tuple[tuple[int, ...], list[np.ndarray]]:

@@ -36,6 +36,7 @@ DIRAC = f"{TESTS}/test_dirac.py"
 PARTS = f"{TESTS}/test_step_parts.py"
 NO_MINIMUM = f"{TESTS}/test_no_minimum.py"
 NUMERICS = "tests/manifolds/test_numerics.py"
+ROOTS = "tests/tape/test_roots.py"
 TAPE = "tests/tape/test_tape.py"
 NATIVE = "tests/tape/test_native.py"
 PRIMITIVES = "tests/tape/test_primitives.py"
@@ -434,6 +435,24 @@ PLANTED: dict[str, Planted] = {
         "blocks.hessian[:, place] += end.mT @ paid.curvature @ end",
         "blocks.hessian[:, place] += 0 * end.mT @ paid.curvature @ end",
         (f"{PARTS}::test_the_curvature_of_a_terminal_cost_counts",),
+    ),
+    "every iteration on a tape is said to converge": Planted(
+        "src/retrax/tape/roots.py",
+        "return ca.densify(c), select(step",
+        "return ca.densify(c), 1 + 0 * select(step",
+        (f"{ROOTS}::test_no_claim_of_convergence_is_false",),
+    ),
+    "a root on a tape is differentiated by where its iteration begins": Planted(
+        "src/retrax/tape/trace.py",
+        'begin = eqn.params["begin"] if',
+        "begin = 0 if",
+        (f"{ROOTS}::test_roots_have_the_values_and_derivatives_of_xla",),
+    ),
+    "sides of a jump are compared where they are rounding": Planted(
+        "integrators/crossings.py",
+        "& clear[:, before] & clear[:, after]",
+        "",
+        (f"{TESTS}/test_state_jumps.py::test_jumps_are_seen_wherever_they_are",),
     ),
     "gradients of functions of XLA are twice as long": Planted(
         "integrators/evaluator.py",

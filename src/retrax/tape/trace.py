@@ -182,7 +182,7 @@ class Tracer:
         value = ca.vertcat(*(column(values[k]) for k in smooth))
         symbols = self.graph.symbols(value.shape[0])
         self.graph.add(Mark(symbols, value, ca.vertcat(*(column(arrays[k]) for k in varying)), rule))
-        ends = np.cumsum([0, *(values[k].size for k in smooth)]).tolist()
+        ends = np.cumsum([0, *(math.prod(values[k].shape) for k in smooth)]).tolist()
         for k, part in zip(smooth, ca.vertsplit(symbols, ends), strict=True):
             values[k] = scalars(part, values[k].shape)
         return values
