@@ -37,8 +37,9 @@ class Tracer:
         """Values of a jaxpr, None for those that are not wanted; arguments that these do not need may be None."""
         wanted = [True] * len(jaxpr.outvars) if wanted is None else wanted
         values: dict[Any, Any] = {}
-        values.update(zip(jaxpr.constvars, map(_entries, constants), strict=True))
-        values.update(zip(jaxpr.invars, arguments, strict=True))
+        # Since JAX 0.11 the variables of constants that a program lacks are among those of its arguments.
+        given = [*map(_entries, constants), *arguments]
+        values.update(zip([*jaxpr.constvars, *jaxpr.invars], given, strict=True))
         for eqn, outputs, inputs in needed(jaxpr, wanted)[0]:
             arrays = [_read(values, v) if need else None for v, need in zip(eqn.invars, inputs, strict=True)]
             values.update(zip(eqn.outvars, self._equation(eqn, arrays, outputs), strict=True))
@@ -160,7 +161,7 @@ class Tracer:
 
     def _system(self, jaxpr: Any, operands: list[Any]) -> ca.Function:
         """The residual of an equation for a root, and its Jacobian, as a function of the unknowns and the operands."""
-        unknown = ca.SX.sym("c", jaxpr.invars[0].aval.size)
+        unknown = ca.SX.sym("c", jaxpr.invars[-1].aval.size)
         given = [ca.SX.sym(f"a{k}", int(np.prod(a.shape))) for k, a in enumerate(operands)]
         inner = Tracer(Graph([unknown, *given]))
         constants = [scalars(symbols, a.shape) for symbols, a in zip(given, operands, strict=True)]
