@@ -442,12 +442,6 @@ PLANTED: dict[str, Planted] = {
         "return ca.densify(c), 1 + 0 * select(step",
         (f"{ROOTS}::test_no_claim_of_convergence_is_false",),
     ),
-    "a root on a tape is differentiated by where its iteration begins": Planted(
-        "src/retrax/tape/trace.py",
-        'begin = eqn.params["begin"] if',
-        "begin = 0 if",
-        (f"{ROOTS}::test_roots_have_the_values_and_derivatives_of_xla",),
-    ),
     "sides of a jump are compared where they are rounding": Planted(
         "integrators/crossings.py",
         "& clear[:, before] & clear[:, after]",

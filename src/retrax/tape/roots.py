@@ -12,6 +12,7 @@ from .linear import inverse
 
 PRIMITIVE = "implicit_root"
 LARGEST = 6  # unknowns: what is written out grows with their third power
+LONGEST = 100_000  # instructions that the iterations of one equation are written out as
 ROUNDS = 15  # of Newton's method, each with a Jacobian of its own: as many as the loop has at most
 EPS = float(np.finfo(float).eps)
 QUADRATIC = EPS**0.65  # of the unknowns' sizes: a step that is no longer is the last but for rounding
@@ -20,28 +21,34 @@ PROBE = 8.0
 SMALLEST_PART = 0.25  # of eps: the unknowns are known where so much of their sizes remains
 
 
-def roots(params: dict[str, Any], arrays: list[Any], system: Callable[[Any, list[Any]], ca.Function]) -> list[Entries]:
+System = Callable[[Any, list[Any]], ca.Function]
+
+
+def roots(params: dict[str, Any], arrays: list[Any], system: System, copies: int = 1) -> list[Entries]:
     """The roots, and whether the iteration converged to them, of an equation with axes of ``vmap``.
 
     ``system(jaxpr, operands)``: the residual and its Jacobian as a function of the unknowns and of all scalars of the
-    operands, one column each.
+    operands, one column each; ``copies``: how many such roots there are.
     """
     if any(is_complex(a) for a in arrays):
         raise NotTraceableError(PRIMITIVE, "here of complex numbers")
     if params["axes"]:
-        return _batch(params, arrays, system)
+        return _batch(params, arrays, system, copies)
     start, operands = arrays[0], arrays[params["begin"] :]
     if params["known"]:
         return [start, np.array(True)]
     count = start.shape[0]
     if count > LARGEST:
         raise NotTraceableError(PRIMITIVE, f"here of {count} unknowns, where at most {LARGEST} are written out")
-    at = ca.vertcat(ca.SX(0, 1), *(column(a) for a in operands))
-    root, converged = _root(system(params["jaxpr"], operands), column(start), at)
+    function, at = system(params["jaxpr"], operands), ca.vertcat(ca.SX(0, 1), *(column(a) for a in operands))
+    length = copies * ROUNDS * function.n_instructions()
+    if length > LONGEST:
+        raise NotTraceableError(PRIMITIVE, f"here of {length} instructions, where at most {LONGEST} are written out")
+    root, converged = _root(function, column(start), at)
     return [scalars(root, (count,)), scalars(converged, ())]
 
 
-def _batch(params: dict[str, Any], arrays: list[Any], system: Any) -> list[Entries]:
+def _batch(params: dict[str, Any], arrays: list[Any], system: System, copies: int) -> list[Entries]:
     """Those of a batch, along the first axis: the outermost level of ``vmap`` is the last one."""
     *inner, outer = params["axes"]
     size = next(a.shape[axis] for a, axis in zip(arrays, outer, strict=True) if axis is not None)
@@ -49,7 +56,7 @@ def _batch(params: dict[str, Any], arrays: list[Any], system: Any) -> list[Entri
     found = []
     for k in range(size):
         own = [a if axis is None else _slice(a, axis, k) for a, axis in zip(arrays, outer, strict=True)]
-        found.append(roots(one, own, system))
+        found.append(roots(one, own, system, copies * size))
     return [
         scalars(ca.vertcat(*(column(each[part]) for each in found)), (size, *found[0][part].shape)) for part in (0, 1)
     ]
