@@ -76,10 +76,10 @@ class Seen(NamedTuple):
     sizes: np.ndarray
     slopes: np.ndarray
 
-    def of_step(self, step: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """On each line the margins of one step, shape ``(K, j)``, and their slopes."""
-        margins, slopes = (np.take_along_axis(a, step[:, None, None], 2)[:, :, 0] for a in (self.margins, self.slopes))
-        return margins, slopes
+    def of_step(self, step: np.ndarray) -> list[np.ndarray]:
+        """On each line the margins of one step, shape ``(K, j)``, their slopes and their sizes."""
+        parts = self.margins, self.slopes, self.sizes
+        return [np.take_along_axis(a, step[:, None, None], 2)[:, :, 0] for a in parts]
 
 
 class Located(NamedTuple):
@@ -133,7 +133,7 @@ class Crossings:
 
     def slopes(self, given: Given, points: Lines) -> np.ndarray:
         """At points the derivatives of the margins by coordinates of states, shape ``(K, G, n)``."""
-        rows = points.states, points.controls, points.times[:, None], self._row(given)[None]
+        rows = points.states, points.controls, points.times[:, None], self._given.rows(given, 0)[None]
         return self._by_states.of_any(1, *rows)[0]
 
     def located(
@@ -157,7 +157,7 @@ class Crossings:
         widths = (own.high - own.low)[:, None] * CLOSER ** -np.arange(1.0, count + 1)
         at = np.concatenate([place[:, None], place[:, None] - widths, place[:, None] + widths], axis=1)
         found = self._at(given, own, at)
-        margins, sizes = (np.take_along_axis(a, step[:, None, None], 2)[:, :, 0] for a in (found.margins, found.sizes))
+        margins, _, sizes = found.of_step(step)
         clear = np.abs(margins) > ROUNDED * tolerance(margins, 1.0) * sizes  # nearer the sides are rounding
         before, after = slice(1, count + 1), slice(count + 1, None)
         opposite = ((margins[:, before] >= 0) != (margins[:, after] >= 0)) & clear[:, before] & clear[:, after]
@@ -197,7 +197,7 @@ class Crossings:
         """
         ends = np.stack([lines.low, lines.high], axis=1).astype(self._points.precision)
         finest = CLOSE * FINEST * tolerance(ends, 1.0) * (ends[:, 1:] - ends[:, :1])
-        margins, slopes = seen.of_step(step)
+        margins, slopes, _ = seen.of_step(step)
         above, crossed = margins[:, 0] >= 0, (margins[:, 0] >= 0) != (margins[:, 1] >= 0)
         for _ in range(ROUNDS):
             middle, width = ends.mean(axis=1, keepdims=True), ends[:, 1:] - ends[:, :1]
@@ -224,11 +224,8 @@ class Crossings:
         """What is seen at some places of each line, shape ``(K, j)``."""
         ways = lines.ways.reshape(len(places), -1)
         own = lines.states, lines.controls, lines.times[:, None], ways, lines.turns, lines.spans[:, None]
-        rows = *(a[:, None] for a in own), places[..., None], self._row(given)[None, None]
+        rows = *(a[:, None] for a in own), places[..., None], self._given.rows(given, 0)[None, None]
         return Seen(*(a.astype(self._points.precision, copy=False) for a in self._points.of_any(2, *rows)))
-
-    def _row(self, given: Given) -> np.ndarray:
-        return self._given.rows(given, 0) if self._given.size else np.zeros(0)
 
     @cached_property
     def _points(self) -> Evaluated:
@@ -247,35 +244,38 @@ class Crossings:
         """What is seen at a place of a line."""
         q, u, t, ways, turn, span, place, given = line
 
-        def value(s: Array) -> tuple[Array, tuple[Array, ...]]:
+        def point(s: Array) -> tuple[Ambient, Ambient, Array]:
             powers = jnp.stack([s**k for k in range(1, DEGREE + 1)])
-            return self._value((q, u, t, given), powers @ ways.reshape(DEGREE, -1), s * turn, s * span)
+            return self._moved((q, u, t), powers @ ways.reshape(DEGREE, -1), s * turn, s * span)
 
-        s = place[0]
-        looked = partial(with_margins, lambda s: value(s)[0])
+        looked, s = partial(with_margins, lambda s: self._value(point(s), given)), place[0]
         (found, margins), (_, slopes) = jax.jvp(looked, (s,), (jnp.ones_like(s),))
-        return *value(s)[1], found, *margins, slopes.values
+        state, control, time = point(s)
+        return self.state.flat(state), self.control.flat(control), time[None], found, *margins, slopes.values
 
     def _slopes(self, q: Array, u: Array, t: Array, given: Array) -> tuple[Array]:
         """The derivatives of the margins by coordinates of the state."""
         n, m = self._dimensions
 
-        def margins(way: Array) -> Array:
-            # Those of the retraction count too, as they do along lines.
-            value = partial(self._value, (q, u, t, given), turn=jnp.zeros(m), span=jnp.zeros(1))
-            return with_margins(lambda way: value(way)[0], way)[1].values
+        def value(way: Array) -> Array:
+            return self._value(self._moved((q, u, t), way, jnp.zeros(m), jnp.zeros(1)), given)
 
-        return (jax.jacfwd(margins)(jnp.zeros(n)),)
+        # Those of the retraction count too, as they do along lines.
+        return (jax.jacfwd(lambda way: with_margins(value, way)[1].values)(jnp.zeros(n)),)
 
-    def _value(self, start: tuple[Array, ...], way: Array, turn: Array, span: Array) -> tuple[Array, tuple[Array, ...]]:
-        """The value where a state, a control and a time have moved so far, and the point there."""
-        q, u, t, given = start
-        (parameters, own), state, time = self._given.point(given), self.state.point(q), (t + span)[0]
+    def _moved(
+        self, start: tuple[Array, Array, Array], way: Array, turn: Array, span: Array
+    ) -> tuple[Ambient, Ambient, Array]:
+        """The point where a state, a control and a time have moved so far."""
+        q, u, t = start
+        state = self.state.point(q)
         if self.retraction is not None:
             state = self.retraction(state, vec.combine(self.retraction.manifold.basis(state), way))
-        control = self.problem.steer(self.control.point(u), turn)
-        found = self.function(self.problem.with_parameters(parameters).at_time(time), state, control, own)
-        return found, (self.state.flat(state), self.control.flat(control), time[None])
+        return state, self.problem.steer(self.control.point(u), turn), (t + span)[0]
+
+    def _value(self, point: tuple[Ambient, Ambient, Array], given: Array) -> Array:
+        (parameters, own), (state, control, time) = self._given.point(given), point
+        return self.function(self.problem.with_parameters(parameters).at_time(time), state, control, own)
 
 
 def _zero(values: np.ndarray) -> np.ndarray:

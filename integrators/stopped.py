@@ -114,7 +114,7 @@ class TrueDerivatives:
         rows = self.state.rows(points[0], 1), self.control.rows(points[1], 1), points[2][:, None]
         moves = [draw((count, BASES, 2, m.dimension)) for m in (self.problem.manifold, self.problem.controls)]
         spans = np.concatenate([[0.0], -SPANS, SPANS])[:, None]
-        given = self._given.rows(parameters, 0) if self._given.size else np.zeros(0)
+        given = self._given.rows(parameters, 0)
         own = *(a[:, None, None] for a in rows), *(a.reshape(count, BASES, 1, -1) for a in moves)
         found = self._along.of_any(3, *own, spans[None, None], given[None, None, None])
         found = [a.astype(self._along.precision, copy=False) for a in found]

@@ -187,7 +187,7 @@ class Arcs:
         key = structure_of(parameters), held.shape[1]
         if key not in self._slope:
             self._slope[key] = self._slope_of(parameter, held.shape[1])
-        given = parameter.rows(parameters, 0) if parameter.size else np.zeros(0)
+        given = parameter.rows(parameters, 0)
         layouts = self.state, self.state, self.control
         rows = (layout.rows(points, 1) for layout, points in zip(layouts, along, strict=False))
         return self._slope[key](*rows, along[3][:, None], held, given[None])[0]

@@ -35,7 +35,7 @@ class ControlCurvature:
             (self.state, solution.stage_costates),
             (self.control, solution.controls),
         )
-        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
+        given = self.parameter.rows(parameters, 0)
         rows = (layout.rows(points, 1) for layout, points in layouts)
         return self._curvatures(*rows, solution.stage_times[:, None], given[None])[0]
 

@@ -180,7 +180,7 @@ class Propagator:
         scales = np.max(sizes, axis=0)
         scales = np.where(scales > 0, scales, 1.0)
         offsets = offsets.reshape(len(steps), stages, self.problem.controls.dimension)
-        given = self.parameter.rows(parameters, 0)[None] if self.parameter.size else np.zeros((1, 0))
+        given = self.parameter.rows(parameters, 0)[None]
         return _Given(times[:-1], steps, rows, frames, scales, places, bases, offsets, given)
 
     def _refined(self, given: _Given, propagate: Callable[[int], np.ndarray | None]) -> DiscretizationError | None:

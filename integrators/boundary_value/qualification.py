@@ -86,7 +86,7 @@ class Qualification:
 
     def _given(self, solution: Solution) -> np.ndarray:
         """The parameters in a row."""
-        return (self.parameter.rows(solution.parameters, 0) if self.parameter.size else np.zeros(0))[None]
+        return self.parameter.rows(solution.parameters, 0)[None]
 
     def _names(self, parameters: Any) -> tuple[str, ...]:
         bound = self.problem.with_parameters(parameters).at_time(0.0)

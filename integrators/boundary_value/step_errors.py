@@ -144,7 +144,7 @@ class Estimator:
         found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1), costates=False)
         layouts = (self.propagator.state, found.states), (self.propagator.control, found.controls)
         q, u = (layout.rows(points, 2) for layout, points in layouts)
-        given = self.parameter.rows(parameters, 0) if self.parameter.size else np.zeros(0)
+        given = self.parameter.rows(parameters, 0)
         values, slopes = self._limits.at(2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
         bound = self.problem.with_parameters(parameters).at_time(0.0)

@@ -2,6 +2,8 @@
 success."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import equinox as eqx
@@ -83,16 +85,23 @@ def decomposed(q: Array, u: Array, height: Array) -> Array:
     return u @ u / 2 + 1e-3 * jnp.linalg.eigvalsh(matrix)[0] + height * STEPS[0](q)
 
 
-@pytest.mark.parametrize("double", [True, False])
-def test_a_jump_is_seen_where_xla_computes_too(double):
+@contextmanager
+def in_precision(double: bool) -> Iterator[None]:
+    """A time in which JAX computes in double precision, or in single precision without a warning of that."""
     jax.config.update("jax_enable_x64", double)
     try:
-        by_xla = solver_of(decomposed)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # single precision
-            found = [by_xla.solve(0 * END, END, 1.0, parameters=h, throw=False) for h in (0.0, 1e-7, 1e-2, -1e-2, 1.0)]
+            warnings.simplefilter("ignore")
+            yield
     finally:
         jax.config.update("jax_enable_x64", True)
+
+
+@pytest.mark.parametrize("double", [True, False])
+def test_a_jump_is_seen_where_xla_computes_too(double):
+    with in_precision(double):
+        by_xla = solver_of(decomposed)
+        found = [by_xla.solve(0 * END, END, 1.0, parameters=h, throw=False) for h in (0.0, 1e-7, 1e-2, -1e-2, 1.0)]
     assert by_xla.evaluator.startswith("xla")
     assert [solution.success for solution in found] == [True, True, False, False, False]
     assert all("jumps by" in solution.result for solution in found[2:])
@@ -113,19 +122,14 @@ SINGLE = {
 @pytest.mark.parametrize("name", SINGLE)
 def test_jumps_are_seen_wherever_they_are(name, double):
     """Beside zero and far from it, where states and margins are rounded, in both precisions."""
-    jax.config.update("jax_enable_x64", double)
-    try:
-        step = SINGLE[name]
+    step = SINGLE[name]
+    with in_precision(double):
         solver = solver_of(lambda q, u, place: u @ u / 2 + 0.1 * step(q, place))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # single precision
-            for begin in (0.0, 30.0) if name != "flat" else (0.0,):
-                start = np.array([begin, 0.0])
-                for place in begin + np.array([0.313, 0.5, 0.7071]):
-                    found = solver.solve(start, start + END, 1.0, parameters=place, throw=False)
-                    assert "running_cost jumps by" in found.result, (begin, place)
-    finally:
-        jax.config.update("jax_enable_x64", True)
+        for begin in (0.0, 30.0) if name != "flat" else (0.0,):
+            start = np.array([begin, 0.0])
+            for place in begin + np.array([0.313, 0.5, 0.7071]):
+                found = solver.solve(start, start + END, 1.0, parameters=place, throw=False)
+                assert "running_cost jumps by" in found.result, (begin, place)
 
 
 @pytest.mark.parametrize("family", [Exponential, Projection])

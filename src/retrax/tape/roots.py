@@ -1,6 +1,7 @@
 """Roots of small systems, Newton's method written out: what ``find_root`` computes with as many steps as it needs."""
 
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import casadi as ca
@@ -19,7 +20,6 @@ QUADRATIC = EPS**0.65  # of the unknowns' sizes: a step that is no longer is the
 # Unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding.
 PROBE = 8.0
 SMALLEST_PART = 0.25  # of eps: the unknowns are known where so much of their sizes remains
-
 
 System = Callable[[Any, list[Any]], ca.Function]
 
@@ -100,7 +100,4 @@ def _inverse(jacobian: ca.SX) -> ca.SX:
 
 
 def _largest(vector: ca.SX) -> ca.SX:
-    found = ca.SX(1, 1)
-    for entry in ca.vertsplit(ca.fabs(ca.densify(vector))):
-        found = larger(found, entry)
-    return found
+    return reduce(larger, ca.vertsplit(ca.fabs(ca.densify(vector))))

@@ -31,7 +31,7 @@ class Tracer:
 
     def __init__(self, graph: Graph) -> None:
         self.graph = graph
-        self._roots: dict[Any, tuple[list[Any], list[Entries]]] = {}  # with the operands, which keep their identities
+        self._roots: dict[Any, tuple[Any, list[Entries]]] = {}  # with what keeps the identities in the keys
 
     def run(self, jaxpr: Any, constants: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
         """Values of a jaxpr, None for those that are not wanted; arguments that these do not need may be None."""
@@ -153,11 +153,11 @@ class Tracer:
     def _root(self, eqn: Any, arrays: list[Any]) -> list[Entries]:
         """A root with the derivatives of the implicit function theorem; one that is met again, in a derivative of
         itself, is the same."""
-        key = id(eqn.params["jaxpr"]), eqn.params["axes"], *map(id, arrays)
+        jaxpr = eqn.params["jaxpr"]
+        key = id(jaxpr), eqn.params["axes"], *map(id, arrays)
         if key not in self._roots:
-            self._roots[key] = arrays, []
-            self._roots[key][1][:] = self._marked(eqn, arrays, roots(eqn.params, arrays, self._system))
-        return list(self._roots[key][1])
+            self._roots[key] = (jaxpr, arrays), self._marked(eqn, arrays, roots(eqn.params, arrays, self._system))
+        return self._roots[key][1]
 
     def _system(self, jaxpr: Any, operands: list[Any]) -> ca.Function:
         """The residual of an equation for a root, and its Jacobian, as a function of the unknowns and the operands."""
@@ -174,8 +174,7 @@ class Tracer:
         """The values of an equation with a derivative of its own, as symbols of the graph."""
         if any(is_complex(a) for a in (*arrays, *values)):
             raise NotTraceableError(name_of(eqn), "here of complex numbers")
-        begin = eqn.params["begin"] if name_of(eqn) == ROOT else 0  # before it: where an iteration begins
-        varying = [k for k, a in enumerate(arrays) if k >= begin and isinstance(a, Scalars) and _is_real(eqn.invars[k])]
+        varying = [k for k, a in enumerate(arrays) if isinstance(a, Scalars) and _is_real(eqn.invars[k])]
         smooth = [k for k, v in enumerate(values) if isinstance(v, Scalars) and _is_real(eqn.outvars[k])]
         if not varying or not smooth:
             return values
