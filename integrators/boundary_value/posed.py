@@ -72,7 +72,7 @@ class Posing:
     def compile(self) -> bool:
         """Make machine code of what is traced; whether the functions of the problem are."""
         self.evaluator.compile()
-        self._start.evaluator.compile()
+        self._start.compile()
         return bool(self._found)
 
     def traced(self, parameters: Any) -> Traced:

@@ -5,8 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, default_guess, solve
-from retrax.manifolds import DomainError, Euclidean, InvalidInputError, NotOnManifoldError, Sphere
+from retrax.integrators.boundary_value.engine.start import Start
+from retrax.manifolds import SO, DomainError, Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from .problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, half_square, rotation, spacecraft
@@ -43,16 +45,28 @@ def test_two_waypoints_are_the_default_guess(method):
     )
 
 
-def test_the_curve_of_a_default_guess_does_not_depend_on_the_number_of_steps():
-    """From three quarters of half a turn on the curve of the Cayley map is too uneven, and the geodesic is taken."""
-    taken = []
-    for angle in np.deg2rad(np.linspace(120.0, 150.0, 31)):
+def test_a_default_guess_is_a_geodesic_where_tapes_give_it():
+    for angle in np.deg2rad(np.linspace(10.0, 179.0, 14)):
         end = rotation(angle * np.array([1.0, 2.0, -2.0]) / 3), REST
-        first = [default_guess(SLEW, METHOD, START, end, n).states[0][n // 6] for n in (3, 9, 81)]  # of six parts
-        few, many, more = first
+        for method in (METHOD, Gauss(2, Cayley(RIGID))):
+            states = default_guess(SLEW, method, START, end, 6).states[0]
+            turned = np.arccos((np.trace(states, axis1=1, axis2=2) - 1) / 2)
+            places = (np.arange(6)[:, None] + np.array(getattr(method, "nodes", [0.5]))).ravel() / 6
+            np.testing.assert_allclose(turned, places * angle, atol=1e-7)
+
+
+def test_the_curve_of_a_default_guess_does_not_depend_on_the_number_of_steps():
+    """On SO(4) logarithms take decompositions: the Cayley map's curve is tried first, and from three quarters of half a
+    turn on it is too uneven."""
+    taken, start = [], Start(SO(4), Cayley(SO(4)))
+    for angle in np.deg2rad(np.linspace(120.0, 150.0, 31)):
+        plane = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        ends = np.eye(4).reshape(1, 16), block_diag(plane, np.eye(2)).reshape(1, 16)
+        at = [(np.arange(n) + 0.5) / n for n in (3, 9, 81)]
+        few, many, more = (start.states(*ends, places)[0][len(places) // 6] for places in at)  # at a sixth of the way
         np.testing.assert_allclose(many, few, atol=1e-12)
         np.testing.assert_allclose(more, few, atol=1e-12)
-        taken.append(np.arccos((np.trace(few) - 1) / 2) > 1.2 * angle / 6)
+        taken.append(np.arccos(few[0]) > 1.2 * angle / 6)
     assert not taken[-1]
     assert taken == sorted(taken, reverse=True)
     assert taken[0]

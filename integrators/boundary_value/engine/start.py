@@ -1,5 +1,7 @@
 """First trajectories: along the curve of a retraction from start to end, or a walk there."""
 
+from collections.abc import Iterator
+from functools import partial
 from typing import final
 
 import jax
@@ -12,39 +14,48 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import Retraction, default_retraction
-from ...evaluated import Evaluated
+from ...evaluated import Evaluated, Evaluator
 from ...evaluator import Automatic
 from ...layout import Layout
+from ...tape_evaluator import TapeEvaluator
 
 ASIDE = 0.05  # of the chord
 PIECES = 8  # of a curve, in which its unevenness is measured: it does not depend on the steps of a method
 ENDS = np.linspace(0.0, 1.0, PIECES + 1)  # of these
 UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps
 
+Curve = tuple[Evaluated, Evaluated]  # the vector from a start to an end, with its size; points along it
+
 
 @final
 class Start:
     """States between two points.
 
-    They lie on the curve of the given retraction; where it does not arrive, or in very unequal steps, on that of the
-    default retraction of the manifold. Where the two points are opposite to each other, as attitudes half a turn apart,
-    a walk sets out in a direction that is random but always the same: there are several ways round, and this is one of
-    them.
+    They lie on the curve of the default retraction of the manifold, a geodesic where that is known; where it does not
+    arrive, or in very unequal steps, on that of the given retraction. Where the default one takes decompositions or
+    iterations, as on Stiefel manifolds, the given one is tried first. Where the two points are opposite to each other,
+    as attitudes half a turn apart, a walk sets out in a direction that is random but always the same: there are several
+    ways round, and this is one of them.
     """
 
     def __init__(self, manifold: Manifold, retraction: Retraction) -> None:
         self.manifold, self.layout, self.retraction = manifold, Layout.of(manifold), retraction
-        self._other, self.evaluator = default_retraction(manifold), Automatic()
-        self._curves: list[tuple[Evaluated, Evaluated]] = []
-        self._walk: tuple[Evaluated, Evaluated] | None = None
+        self._tapes, self._evaluator = TapeEvaluator(), Automatic()
+        self._untraced, self._curves = self._in_turn(), list[Curve]()
+        self._walk: Curve | None = None
+
+    def compile(self) -> None:
+        """Make machine code of what is traced."""
+        self._tapes.compile()
+        self._evaluator.compile()
 
     def states(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> np.ndarray:
         """Flat states, shape (B, K, E), at ascending fractions of the way between flat points, shape (B, E).
 
         Raises ``DomainError`` if no way arrives near an end.
         """
-        states, arrived = self._given(starts, ends, fractions)
-        for way in (self._default, self._walked):
+        states, arrived = self._along(0, starts, ends, fractions)
+        for way in (partial(self._along, 1), self._walked):
             if arrived.all():
                 return states
             missing = np.flatnonzero(~arrived)
@@ -56,18 +67,12 @@ class Start:
             )
         return states
 
-    def _given(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._along(0, self.retraction, *way)
-
-    def _default(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._along(1, self._other, *way)
-
     def _along(
-        self, place: int, retraction: Retraction, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray
+        self, place: int, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points of ``s -> R(start, s v)``, ``R(start, v) = end``; and whether they arrive, in even steps."""
+        """Points of the first or the second curve; and whether they arrive, in even steps."""
         if len(self._curves) <= place:
-            self._curves.append(self._curve(retraction))
+            self._curves.append(next(self._untraced))
         leave, go = self._curves[place]
         vectors, lengths = leave.at(1, starts, ends)
         (points,) = go.at(2, starts[:, None], vectors[:, None], np.concatenate([ENDS, fractions])[None, :, None])
@@ -75,9 +80,21 @@ class Start:
         arrived = np.isfinite(lengths) & self._even(points[:, : len(ENDS)])
         return states, arrived & np.isfinite(states).all(axis=(1, 2))
 
-    def _curve(self, retraction: Retraction) -> tuple[Evaluated, Evaluated]:
-        """What gives the vector ``v`` from a start to an end, with its size; and what gives the points ``R(start, s
-        v)``."""
+    def _in_turn(self) -> Iterator[Curve]:
+        """The curves in the order in which they are tried."""
+        from ....tape import NotTraceableError
+
+        first, second = default_retraction(self.manifold), self.retraction
+        try:
+            curve = self._curve(first, self._tapes)
+        except NotTraceableError:
+            first, second = second, first
+            curve = self._curve(first, self._evaluator)
+        yield curve
+        yield self._curve(second, self._evaluator)
+
+    def _curve(self, retraction: Retraction, evaluator: Evaluator) -> Curve:
+        """The curve ``s -> R(start, s v)``, ``R(start, v) = end``."""
 
         def leave(start: Array, end: Array) -> tuple[Array, Array]:
             v = retraction.preimage(self.layout.point(start), self.layout.point(end))
@@ -87,7 +104,7 @@ class Start:
             return (self.layout.flat(retraction(self.layout.point(start), vec.scale(s[0], self.layout.point(vector)))),)
 
         size = self.layout.size
-        return self.evaluator.values(leave, size, size), self.evaluator.values(go, size, size, 1)
+        return evaluator.values(leave, size, size), evaluator.values(go, size, size, 1)
 
     def _even(self, points: np.ndarray) -> np.ndarray:
         """Whether the largest step between points is no more than ``UNEVEN`` mean ones, in each array of a point; not
@@ -109,8 +126,8 @@ class Start:
                 self.layout.size,
                 jax.tree.map(np.asarray, vec.normal(jax.random.key(0), self.manifold.ambient)),
             )
-            begin = self.evaluator.values(lambda *ends: self._set_out(aside, *ends), size, size)
-            self._walk = begin, self.evaluator.values(self._go, size, size, 1)
+            begin = self._evaluator.values(lambda *ends: self._set_out(aside, *ends), size, size)
+            self._walk = begin, self._evaluator.values(self._go, size, size, 1)
         (x,) = self._walk[0].at(1, starts, ends)
         states, behind = [], 0.0
         for fraction in fractions:
