@@ -44,7 +44,7 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
     if reason:
         return reason
     from ...tape import NotTraceableError
-    from ...tape.program import UnknownInstructionError
+    from ...tape.instructions import UnknownInstructionError
 
     try:
         from .lanes import TracedSteps

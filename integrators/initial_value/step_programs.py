@@ -11,8 +11,10 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape
+from ...tape.graph import parts_of, with_parts
+from ...tape.instructions import CODES
 from ...tape.often import Often
-from ...tape.program import CODES, Program, assembled
+from ...tape.program import Program, assembled
 from ...tape.trace import flat
 from ..program_keys import content_key
 from ..stages import Stage
@@ -239,20 +241,21 @@ def _merged(
     What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or
     kernels, read.
     """
-    values = [tape.graph.unmarked([tape.outputs])[0] for tape in tapes]
-    prepared: list[Any] = ca.cse(values[0]).elements()
+    values, loops = zip(*(tape.graph.scheduled([tape.outputs]) for tape in tapes), strict=True)
+    prepared: list[Any] = ca.cse(values[0][0]).elements()
     first_row: dict[int, int] = {}
     again = {row: first_row.setdefault(hash(e), row) for row, e in zip(writes[0].tolist(), prepared, strict=True)}
     constant = {row: e for row, e in zip(writes[0].tolist(), prepared, strict=True) if e.is_constant()}
     programs, needed = [], set(always)
-    for tape, value, read, write in zip(tapes[1:], values[1:], reads[1:], writes[1:], strict=True):
+    for k, (tape, read, write) in enumerate(zip(tapes[1:], reads[1:], writes[1:], strict=True), 1):
         symbols: list[Any] = tape.inputs.elements()
         by_row = dict(zip(read.tolist(), symbols, strict=True))
         simpler = [constant.get(row, by_row[again.get(row, row)]) for row in read.tolist()]
-        (value,) = ca.substitute([value], [tape.inputs], [ca.vertcat(*simpler)])
-        used = {hash(s) for s in ca.symvar(value)}
+        (value, *parts) = ca.substitute([*values[k], *parts_of(loops[k])], [tape.inputs], [ca.vertcat(*simpler)])
+        used = {hash(s) for part in (value, *parts) for s in ca.symvar(part)}
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        programs.append(InRows.of(assembled(tape.inputs, value, window=None), read, write))
+        program = assembled(tape.inputs, value, with_parts(loops[k], parts), window=None)
+        programs.append(InRows.of(program, read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
-    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), window=None)
+    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), loops[0], window=None)
     return [InRows.of(first, reads[0], writes[0][kept]), *programs]

@@ -17,7 +17,8 @@ from retrax.integrators import Free, OptimalControlProblem, Solver
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 from retrax.tape import Tape, native, often
-from retrax.tape.program import UnknownInstructionError, assembled
+from retrax.tape.instructions import UnknownInstructionError
+from retrax.tape.program import assembled
 
 from .functions import SMOOTH, SPECIAL
 

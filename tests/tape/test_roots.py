@@ -1,5 +1,7 @@
 """Roots on tapes: those of ``find_root``, with its derivatives of every order."""
 
+from collections.abc import Callable
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -103,18 +105,63 @@ def test_no_claim_of_convergence_is_false():
     assert 200 < found < 700
 
 
-@pytest.mark.parametrize("count", [6, 7])
-def test_large_systems_are_left_to_xla(count):
-    def function(a: Array) -> Array:
-        return find_root(lambda c: c + c**3 / 9 + 0.1 * jnp.roll(c, 1) - a, jnp.zeros(count))[0]
+def ring(count: int) -> Callable[[Array], Array]:
+    """Equations each of which has two of the unknowns."""
+    return lambda a: find_root(lambda c: c + c**3 / 9 + 0.1 * jnp.roll(c, 1) - a, jnp.zeros(count))[0]
 
+
+@pytest.mark.parametrize("count", [1, 6, 7, 15, 16])
+def test_systems_of_all_sizes_have_the_roots_of_xla(count):
     a = RANDOM.normal(size=(count, 3))
-    if count > 6:
-        with pytest.raises(NotTraceableError, match="it calls implicit_root, here of 7 unknowns, where at most 6"):
-            Tape.trace(function, a[:, 0])
-    else:
-        expected = jax.vmap(function, 1, 1)(a)
-        np.testing.assert_allclose(Tape.trace(function, a[:, 0])(a), expected, rtol=1e-12, atol=1e-13)
+    expected = jax.vmap(ring(count), 1, 1)(a)
+    np.testing.assert_allclose(Tape.trace(ring(count), a[:, 0])(a), expected, rtol=1e-12, atol=1e-13)
+
+
+def test_large_systems_are_left_to_xla():
+    with pytest.raises(NotTraceableError, match="it calls implicit_root, here of 17 unknowns, where at most 16"):
+        Tape.trace(ring(17), np.zeros(17))
+
+
+def test_very_many_roots_are_left_to_xla():
+    """Swept through the decision: as many as there are, they are those of XLA, or all are left to it."""
+    traced = []
+    for count in (20, 60, 160):
+        a = RANDOM.normal(size=(count, 4, 2))
+        function = jax.vmap(ring(4))
+        try:
+            tape = Tape.trace(function, a[..., 0])
+        except NotTraceableError:
+            traced.append(False)
+        else:
+            traced.append(True)
+            np.testing.assert_allclose(tape(a), jax.vmap(function, 2, 2)(a), rtol=1e-12, atol=1e-13)
+    with pytest.raises(
+        NotTraceableError, match=r"it calls implicit_root, here of .* instructions, where at most 10000"
+    ):
+        Tape.trace(jax.vmap(ring(4)), np.zeros((160, 4)))
+    assert traced == sorted(traced, reverse=True)
+    assert traced[0]
+    assert not traced[-1]
+
+
+def test_a_root_does_not_depend_on_the_points_that_it_is_computed_with():
+    """Some converge in fewer steps than others, and the loop ends with the last of them."""
+    sideways = np.concatenate([[0.0], 1 - 10.0 ** np.arange(-6, 0), RANDOM.uniform(0, 1.2, 60)])
+    tape = Tape.trace(circle, np.zeros(()))
+    together = tape(sideways)
+    for k in range(len(sideways)):
+        for one, all_of_them in zip(tape(sideways[k : k + 1]), together, strict=True):
+            np.testing.assert_array_equal(one[..., 0], all_of_them[..., k])
+
+
+def test_an_expansion_has_no_derivatives_through_roots():
+    tape = Tape.trace(lambda d, a: (circle(a + d[0])[0][0], jnp.zeros(0)), np.zeros(1), np.zeros(()))
+    sideways = np.linspace(0.0, 0.8, 5)
+    curvature, slope, *_ = tape.expansion()(sideways)
+    np.testing.assert_allclose(slope[0], -sideways / np.sqrt(1 - sideways**2), atol=1e-13)
+    np.testing.assert_allclose(curvature[0, 0], -((1 - sideways**2) ** -1.5), rtol=1e-12)
+    with pytest.raises(ValueError, match="an expansion has no derivatives through roots"):
+        tape.expansion().jacobian(0)
 
 
 def test_complex_numbers_are_left_to_xla():

@@ -18,8 +18,9 @@ from retrax.manifolds import SE, SO, SU, Hyperbolic, Oblique, Sphere, Stiefel
 from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module
+from retrax.tape.instructions import CODES, NAMES
 from retrax.tape.machine import run_one
-from retrax.tape.program import CODES, NAMES, SUMS, assembled
+from retrax.tape.program import SUMS, assembled
 
 from tests.support.numerics import compiled
 

@@ -66,6 +66,8 @@ EMITTED: dict[str, Callable[..., Any]] = {
     "CONST_SUB": lambda b, v, x: b.fsub(v, x()),
     "CONST_DIV": lambda b, v, x: b.fdiv(v, x()),
     "CONST": lambda b, v: v,
+    "STATE": lambda b, v, x: x(),
+    "NEXT": lambda b, v, x: x(),
     "INV": lambda b, v, x: b.fdiv(ir.Constant(v.type, _filled(v.type, 1.0)), x()),
     "NEG": lambda b, v, x: b.fneg(x()),
     "SQ": lambda b, v, x: b.fmul(x(), x()),

@@ -1,7 +1,7 @@
 """Scalar graphs whose derivatives follow the rules of JAX: ``stop_gradient`` and custom derivatives included."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import casadi as ca
@@ -31,12 +31,47 @@ class Mark:
         return self.rule()
 
 
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """Scalars that an iteration leaves: symbols that stand for its state after so many ``rounds`` of ``body``.
+
+    ``body(state, given)``: the next state; and a scalar that is not zero where the state will not change any more, so
+    that the rounds that are left need not be made. ``first``, the state before, and ``given`` contain earlier marks
+    only. The symbols are constant to every derivative, unless there are ``arguments``: then they have none.
+    """
+
+    symbols: ca.SX
+    first: ca.SX
+    given: ca.SX
+    body: ca.Function
+    rounds: int
+    arguments: ca.SX = field(default_factory=lambda: ca.SX(0, 1))
+
+    @cached_property
+    def value(self) -> ca.SX:
+        """The state with all rounds written out."""
+        state = self.first
+        for _ in range(self.rounds):
+            state = self.body.call([state, self.given], True, False)[0]
+        return state
+
+    @property
+    def length(self) -> int:
+        """Instructions of all rounds."""
+        return self.rounds * self.body.n_instructions()
+
+    @property
+    def slope(self) -> ca.SX:
+        """There is none."""
+        raise ValueError("an expansion has no derivatives through roots; try those of the function before it")
+
+
 @dataclass(eq=False)
 class Graph:
     """The inputs of a trace and the marks that it made, in order."""
 
     inputs: list[ca.SX]
-    marks: list[Mark] = field(default_factory=list)
+    marks: list[Mark | Loop] = field(default_factory=list)
 
     def constant(self, value: ca.SX) -> ca.SX:
         """Symbols for scalars that are constant to every derivative."""
@@ -48,20 +83,26 @@ class Graph:
         """New symbols for a mark."""
         return ca.SX.sym(f"mark{len(self.marks)}_", count)
 
-    def add(self, mark: Mark) -> None:
+    def loop(self, first: ca.SX, given: ca.SX, body: ca.Function, rounds: int) -> ca.SX:
+        """Symbols for the state that a loop leaves."""
+        symbols = self.symbols(first.shape[0])
+        self.add(Loop(symbols, first, given, body, rounds))
+        return symbols
+
+    def add(self, mark: Mark | Loop) -> None:
         """Let the symbols of a mark enter the graph."""
         self.marks.append(mark)
 
     def jacobian(self, values: ca.SX, by: ca.SX) -> ca.SX:
         """Derivatives of scalars by symbols among the inputs, shape ``(values, by)``."""
-        slopes: list[tuple[Mark, ca.SX]] = []
+        slopes: list[tuple[Mark | Loop, ca.SX]] = []
         for mark in self._moving(values):
             slopes.append((mark, ca.mtimes(mark.slope, _total(mark.arguments, by, slopes))))
         return _total(values, by, slopes)
 
     def push(self, values: ca.SX, by: ca.SX, direction: ca.SX) -> ca.SX:
         """Derivative of scalars by symbols among the inputs along one direction, as a column, in forward mode."""
-        slopes: list[tuple[Mark, ca.SX]] = []
+        slopes: list[tuple[Mark | Loop, ca.SX]] = []
 
         def along(values: ca.SX) -> ca.SX:
             moved = [ca.jtimes(values, mark.symbols, slope) for mark, slope in slopes]
@@ -89,13 +130,30 @@ class Graph:
         return self.jacobian(self.gradient(value, by), by) if self._moving(value) else ca.hessian(value, by)[0]
 
     def unmarked(self, values: Sequence[ca.SX]) -> list[ca.SX]:
-        """The values with what the marks stand for in their place."""
-        found = list(values)
-        for mark in reversed(self.marks):
-            found = ca.substitute(found, [mark.symbols], [mark.value])
-        return found
+        """The values with what the marks stand for in their place, loops written out."""
+        return _replaced(values, self.marks)
 
-    def _moving(self, values: ca.SX) -> list[Mark]:
+    def scheduled(self, values: Sequence[ca.SX]) -> tuple[list[ca.SX], list[Loop]]:
+        """The same but for loops, and the loops that the values need, in order, which need no other marks."""
+        loops = [mark for mark in self.marks if isinstance(mark, Loop)]
+        found = _replaced([*values, *parts_of(loops)], [mark for mark in self.marks if isinstance(mark, Mark)])
+        values, loops = found[: len(values)], with_parts(loops, found[len(values) :])
+        needed, kept = _symbols(values), list[Loop]()
+        for loop in reversed(loops):
+            if needed & _symbols([loop.symbols]):
+                needed |= _symbols(parts_of([loop]))
+                kept.append(loop)
+        return values, kept[::-1]
+
+    def at_zero(self, values: Sequence[ca.SX]) -> tuple[list[ca.SX], "Graph"]:
+        """The values where the first input is zero, and their graph, which has the other inputs."""
+        (values, loops), first = self.scheduled(values), self.inputs[0]
+        found = ca.substitute([*values, *parts_of(loops)], [first], [ca.SX.zeros(first.shape)])
+        loops = with_parts(loops, found[len(values) :])
+        marks = [replace(loop, arguments=ca.vertcat(loop.first, loop.given)) for loop in loops]
+        return found[: len(values)], Graph(self.inputs[1:], [*marks])
+
+    def _moving(self, values: ca.SX) -> list[Mark | Loop]:
         """Marks with a derivative, in order, of which the values are made."""
         owners = {hash(s): k for k, mark in enumerate(self.marks) for s in mark.symbols.elements()}
         found, open_ends = set[int](), [values]
@@ -107,10 +165,32 @@ class Graph:
         return [self.marks[k] for k in sorted(found)]
 
 
-def _total(values: ca.SX, by: ca.SX, slopes: Sequence[tuple[Mark, ca.SX]]) -> ca.SX:
+def parts_of(loops: Sequence[Loop]) -> list[ca.SX]:
+    """What loops begin with and what they are given, one after the other."""
+    return [part for loop in loops for part in (loop.first, loop.given)]
+
+
+def with_parts(loops: Sequence[Loop], parts: Sequence[ca.SX]) -> list[Loop]:
+    """The loops with these in place of their own."""
+    return [replace(loop, first=a, given=b) for loop, a, b in zip(loops, parts[::2], parts[1::2], strict=True)]
+
+
+def _total(values: ca.SX, by: ca.SX, slopes: Sequence[tuple[Mark | Loop, ca.SX]]) -> ca.SX:
     """Derivative of scalars by symbols, through the marks with these derivatives too."""
     total = ca.jacobian(values, by)
     for mark, slope in slopes:
         if slope.nnz():
             total += ca.mtimes(ca.jacobian(values, mark.symbols), slope)
     return total
+
+
+def _replaced(values: Sequence[ca.SX], marks: Sequence[Mark | Loop]) -> list[ca.SX]:
+    """The values with what marks stand for in their place, one after the other."""
+    if not marks:
+        return list(values)
+    return ca.substitute_inplace([mark.symbols for mark in marks], [mark.value for mark in marks], list(values))[1]
+
+
+def _symbols(values: Sequence[ca.SX]) -> set[int]:
+    """The symbols in some expressions."""
+    return {hash(s) for s in ca.symvar(ca.vertcat(ca.SX(0, 1), *map(ca.vec, values)))}

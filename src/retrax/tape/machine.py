@@ -15,7 +15,8 @@ from numba.core import cgutils
 from ..kernels import kernel, kernel_part
 from ..linked import array, view
 from .emitted import EMITTED, operands_of, spread
-from .program import CODES, NAMES, OPERANDS, VECTOR, Program
+from .instructions import CODES, NAMES, OPERANDS
+from .program import VECTOR, Program
 from .transfers import moved, read_all, write_all
 
 LANES = 64  # points that an instruction acts on at once where nobody says how many
@@ -25,9 +26,9 @@ MEMORY = 2**17  # registers of all lanes, few enough for the near caches
 (
     ADD, SUB, MUL, DIV, MUL_ADD, MUL_SUB, SUB_MUL, ADD_ADD, MUL_ADD_ADD, TWO_MUL, TWO_MUL_ADD, MUL_SUB_MUL, THREE_MUL,
     THREE_MUL_ADD, ADD_CONST, MUL_CONST, CONST_SUB, CONST_DIV, SELECT, CONST, INPUT, OUTPUT, CODE, READ, WRITE,
-    IF_ELSE_ZERO, POW, CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2, HYPOT, NEG, SQ, TWICE,
-    SQRT, INV, ASSIGN, NOT, FLOOR, CEIL, FABS, SIGN, SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN, ERF, SINH, COSH, TANH,
-    ASINH, ACOSH, ATANH, LOG1P, EXPM1,
+    STATE, LOOP, NEXT, REPEAT, IF_ELSE_ZERO, POW, CONSTPOW, LT, LE, EQ, NE, AND, OR, FMOD, COPYSIGN, FMIN, FMAX, ATAN2,
+    HYPOT, NEG, SQ, TWICE, SQRT, INV, ASSIGN, NOT, FLOOR, CEIL, FABS, SIGN, SIN, COS, TAN, EXP, LOG, ASIN, ACOS, ATAN,
+    ERF, SINH, COSH, TANH, ASINH, ACOSH, ATANH, LOG1P, EXPM1,
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
 
@@ -222,6 +223,15 @@ def _other(c: int, x: float, y: float) -> float:
     return _of_two(c, x, y) if c < FIRST_OF_ONE else _of_one(c, x)
 
 
+@kernel_part()
+def _some_go_on(done: np.ndarray, count: int) -> bool:
+    """Whether some of the first lanes are not done."""
+    going = False
+    for j in range(count):
+        going |= done[j] == 0
+    return going
+
+
 def lanes_for(count: int, program: Program) -> int:
     """How many lanes ``count`` points have best."""
     if program.engine is not None:
@@ -251,7 +261,7 @@ def run(
     """
     lanes = w.shape[1]
     for s in range(first, last, lanes):
-        m, k = min(lanes, last - s), 0
+        m, k, left = min(lanes, last - s), 0, 0
         while k < codes.size:
             c = codes[k]
             if _on_lanes(codes, registers, values, w, m, k):
@@ -262,6 +272,12 @@ def run(
             elif c == CODE:
                 _call(int(values[k]), w)
                 k += 1
+            elif c == LOOP:
+                left = int(values[k])
+                k += 1
+            elif c == REPEAT:
+                left -= 1
+                k = int(values[k]) if left > 0 and _some_go_on(w[registers[k, 1]], m) else k + 1
             elif c in (READ, WRITE):  # so many, from a register and a place on
                 row, some, at = np.int64(registers[k, 0]), np.int64(registers[k, 1]), np.int64(registers[k, 2])
                 if c == READ:
@@ -283,7 +299,7 @@ def run_one(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, v: np.
 
     The same instructions after each other take least time.
     """
-    k = 0
+    k = left = 0
     while k < codes.size:
         begin = k
         k = _on_one(codes, registers, values, w, k)
@@ -294,6 +310,12 @@ def run_one(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, v: np.
             w[o] = v[x]
         elif c == OUTPUT:
             v[o] = w[x]
+        elif c == LOOP:
+            left = int(values[k])
+        elif c == REPEAT:
+            left -= 1
+            if left > 0 and w[x] == 0:
+                k = int(values[k]) - 1
         else:
             w[o] = _other(c, w[x], w[registers[k, 2]])
         k += 1

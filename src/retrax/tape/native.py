@@ -16,7 +16,8 @@ from numba.core import config as numba_config
 from numba.core.codegen import get_host_cpu_features
 
 from .emitted import EMITTED, operands_of, spread
-from .program import CODES, NAMES, OPERANDS, VECTOR, Program
+from .instructions import CODES, NAMES, OPERANDS
+from .program import VECTOR, Program
 
 config: Any = numba_config  # its names are made when it is read
 PIECE = 100  # instructions of a function: what LLVM takes grows faster than their number
@@ -29,6 +30,7 @@ class _Line(NamedTuple):
     name: str
     inputs: list[int]
     value: float
+    state: int | None = None  # the line of the number of a state that this is the next value of
 
     @property
     def is_code(self) -> bool:
@@ -52,12 +54,16 @@ def native(program: Program) -> Program:
     groups = [[*group] for _, group in groupby(pieces, lambda piece: piece.is_code)]
     engine = _engine("\n".join(_text(lines, groups, rows)))
     found: list[tuple[str, list[int], float]] = [("READ", [0, program.inputs], 0.0)]
+    begin = 0
     for group in groups:
         if group[0].is_code:
             found.append(("CODE", [], float(engine.get_function_address(f"from{group[0].number}"))))
             continue
         for k in (piece.lines[0] for piece in group):
-            found.append((lines[k].name, [rows[k], *(rows[i] for i in lines[k].inputs)], lines[k].value))
+            name, value = lines[k].name, lines[k].value
+            begin = len(found) + 1 if name == "LOOP" else begin
+            places = [rows[k], *(rows[i] for i in lines[k].inputs)]
+            found.append((name, places, begin if name == "REPEAT" else value))
     found.append(("WRITE", [program.inputs, program.outputs], 0.0))
     codes = np.array([CODES[name] for name, _, _ in found], np.uint8)
     registers, values = np.zeros((len(codes), 1 + OPERANDS), np.uint32), np.zeros(len(codes))
@@ -73,8 +79,9 @@ def _lines(program: Program) -> list[_Line]:
         zip(program.codes.tolist(), program.registers.tolist(), program.values.tolist(), strict=True)
     ):
         name = NAMES[code]
-        found.append(_Line(name, [made[i] for i in operands[: _operands(name)]], value))
-        if name != "OUTPUT":
+        state = made[to] if name == "NEXT" else None
+        found.append(_Line(name, [made[i] for i in operands[: _operands(name)]], value, state))
+        if name not in ("OUTPUT", "NEXT", "LOOP", "REPEAT"):
             made[to] = k
     return found
 
@@ -82,7 +89,9 @@ def _lines(program: Program) -> list[_Line]:
 def _operands(name: str) -> int:
     if name in EMITTED:
         return operands_of(EMITTED[name])
-    return 0 if name == "INPUT" else 1 if name == "OUTPUT" or CODES[name] >= CODES["NEG"] else 2
+    if name in ("INPUT", "LOOP"):
+        return 0
+    return 1 if name in ("OUTPUT", "REPEAT") or CODES[name] >= CODES["NEG"] else 2
 
 
 def _pieces(lines: list[_Line]) -> Iterator[_Piece]:
@@ -106,20 +115,30 @@ def _pieces(lines: list[_Line]) -> Iterator[_Piece]:
 def _rows(program: Program, lines: list[_Line], pieces: list[_Piece]) -> tuple[dict[int, int], int]:
     """Where inputs, outputs, and values that one piece leaves to others stand, and the number of these rows."""
     piece_of = {k: piece.number for piece in pieces for k in piece.lines}
-    last = {i: piece_of[k] for k, line in enumerate(lines) for i in line.inputs if line.name != "INPUT"}
+    last = {i: piece_of[k] for k, line in enumerate(lines) for i in (*line.inputs, line.state) if i is not None}
+    for begin, end in zip(*(_pieces_of(word, lines, pieces) for word in ("LOOP", "REPEAT")), strict=True):
+        # What is from before a loop stays until its last round.
+        last |= {i: end for i, at in last.items() if piece_of.get(i, end) < begin < at < end}
     before = {"INPUT": 0, "OUTPUT": program.inputs}
     rows = {k: before[line.name] + int(line.value) for k, line in enumerate(lines) if line.name in before}
     size, free, ends = program.inputs + program.outputs, list[int](), dict[int, list[int]]()
     for number, piece, is_code in pieces:
         for k in piece:
-            stays = last.get(k, number) > number or not is_code
-            if stays and k not in rows:
+            stays, state = last.get(k, number) > number or not is_code, lines[k].state
+            if state is not None:
+                rows[k] = rows[state]
+            elif stays and k not in rows:
                 if not free:
                     free, size = [size], size + 1
                 rows[k] = free.pop()
                 ends.setdefault(max(last.get(k, number), number), []).append(rows[k])
         free += ends.pop(number, [])
     return rows, size
+
+
+def _pieces_of(word: str, lines: list[_Line], pieces: list[_Piece]) -> list[int]:
+    """The numbers of the pieces that are this instruction."""
+    return [piece.number for piece in pieces if lines[piece.lines[0]].name == word]
 
 
 def _text(lines: list[_Line], groups: list[list[_Piece]], rows: dict[int, int]) -> Iterator[str]:

@@ -1,26 +1,16 @@
 """From a graph of scalars to a list of instructions for the machine: fused, and with registers of its own."""
 
-import math
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from ..errors import RetraxError
+from .graph import Loop
+from .instructions import CODES, OPERANDS, Instruction, read
 
-# Instructions with the names of CasADi's, those that stand for two or more of them, and, of programs that call machine
-# code, the call, and what reads all inputs and writes all outputs.
-NAMES = (
-    "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_ADD", "MUL_ADD_ADD", "TWO_MUL", "TWO_MUL_ADD",
-    "MUL_SUB_MUL", "THREE_MUL", "THREE_MUL_ADD", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT", "CONST",
-    "INPUT", "OUTPUT", "CODE", "READ", "WRITE", "IF_ELSE_ZERO", "POW", "CONSTPOW", "LT", "LE", "EQ", "NE", "AND", "OR",
-    "FMOD", "COPYSIGN", "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE", "SQRT", "INV", "ASSIGN", "NOT", "FLOOR",
-    "CEIL", "FABS", "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS", "ATAN", "ERF", "SINH", "COSH", "TANH",
-    "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1",
-)  # fmt: skip
-COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
-OPERANDS = 7  # at most
 VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 FOUR = 4  # inputs or outputs that stand together: the machine reads and writes as many at once
 SUMMANDS = {"ADD": (0, 1), "MUL_ADD": (2,), "MUL_SUB": (2,)}  # the operands of sums that may be sums themselves
@@ -37,21 +27,8 @@ SUMS = {
 }
 WINDOW = 500  # instructions among which those that are the same come together, with few registers more
 FEW = 2  # divisions by one number that are not worth its inverse
-CODES = {name: code for code, name in enumerate(NAMES)}
-_OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
-
-
-class UnknownInstructionError(RetraxError, ValueError):
-    """A graph has an instruction that the machine does not know."""
-
-
-@dataclass(slots=True)
-class _Instruction:
-    name: str
-    inputs: list[int]  # the instructions that make its operands
-    value: float = 0.0  # a constant, or the place of an input or output
-    uses: int = field(default=0)
-    divides: bool = False  # the second operand is an inverse
+ALWAYS = frozenset({"OUTPUT", "LOOP", "NEXT", "REPEAT"})  # what nothing has to use
+USUAL = 5  # rounds of a loop
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,14 +44,21 @@ class Program:
     size: int  # registers
     engine: Any = None  # what keeps the machine code alive that it calls, if it is one that does
 
+    @cached_property
+    def work(self) -> int:
+        """Number of instructions that usually run."""
+        ends = np.flatnonzero(self.codes == CODES["REPEAT"])
+        return len(self.codes) + (USUAL - 1) * int(np.sum(ends - self.values[ends]))
 
-def assembled(inputs: ca.SX, outputs: ca.SX, *, window: int | None = WINDOW) -> Program:
+
+def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, window: int | None = WINDOW) -> Program:
     """The program of a column of scalars as a function of a column of symbols.
 
-    ``window``: among so many instructions, or among all, the same ones stand together: that takes more registers, and
-    less time, as a processor foresees which comes next.
+    ``loops``: those whose symbols the scalars have, in the order in which they run. ``window``: among so many
+    instructions, or among all, the same ones stand together: that takes more registers, and less time, as a processor
+    foresees which comes next.
     """
-    instructions = _read(ca.Function("f", [inputs], [ca.densify(outputs)]))
+    instructions, segments = read(inputs, ca.densify(outputs), loops)
     _count(instructions)
     for k, instruction in enumerate(instructions):
         _select(instructions, instruction)
@@ -82,14 +66,16 @@ def assembled(inputs: ca.SX, outputs: ca.SX, *, window: int | None = WINDOW) -> 
         _immediate(instructions, instruction)
         _multiplied(instructions, k)
         _summed(instructions, instruction)
-    kept = [k for k, instruction in enumerate(instructions) if instruction.uses or instruction.name == "OUTPUT"]
-    size = len(kept) if window is None else window
-    order = [k for i in range(0, len(kept), size or 1) for k in _grouped(instructions, kept[i : i + size])]
+    order = list[int]()
+    for segment in segments:
+        kept = [k for k in segment if instructions[k].uses or instructions[k].name in ALWAYS]
+        size = len(kept) if window is None else window
+        order += [k for i in range(0, len(kept), size or 1) for k in _grouped(instructions, kept[i : i + size])]
     order = order if window is None else _in_fours(instructions, order)
     return _allocated(instructions, order, inputs.shape[0], outputs.shape[0])
 
 
-def _grouped(instructions: list[_Instruction], kept: list[int]) -> list[int]:
+def _grouped(instructions: list[Instruction], kept: list[int]) -> list[int]:
     """An order of some instructions in which many of the same follow each other: those next of which most can run. What
     others make is there."""
     waits: dict[int, int] = {}
@@ -116,7 +102,7 @@ def _grouped(instructions: list[_Instruction], kept: list[int]) -> list[int]:
     return order
 
 
-def _in_fours(instructions: list[_Instruction], kept: list[int]) -> list[int]:
+def _in_fours(instructions: list[Instruction], kept: list[int]) -> list[int]:
     """An order in which four inputs are read where the first of them is needed, and four outputs are written where the
     last is known."""
     ends: dict[str, dict[int, list[int]]] = {"INPUT": {}, "OUTPUT": {}}
@@ -132,52 +118,14 @@ def _in_fours(instructions: list[_Instruction], kept: list[int]) -> list[int]:
     return order
 
 
-def _read(function: ca.Function) -> list[_Instruction]:
-    """CasADi's instructions, each value computed once, whose operands are named by the instructions that made them;
-    divisors are inverted.
-
-    CasADi finds what is computed twice too, in ten times the time of all else here.
-    """
-    found: list[_Instruction] = []
-    made: dict[int, int] = {}
-    known: dict[tuple, int] = {}
-
-    def number(name: str, inputs: list[int], value: float = 0.0, divides: bool = False) -> int:
-        """The number of an instruction, which is new or has been there before."""
-        operands = sorted(inputs) if name in COMMUTATIVE else inputs
-        key = name, *operands, value, math.copysign(1.0, value)  # zeros of both signs are two numbers
-        k = known.setdefault(key, len(found))
-        if k == len(found):
-            found.append(_Instruction(name, inputs, value, divides=divides))
-        return k
-
-    read, written, code_of = function.instruction_input, function.instruction_output, function.instruction_id
-    for k in range(function.n_instructions()):
-        code, ins, outs = code_of(k), read(k), written(k)
-        if code not in _OF_CASADI:
-            raise UnknownInstructionError(f"instruction {code} of CasADi has no counterpart in the machine")
-        name = _OF_CASADI[code]
-        if name == "OUTPUT":
-            found.append(_Instruction(name, [made[ins[0]]], outs[1]))
-        elif name == "CONST":
-            made[outs[0]] = number(name, [], function.instruction_constant(k))
-        elif name == "INPUT":
-            made[outs[0]] = number(name, [], ins[1])
-        elif name == "DIV" and found[made[ins[1]]].name != "CONST":
-            made[outs[0]] = number("MUL", [made[ins[0]], number("INV", [made[ins[1]]])], divides=True)
-        else:
-            made[outs[0]] = number(name, [made[i] for i in ins])
-    return found
-
-
-def _count(instructions: list[_Instruction]) -> None:
+def _count(instructions: list[Instruction]) -> None:
     for instruction in instructions:
         for k in instruction.inputs:
             instructions[k].uses += 1
 
 
 def _replace(
-    instructions: list[_Instruction], instruction: _Instruction, name: str, inputs: list[int], value: float
+    instructions: list[Instruction], instruction: Instruction, name: str, inputs: list[int], value: float
 ) -> None:
     """Give an instruction other operands; what it no longer needs is released, down to what that needed."""
     for k in inputs:
@@ -191,7 +139,7 @@ def _replace(
             old += unused.inputs
 
 
-def _divide(instructions: list[_Instruction], instruction: _Instruction) -> None:
+def _divide(instructions: list[Instruction], instruction: Instruction) -> None:
     """A product with an inverse that hardly anything else needs is a division, which rounds once."""
     if instruction.divides:
         left, inverse = instruction.inputs
@@ -199,7 +147,7 @@ def _divide(instructions: list[_Instruction], instruction: _Instruction) -> None
             _replace(instructions, instruction, "DIV", [left, instructions[inverse].inputs[0]], 0.0)
 
 
-def _select(instructions: list[_Instruction], instruction: _Instruction) -> None:
+def _select(instructions: list[Instruction], instruction: Instruction) -> None:
     """``(c ? a : 0) + (not c ? b : 0)`` is one choice."""
     if instruction.name != "ADD":
         return
@@ -211,7 +159,7 @@ def _select(instructions: list[_Instruction], instruction: _Instruction) -> None
         _replace(instructions, instruction, "SELECT", [first.inputs[0], first.inputs[1], second.inputs[1]], 0.0)
 
 
-def _immediate(instructions: list[_Instruction], instruction: _Instruction) -> None:
+def _immediate(instructions: list[Instruction], instruction: Instruction) -> None:
     """A constant operand becomes part of the instruction."""
     if instruction.name not in ("ADD", "SUB", "MUL", "DIV"):
         return
@@ -225,7 +173,7 @@ def _immediate(instructions: list[_Instruction], instruction: _Instruction) -> N
         _replace(instructions, instruction, name, [instruction.inputs[0]], value)
 
 
-def _multiplied(instructions: list[_Instruction], k: int) -> None:
+def _multiplied(instructions: list[Instruction], k: int) -> None:
     """A product that only this sum needs is formed in it."""
     instruction = instructions[k]
     if instruction.name not in ("ADD", "SUB"):
@@ -238,7 +186,7 @@ def _multiplied(instructions: list[_Instruction], k: int) -> None:
             return
 
 
-def _summed(instructions: list[_Instruction], instruction: _Instruction) -> None:
+def _summed(instructions: list[Instruction], instruction: Instruction) -> None:
     """A sum that only this one needs is formed in it."""
     for place in SUMMANDS.get(instruction.name, ()):
         inner = instructions[instruction.inputs[place]]
@@ -250,20 +198,20 @@ def _summed(instructions: list[_Instruction], instruction: _Instruction) -> None
             return
 
 
-def _first_of_four(instructions: list[_Instruction], ahead: list[int]) -> bool:
+def _first_of_four(instructions: list[Instruction], ahead: list[int]) -> bool:
     """Whether these are four inputs, or outputs, one after the other."""
     first = instructions[ahead[0]]
     expected = [(first.name, first.value + i) for i in range(FOUR)]
     return [(instructions[k].name, instructions[k].value) for k in ahead] == expected
 
 
-def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
+def _allocated(instructions: list[Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
     """Registers for the values, that which was free last first; never that of an operand, so that loops over lanes are
     vectors."""
-    last = {i: k for k in kept for i in instructions[k].inputs}
+    ends = _ends(instructions, kept)
     where: dict[int, int] = {}
     free: list[int] = []
-    size = 0
+    size = begin = 0
     codes, values = np.zeros(len(kept), np.uint8), np.zeros(len(kept))
     rows: list[tuple[int, ...]] = []  # destination and operands
     for row, k in enumerate(kept):
@@ -271,13 +219,33 @@ def _allocated(instructions: list[_Instruction], kept: list[int], inputs: int, o
         operands = [where[i] for i in instruction.inputs]
         codes[row], values[row] = CODES[instruction.name], instruction.value
         to = 0
-        if instruction.name != "OUTPUT":
+        if instruction.name == "NEXT":
+            operands, to = operands[:1], operands[1]
+        elif instruction.name == "LOOP":
+            begin = row + 1
+        elif instruction.name == "REPEAT":
+            values[row] = begin
+        elif instruction.name != "OUTPUT":
             to = where[k] = free.pop() if free else size
             size += to == size
         if instruction.name in ("INPUT", "OUTPUT"):
             together = FOUR * _first_of_four(instructions, kept[row : row + FOUR])
             operands = [operands[0] if operands else 0, together]
         rows.append((to, *operands, *[0] * (OPERANDS - len(operands))))
-        free += [where[i] for i in set(instruction.inputs) if last[i] == k]
+        free += [where[i] for i in ends.get(k, ())]
     registers = np.array(rows, np.uint32).reshape(-1, 1 + OPERANDS)  # Numba wraps signed indices, at a cost
     return Program(codes, registers, values, inputs, outputs, size)
+
+
+def _ends(instructions: list[Instruction], kept: list[int]) -> dict[int, list[int]]:
+    """The values that are needed no more after an instruction; those from before a loop stay until its last round."""
+    last = {i: row for row, k in enumerate(kept) for i in instructions[k].inputs}
+    names = [instructions[k].name for k in kept]
+    loops = zip(*([row for row, name in enumerate(names) if name == word] for word in ("LOOP", "REPEAT")), strict=True)
+    row_of = {k: row for row, k in enumerate(kept)}
+    for begin, end in loops:
+        last |= {i: end for i, row in last.items() if row_of[i] < begin < row < end}
+    ends: dict[int, list[int]] = {}
+    for i, row in last.items():
+        ends.setdefault(kept[row], []).append(i)
+    return ends

@@ -1,4 +1,4 @@
-"""Roots of small systems, Newton's method written out: what ``find_root`` computes with as many steps as it needs."""
+"""Roots of small systems, by a loop of Newton's method: what ``find_root`` computes with as many steps as it needs."""
 
 from collections.abc import Callable
 from functools import reduce
@@ -9,46 +9,48 @@ import numpy as np
 
 from .arrays import Entries, NotTraceableError, column, is_complex, scalars, taken
 from .elementwise import larger, select
-from .linear import inverse
+from .linear import LARGEST_FACTOR, inverse
 
 PRIMITIVE = "implicit_root"
-LARGEST = 6  # unknowns: what is written out grows with their third power
-LONGEST = 100_000  # instructions that the iterations of one equation are written out as
-ROUNDS = 15  # of Newton's method, each with a Jacobian of its own: as many as the loop has at most
+LONGEST = 10_000  # instructions, or about so many, of a step of Newton's method for all roots of one equation
+ROUNDS = 15  # of Newton's method, each with a Jacobian of its own: as many as that of ``find_root`` has at most
 EPS = float(np.finfo(float).eps)
+SETTLED = 64 * EPS  # of the unknowns' sizes: a step that is no longer leaves rounding
 QUADRATIC = EPS**0.65  # of the unknowns' sizes: a step that is no longer is the last but for rounding
 # Unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding.
 PROBE = 8.0
 SMALLEST_PART = 0.25  # of eps: the unknowns are known where so much of their sizes remains
 
 System = Callable[[Any, list[Any]], ca.Function]
+Looped = Callable[[ca.SX, ca.SX, ca.Function, int], ca.SX]
 
 
-def roots(params: dict[str, Any], arrays: list[Any], system: System, copies: int = 1) -> list[Entries]:
+def roots(params: dict[str, Any], arrays: list[Any], system: System, loop: Looped, copies: int = 1) -> list[Entries]:
     """The roots, and whether the iteration converged to them, of an equation with axes of ``vmap``.
 
     ``system(jaxpr, operands)``: the residual and its Jacobian as a function of the unknowns and of all scalars of the
-    operands, one column each; ``copies``: how many such roots there are.
+    operands, one column each; ``loop(first, given, body, rounds)``: what a loop leaves (``graph.Loop``); ``copies``:
+    how many such roots there are.
     """
     if any(is_complex(a) for a in arrays):
         raise NotTraceableError(PRIMITIVE, "here of complex numbers")
     if params["axes"]:
-        return _batch(params, arrays, system, copies)
+        return _batch(params, arrays, system, loop, copies)
     start, operands = arrays[0], arrays[params["begin"] :]
     if params["known"]:
         return [start, np.array(True)]
     count = start.shape[0]
-    if count > LARGEST:
-        raise NotTraceableError(PRIMITIVE, f"here of {count} unknowns, where at most {LARGEST} are written out")
+    if count > LARGEST_FACTOR:
+        raise NotTraceableError(PRIMITIVE, f"here of {count} unknowns, where at most {LARGEST_FACTOR} are written out")
     function, at = system(params["jaxpr"], operands), ca.vertcat(ca.SX(0, 1), *(column(a) for a in operands))
-    length = copies * ROUNDS * function.n_instructions()
+    length = copies * (function.n_instructions() + count**3)  # with an elimination
     if length > LONGEST:
         raise NotTraceableError(PRIMITIVE, f"here of {length} instructions, where at most {LONGEST} are written out")
-    root, converged = _root(function, column(start), at)
+    root, converged = _root(function, column(start), at, loop)
     return [scalars(root, (count,)), scalars(converged, ())]
 
 
-def _batch(params: dict[str, Any], arrays: list[Any], system: System, copies: int) -> list[Entries]:
+def _batch(params: dict[str, Any], arrays: list[Any], system: System, loop: Looped, copies: int) -> list[Entries]:
     """Those of a batch, along the first axis: the outermost level of ``vmap`` is the last one."""
     *inner, outer = params["axes"]
     size = next(a.shape[axis] for a, axis in zip(arrays, outer, strict=True) if axis is not None)
@@ -56,7 +58,7 @@ def _batch(params: dict[str, Any], arrays: list[Any], system: System, copies: in
     found = []
     for k in range(size):
         own = [a if axis is None else _slice(a, axis, k) for a, axis in zip(arrays, outer, strict=True)]
-        found.append(roots(one, own, system, copies * size))
+        found.append(roots(one, own, system, loop, copies * size))
     return [
         scalars(ca.vertcat(*(column(each[part]) for each in found)), (size, *found[0][part].shape)) for part in (0, 1)
     ]
@@ -67,20 +69,28 @@ def _slice(a: Any, axis: int, k: int) -> Any:
     return taken(a, np.take(places, k, axis))
 
 
-def _root(system: ca.Function, start: ca.SX, at: ca.SX) -> tuple[ca.SX, ca.SX]:
-    c, step, inverted = start, ca.SX(1, 1), ca.SX()
-    for _ in range(ROUNDS):
-        residual, jacobian = system.call([c, at], True, False)
-        inverted = _inverse(jacobian)
-        move = ca.mtimes(inverted, residual)
-        c, step = c - move, _largest(move)
+def _root(system: ca.Function, start: ca.SX, at: ca.SX, loop: Looped) -> tuple[ca.SX, ca.SX]:
+    count = start.shape[0]
+    state = loop(ca.vertcat(ca.densify(start), np.inf), at, _step(system, count, at.shape[0]), ROUNDS)
+    c, step = state[:count], state[count]
+    inverted = _inverse(system.call([c, at], True, False)[1])
     moves = [ca.mtimes(inverted, system.call([c + moved, at], True, False)[0]) for moved in _patterns(c)]
     changed = SMALLEST_PART * EPS * ca.SX.ones(c.shape[0])
     for move in moves[1:]:
         changed = larger(changed, ca.fabs(move - moves[0]))
     # An unknown may be as small as the rounding of others: its size says nothing of how exactly it can be known.
     rounding = _largest(ca.fabs(moves[0]) / changed) <= PROBE
-    return ca.densify(c), select(step <= QUADRATIC, 1.0, select(rounding, 1.0, 0.0))
+    return c, select(step <= QUADRATIC, 1.0, select(rounding, 1.0, 0.0))
+
+
+def _step(system: ca.Function, count: int, given: int) -> ca.Function:
+    """A step of Newton's method from the unknowns and the size of the step that led to them; none after a step that
+    leaves rounding."""
+    c, step, at = ca.SX.sym("c", count), ca.SX.sym("step"), ca.SX.sym("at", given)
+    residual, jacobian = system.call([c, at], True, False)
+    move, settled = ca.densify(ca.mtimes(_inverse(jacobian), residual)), step <= SETTLED
+    after, size = ca.if_else(settled, c, c - move), ca.if_else(settled, step, _largest(move))
+    return ca.Function("step", [ca.vertcat(c, step), at], [ca.vertcat(after, size), size <= SETTLED])
 
 
 def _patterns(c: ca.SX) -> list[ca.SX]:

@@ -103,7 +103,8 @@ class Tape(Often):
     @cached_property
     def program(self) -> Program:
         """The instructions."""
-        return assembled(self.inputs, self.graph.unmarked([self.outputs])[0])
+        (outputs,), loops = self.graph.scheduled([self.outputs])
+        return assembled(self.inputs, outputs, loops)
 
     @property
     def code(self) -> Program:
@@ -182,14 +183,13 @@ class Tape(Often):
         cuts = [0, *itertools.accumulate(v.numel() for v in several)]
         rows = [jacobian[a:b, :] for a, b in itertools.pairwise(cuts)]
         flat = [ca.vec(ca.densify(m).T) for m in (curvature, slope.T, *rows)]
-        there = self.graph.unmarked([*flat, *several, *(column(v) for v in others)])
-        there = ca.substitute(there, [d], [ca.SX.zeros(width)])
+        there, graph = self.graph.at_zero([*flat, *several, *(column(v) for v in others)])
         shapes = [(width,) * 2, (width,), *((v.numel(), width) for v in several)]
         shapes += [leaf.shape for leaf in self._results[1:]]
         results: list[Entries] = [scalars(v, shape) for v, shape in zip(there, shapes, strict=True)]
         leaves = self._leaves[1:]
         arguments = leaves, jax.tree.structure((0,) * len(leaves))
-        return Tape(Graph(self.graph.inputs[1:]), results, arguments, jax.tree.structure((0,) * len(results)))
+        return Tape(graph, results, arguments, jax.tree.structure((0,) * len(results)))
 
     @cached_property
     def shapes(self) -> list[tuple[int, ...]]:
@@ -278,7 +278,7 @@ class Tape(Often):
             machine.run(p.codes, p.registers, p.values, *ends, registers, part.start, part.stop)
 
         if count:
-            in_threads(run, count, self.instructions, machine.VECTOR)
+            in_threads(run, count, self.program.work, machine.VECTOR)
 
     def alone(self, count: int, saved: float = 1.0) -> tuple[Program, tuple[int, int]] | None:
         """The code for so few points that one thread does, and the shape of its registers; None where they are more, or
@@ -287,7 +287,7 @@ class Tape(Often):
         ``saved``: how many times as many it may be where one thread saves other work.
         """
         machine, p = _machine(), self.code
-        if machine is None or not count or worth_threads(count, self.instructions / saved):
+        if machine is None or not count or worth_threads(count, self.program.work / saved):
             return None
         return p, (p.size, machine.lanes_for(count, p))
 

@@ -156,7 +156,8 @@ class Tracer:
         jaxpr = eqn.params["jaxpr"]
         key = id(jaxpr), eqn.params["axes"], *map(id, arrays)
         if key not in self._roots:
-            self._roots[key] = (jaxpr, arrays), self._marked(eqn, arrays, roots(eqn.params, arrays, self._system))
+            found = roots(eqn.params, arrays, self._system, self.graph.loop)
+            self._roots[key] = (jaxpr, arrays), self._marked(eqn, arrays, found)
         return self._roots[key][1]
 
     def _system(self, jaxpr: Any, operands: list[Any]) -> ca.Function:

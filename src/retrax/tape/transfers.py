@@ -8,7 +8,8 @@ from llvmlite import ir
 from numba import extending, types
 
 from ..kernels import kernel_part, pasted
-from .program import CODES, FOUR
+from .instructions import CODES
+from .program import FOUR
 
 INPUT = CODES["INPUT"]
 
