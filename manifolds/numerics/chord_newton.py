@@ -7,18 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ...manifolds.numerics.tolerances import tolerance
+from ...convergence import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_PART
 from . import ambient as vec
+from .tolerances import tolerance
 
-MAX_JACOBIANS = 15
 MAX_CHORDS = 16
 CURVED = 1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
 # Ratios of successive steps: renew the Jacobian above the one, do not take the step above the other.
 SLOW, STALLED = 0.2, 0.5
-QUADRATIC_POWER = 0.65  # of eps: a step, in the unknowns' sizes, from which on one that hardly shrinks is rounding
-SMALLEST_PART = 0.25  # of eps: the unknowns are known where so much of their sizes remains
-# Unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding.
-PROBE = 8.0
 
 Vector = Float[Array, " k"]
 

@@ -7,19 +7,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..convergence import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_PART
 from .arrays import Entries, NotTraceableError, column, is_complex, scalars, taken
 from .elementwise import larger, select
 from .linear import LARGEST_FACTOR, inverse
 
 PRIMITIVE = "implicit_root"
 LONGEST = 10_000  # instructions, or about so many, of a step of Newton's method for all roots of one equation
-ROUNDS = 15  # of Newton's method, each with a Jacobian of its own: as many as that of ``find_root`` has at most
 EPS = float(np.finfo(float).eps)
 SETTLED = 64 * EPS  # of the unknowns' sizes: a step that is no longer leaves rounding
-QUADRATIC = EPS**0.65  # of the unknowns' sizes: a step that is no longer is the last but for rounding
-# Unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding.
-PROBE = 8.0
-SMALLEST_PART = 0.25  # of eps: the unknowns are known where so much of their sizes remains
+QUADRATIC = EPS**QUADRATIC_POWER  # of the unknowns' sizes: a step that is no longer is the last but for rounding
 
 System = Callable[[Any, list[Any]], ca.Function]
 Looped = Callable[[ca.SX, ca.SX, ca.Function, int], ca.SX]
@@ -71,7 +68,7 @@ def _slice(a: Any, axis: int, k: int) -> Any:
 
 def _root(system: ca.Function, start: ca.SX, at: ca.SX, loop: Looped) -> tuple[ca.SX, ca.SX]:
     count = start.shape[0]
-    state = loop(ca.vertcat(ca.densify(start), np.inf), at, _step(system, count, at.shape[0]), ROUNDS)
+    state = loop(ca.vertcat(ca.densify(start), np.inf), at, _step(system, count, at.shape[0]), MAX_JACOBIANS)
     c, step = state[:count], state[count]
     inverted = _inverse(system.call([c, at], True, False)[1])
     moves = [ca.mtimes(inverted, system.call([c + moved, at], True, False)[0]) for moved in _patterns(c)]

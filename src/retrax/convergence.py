@@ -1,0 +1,7 @@
+"""What tells that Newton's method for a small system has converged, in loops of JAX and of tapes."""
+
+MAX_JACOBIANS = 15
+QUADRATIC_POWER = 0.65  # of eps: a step, in the unknowns' sizes, from which on one that hardly shrinks is rounding
+SMALLEST_PART = 0.25  # of eps: the unknowns are known where so much of their sizes remains
+# Unknowns are moved by so many of their roundings, and steps of so many of the changes that follow are rounding.
+PROBE = 8.0
