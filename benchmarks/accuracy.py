@@ -21,14 +21,17 @@ from pathlib import Path
 OPTIMUM = 2504.24655710  # N^2 m^2 s
 TOLERANCE = 1e-10  # relative, of every solver: the errors compared reach it
 HERE = Path(__file__).parent
-SIZES = {1: (25, 50, 100, 200, 400, 800), 2: (12, 25, 50, 100, 200), 3: (6, 8, 12, 16, 25, 50), 4: (4, 6, 8, 12, 16)}
+SIZES = {
+    1: (25, 50, 100, 200, 400, 800), 2: (12, 25, 50, 100, 200), 3: (6, 8, 12, 16, 25, 50), 4: (4, 5, 6, 7, 8, 12, 16),
+    5: (3, 4, 5, 6, 8), 6: (3, 4, 5, 6),
+}  # fmt: skip
 ROW = 10  # calls
 SWEEP = (12, 25, 50, 100, 200)
 PANELS = (
     ("order 2, and a torque constant on a step", ("midpoint", "RK4")),
     ("order 4", ("Gauss 2", "RK4 linear", "Hermite-Simpson", "solve_bvp")),
     ("order 6", ("Gauss 3",)),
-    ("order 8", ("Gauss 4",)),
+    ("order 8 to 12", ("Gauss 4", "Gauss 5", "Gauss 6")),
 )
 LOOKS = ("o-", "s--", "^:")  # of the lines of one solver in a panel
 

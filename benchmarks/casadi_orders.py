@@ -10,7 +10,7 @@ Schemes, all with IPOPT, those marked * with FATROP too (their steps are explici
 
 - ``RK4``*: the torque constant on a step; ``RK4 linear``: linear on a step and continuous;
 - ``Hermite-Simpson``: compressed, order 4, the torque quadratic on a step and continuous;
-- ``Gauss 2``*, ``Gauss 3``*, ``Gauss 4``*: collocation of order 4, 6 and 8 with the attitudes at the stages and the
+- ``Gauss 2``* to ``Gauss 6``*: collocation of order 4, 6, 8, 10 and 12 with the attitudes at the stages and the
   derivatives of the rates there as unknowns: rates follow by linear maps and torques from Euler's equation, ``u = J w'
   + w x J w``.
 
@@ -152,6 +152,8 @@ SCHEMES = {
     "Gauss 2": Scheme(gauss(2), gauss_points(2)[0], attitudes=2, vectors=2),
     "Gauss 3": Scheme(gauss(3), gauss_points(3)[0], attitudes=3, vectors=3),
     "Gauss 4": Scheme(gauss(4), gauss_points(4)[0], attitudes=4, vectors=4),
+    "Gauss 5": Scheme(gauss(5), gauss_points(5)[0], attitudes=5, vectors=5),
+    "Gauss 6": Scheme(gauss(6), gauss_points(6)[0], attitudes=6, vectors=6),
 }
 
 

@@ -7,7 +7,9 @@ from jaxtyping import Float
 
 from .transcription import Nodes
 
-FAR = 0.5  # times the largest entry of a column of the nodes: ends further apart meet along an arc
+FAR = (
+    0.9  # times the largest entry of a column of the nodes, a turn by 64 degrees: ends further apart meet along an arc
+)
 
 
 @final

@@ -398,3 +398,20 @@ def test_how_far_a_first_step_may_lead_is_swept(method, rule, bounds, pursuits, 
     assert followed[0]
     assert not followed[-1]
     assert followed == sorted(followed, reverse=True)
+
+
+def test_steps_that_turn_by_a_quarter_turn_and_less_are_those_of_one_iteration_after_the_other(
+    method, pursuits, monkeypatch
+):
+    """The guess is steps that rest amid their parts of the way: where these are far apart no pass sets out from it."""
+    solver, set_out = Solver(SLEW, method(Cayley(RIGID)), 2), []
+    for angle in np.deg2rad([20.0, 80.0, 120.0, 126.0, 130.0, 140.0, 170.0]):
+        end = rotation(angle * np.array([1.0, 2.0, -2.0]) / 3), np.zeros(3)
+        short, alone = both_ways(solver, (SLEWS[0], end, SLEWS[2]), monkeypatch)
+        alike(short, alone)
+        assert short.success
+        set_out.append(pursuits[0] is not None)
+        pursuits.clear()
+    assert set_out == sorted(set_out, reverse=True)
+    assert set_out[0]
+    assert not set_out[-1]
