@@ -54,11 +54,11 @@ class Guess(NamedTuple):
     def from_waypoints(
         cls, problem: OptimalControlProblem, method: Method, points: Sequence[Ambient], steps: Any, times: Any = None
     ) -> "Guess":
-        """The trajectory through ``points``, from each to the next along the curve of the method's retraction.
+        """The trajectory through ``points``, from each to the next on the way of ``default_guess``.
 
         ``times`` of the points: ascending, counted relative to the last minus the first; by default evenly spaced.
-        Where the curve does not arrive, the way is that of ``default_guess``. Controls rest, costates are zero. Raises
-        ``InvalidInputError`` or ``NotOnManifoldError`` for other arguments, and ``DomainError`` if no curve arrives.
+        Controls rest, costates are zero. Raises ``InvalidInputError`` or ``NotOnManifoldError`` for other arguments,
+        and ``DomainError`` if no curve arrives.
         """
         return through(problem, method, points, steps, times)
 
@@ -71,10 +71,11 @@ class Guess(NamedTuple):
 def default_guess(problem: OptimalControlProblem, method: Method, start: Any, end: Any, steps: Any) -> Guess:
     """The guess that ``solve`` begins with: along the curve of a retraction from start to end, or a walk to the end.
 
-    The retraction is the method's own; where its curve does not arrive, or in very unequal steps, the default one of
-    the manifold. Where the two points are opposite to each other, as attitudes half a turn apart, the walk sets out in
-    a direction that is random but always the same: there are several ways round, and this is one of them. Controls
-    rest, costates are zero. Raises ``DomainError`` if no curve arrives near the end.
+    The retraction is the default one of the manifold, whose curve is a geodesic where that is known; where it does not
+    arrive, or in very unequal steps, the method's own. The method's own comes first where no tape gives the default
+    one, as on Stiefel manifolds. Where the two points are opposite to each other, as attitudes half a turn apart, the
+    walk sets out in a direction that is random but always the same: there are several ways round, and this is one of
+    them. Controls rest, costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
     fractions, ends = fractions_of(steps), EndReader(problem.manifold).ends(start, end, batched=False)
     ends.require_known(start)

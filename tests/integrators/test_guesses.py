@@ -1,13 +1,18 @@
 """Guesses from controls and through waypoints."""
 
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, default_guess, solve
+from retrax.integrators.boundary_value.engine import start as start_module
 from retrax.integrators.boundary_value.engine.start import Start
-from retrax.manifolds import SO, DomainError, Euclidean, InvalidInputError, NotOnManifoldError, Sphere
-from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
+from retrax.manifolds import SO, DomainError, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, Sphere
+from retrax.manifolds.numerics import ambient as vec
+from retrax.retractions import Cayley, Gauss, Midpoint, Projection, Retraction, default_retraction
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -70,6 +75,66 @@ def test_the_curve_of_a_default_guess_does_not_depend_on_the_number_of_steps():
     assert not taken[-1]
     assert taken == sorted(taken, reverse=True)
     assert taken[0]
+
+
+class Ball(LevelSet):
+    """The sphere by its equation, whose exponential has no logarithm that a tape could give."""
+
+    def __init__(self):
+        self.shape = (3,)
+
+    def constraint(self, x):
+        return x @ x - 1
+
+
+class GreatCircles(Retraction):
+    manifold: Ball
+
+    def retract(self, x, v):
+        return jnp.cos(vec.size(v)) * x + jnp.sinc(vec.size(v) / jnp.pi) * v
+
+    def preimage(self, x, y):
+        if isinstance(x, jax.core.Tracer):
+            raise NotImplementedError("no logarithm")
+        return y
+
+
+def test_a_default_retraction_without_a_logarithm_is_not_asked_for_where_the_given_one_arrives(monkeypatch):
+    ball = Ball()
+    monkeypatch.setattr(start_module, "default_retraction", lambda manifold: GreatCircles(manifold))
+    way = Start(ball, Projection(ball))
+    states = way.states(np.eye(3)[:1], np.array([[0.6, 0.8, 0.0]]), np.array([0.5]))
+    assert abs(np.linalg.norm(states) - 1) < 1e-14
+    with pytest.raises(NotImplementedError, match="no logarithm"):  # the projection of a chord does not go that far
+        way.states(np.eye(3)[:1], -np.eye(3)[:1], np.array([0.5]))
+
+
+def test_a_first_guess_that_is_interrupted_is_traced_again(monkeypatch):
+    calls, curve = [], Start._curve
+
+    def interrupted(self, *given):
+        calls.append(given)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return curve(self, *given)
+
+    monkeypatch.setattr(Start, "_curve", interrupted)
+    solver = Solver(SLEW, METHOD, 10)
+    with pytest.raises(KeyboardInterrupt):
+        solver.solve(START, END, 60.0)
+    assert solver.solve(START, END, 60.0).success
+
+
+def test_first_guesses_of_several_threads():
+    for _ in range(5):
+        solver, barrier = Solver(SLEW, METHOD, 10), threading.Barrier(6)
+
+        def first(_, solver=solver, barrier=barrier):
+            barrier.wait()
+            return solver.solve(START, END, 60.0).success
+
+        with ThreadPoolExecutor(6) as pool:
+            assert all(pool.map(first, range(6)))
 
 
 def test_waypoints_are_passed_at_their_times():

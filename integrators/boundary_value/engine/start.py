@@ -1,7 +1,6 @@
 """First trajectories: along the curve of a retraction from start to end, or a walk there."""
 
-from collections.abc import Iterator
-from functools import partial
+from functools import cached_property
 from typing import final
 
 import jax
@@ -32,16 +31,15 @@ class Start:
     """States between two points.
 
     They lie on the curve of the default retraction of the manifold, a geodesic where that is known; where it does not
-    arrive, or in very unequal steps, on that of the given retraction. Where the default one takes decompositions or
-    iterations, as on Stiefel manifolds, the given one is tried first. Where the two points are opposite to each other,
-    as attitudes half a turn apart, a walk sets out in a direction that is random but always the same: there are several
-    ways round, and this is one of them.
+    arrive, or in very unequal steps, on that of the given retraction. Where no tape gives the default one, as on
+    Stiefel manifolds, whose logarithm is an iteration, the given one is tried first. Where the two points are opposite
+    to each other, as attitudes half a turn apart, a walk sets out in a direction that is random but always the same:
+    there are several ways round, and this is one of them.
     """
 
     def __init__(self, manifold: Manifold, retraction: Retraction) -> None:
         self.manifold, self.layout, self.retraction = manifold, Layout.of(manifold), retraction
-        self._tapes, self._evaluator = TapeEvaluator(), Automatic()
-        self._untraced, self._curves = self._in_turn(), list[Curve]()
+        self._default, self._tapes, self._evaluator = default_retraction(manifold), TapeEvaluator(), Automatic()
         self._walk: Curve | None = None
 
     def compile(self) -> None:
@@ -54,8 +52,8 @@ class Start:
 
         Raises ``DomainError`` if no way arrives near an end.
         """
-        states, arrived = self._along(0, starts, ends, fractions)
-        for way in (partial(self._along, 1), self._walked):
+        states, arrived = self._along(self._quick or self._given, starts, ends, fractions)
+        for way in (self._again, self._walked):
             if arrived.all():
                 return states
             missing = np.flatnonzero(~arrived)
@@ -67,31 +65,36 @@ class Start:
             )
         return states
 
+    def _again(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self._along(self._given if self._quick else self._slow, *way)
+
     def _along(
-        self, place: int, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray
+        self, curve: Curve, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Points of the first or the second curve; and whether they arrive, in even steps."""
-        if len(self._curves) <= place:
-            self._curves.append(next(self._untraced))
-        leave, go = self._curves[place]
+        """Points of a curve; and whether they arrive, in even steps."""
+        leave, go = curve
         vectors, lengths = leave.at(1, starts, ends)
         (points,) = go.at(2, starts[:, None], vectors[:, None], np.concatenate([ENDS, fractions])[None, :, None])
         states = points[:, len(ENDS) :]
         arrived = np.isfinite(lengths) & self._even(points[:, : len(ENDS)])
         return states, arrived & np.isfinite(states).all(axis=(1, 2))
 
-    def _in_turn(self) -> Iterator[Curve]:
-        """The curves in the order in which they are tried."""
-        from ....tape import NotTraceableError
-
-        first, second = default_retraction(self.manifold), self.retraction
+    @cached_property
+    def _quick(self) -> Curve | None:
+        """The curve of the default retraction, if tapes give it; what else is wrong with it is told where it is
+        needed."""
         try:
-            curve = self._curve(first, self._tapes)
-        except NotTraceableError:
-            first, second = second, first
-            curve = self._curve(first, self._evaluator)
-        yield curve
-        yield self._curve(second, self._evaluator)
+            return self._curve(self._default, self._tapes)
+        except Exception:  # one of a user's own may raise anything
+            return None
+
+    @cached_property
+    def _slow(self) -> Curve:
+        return self._curve(self._default, self._evaluator)
+
+    @cached_property
+    def _given(self) -> Curve:
+        return self._curve(self.retraction, self._evaluator)
 
     def _curve(self, retraction: Retraction, evaluator: Evaluator) -> Curve:
         """The curve ``s -> R(start, s v)``, ``R(start, v) = end``."""

@@ -37,7 +37,8 @@ class Loop:
 
     ``body(state, given)``: the next state; and a scalar that is not zero where the state will not change any more, so
     that the rounds that are left need not be made. ``first``, the state before, and ``given`` contain earlier marks
-    only. The symbols are constant to every derivative, unless there are ``arguments``: then they have none.
+    only. The symbols are constant to every derivative; but a derivative by what ``arguments`` contain, if there are
+    any, is not known, and is refused.
     """
 
     symbols: ca.SX
@@ -56,13 +57,8 @@ class Loop:
         return state
 
     @property
-    def length(self) -> int:
-        """Instructions of all rounds."""
-        return self.rounds * self.body.n_instructions()
-
-    @property
     def slope(self) -> ca.SX:
-        """There is none."""
+        """Raises ``ValueError``: it is not known."""
         raise ValueError("an expansion has no derivatives through roots; try those of the function before it")
 
 
@@ -96,7 +92,7 @@ class Graph:
     def jacobian(self, values: ca.SX, by: ca.SX) -> ca.SX:
         """Derivatives of scalars by symbols among the inputs, shape ``(values, by)``."""
         slopes: list[tuple[Mark | Loop, ca.SX]] = []
-        for mark in self._moving(values):
+        for mark in self._moving(values, by):
             slopes.append((mark, ca.mtimes(mark.slope, _total(mark.arguments, by, slopes))))
         return _total(values, by, slopes)
 
@@ -108,13 +104,13 @@ class Graph:
             moved = [ca.jtimes(values, mark.symbols, slope) for mark, slope in slopes]
             return sum(moved, start=ca.jtimes(values, by, direction))
 
-        for mark in self._moving(values):
+        for mark in self._moving(values, by):
             slopes.append((mark, ca.densify(ca.mtimes(mark.slope, along(mark.arguments)))))
         return along(values)
 
     def gradient(self, value: ca.SX, by: ca.SX) -> ca.SX:
         """Derivative of one scalar by symbols among the inputs, as a column, in reverse mode."""
-        marks = self._moving(value)
+        marks = self._moving(value, by)
         symbols = ca.vertcat(by, *(mark.symbols for mark in marks))
         adjoint = ca.densify(ca.gradient(value, symbols))
         end = symbols.shape[0]
@@ -127,7 +123,7 @@ class Graph:
 
     def hessian(self, value: ca.SX, by: ca.SX) -> ca.SX:
         """Second derivatives of one scalar by symbols among the inputs."""
-        return self.jacobian(self.gradient(value, by), by) if self._moving(value) else ca.hessian(value, by)[0]
+        return self.jacobian(self.gradient(value, by), by) if self._moving(value, by) else ca.hessian(value, by)[0]
 
     def unmarked(self, values: Sequence[ca.SX]) -> list[ca.SX]:
         """The values with what the marks stand for in their place, loops written out."""
@@ -153,8 +149,8 @@ class Graph:
         marks = [replace(loop, arguments=ca.vertcat(loop.first, loop.given)) for loop in loops]
         return found[: len(values)], Graph(self.inputs[1:], [*marks])
 
-    def _moving(self, values: ca.SX) -> list[Mark | Loop]:
-        """Marks with a derivative, in order, of which the values are made."""
+    def _moving(self, values: ca.SX, by: ca.SX) -> list[Mark | Loop]:
+        """Marks with a derivative by symbols among the inputs, in order, of which the values are made."""
         owners = {hash(s): k for k, mark in enumerate(self.marks) for s in mark.symbols.elements()}
         found, open_ends = set[int](), [values]
         while open_ends:
@@ -162,7 +158,12 @@ class Graph:
             new = {k for k in met - found if self.marks[k].arguments.numel()}
             open_ends += [self.marks[k].arguments for k in new]
             found |= new
-        return [self.marks[k] for k in sorted(found)]
+        moved, moving = _symbols([by]), list[Mark | Loop]()
+        for mark in (self.marks[k] for k in sorted(found)):
+            if moved & _symbols([mark.arguments]):
+                moving.append(mark)
+                moved |= _symbols([mark.symbols])
+        return moving
 
 
 def parts_of(loops: Sequence[Loop]) -> list[ca.SX]:

@@ -57,7 +57,7 @@ def read(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = ()) -> tuple[lis
             looped[which - 1].given[place] = made
         else:
             found.append(Instruction("OUTPUT", [made], place))
-    # What needs the state that a loop leaves runs after it.
+    # The turn in which each runs, so many loops before it: behind the last one whose state it needs.
     after = {k: turn for turn, loop in enumerate(looped, 1) for k in loop.states.values()}
     turns: list[list[int]] = [[] for _ in range(len(loops) + 1)]
     for k, instruction in enumerate(found):
@@ -101,8 +101,8 @@ class _Looped:
             found[k].inputs = [self.given[place]]
         a_round = [k for k in range(begin, len(found)) if found[k].name != "STATE"]
         following = [self._added("NEXT", [new[place], k]) for place, k in self.states.items()]
-        ends = [self._added("LOOP", [], self._loop.rounds)], [self._added("REPEAT", [done])]
-        return [list(self.states.values()), ends[0], a_round, following, ends[1]]
+        begins, ends = self._added("LOOP", [], self._loop.rounds), self._added("REPEAT", [done])
+        return [list(self.states.values()), [begins], a_round, following, [ends]]
 
     def _added(self, name: str, inputs: list[int], value: float = 0.0) -> int:
         self._found.append(Instruction(name, inputs, value))

@@ -224,6 +224,12 @@ def _other(c: int, x: float, y: float) -> float:
 
 
 @kernel_part()
+def _whole(registers: np.ndarray, k: int) -> tuple[int, int, int]:
+    """From which register on how many numbers are read or written, and from which place on."""
+    return np.int64(registers[k, 0]), np.int64(registers[k, 1]), np.int64(registers[k, 2])
+
+
+@kernel_part()
 def _some_go_on(done: np.ndarray, count: int) -> bool:
     """Whether some of the first lanes are not done."""
     going = False
@@ -278,12 +284,13 @@ def run(
             elif c == REPEAT:
                 left -= 1
                 k = int(values[k]) if left > 0 and _some_go_on(w[registers[k, 1]], m) else k + 1
-            elif c in (READ, WRITE):  # so many, from a register and a place on
-                row, some, at = np.int64(registers[k, 0]), np.int64(registers[k, 1]), np.int64(registers[k, 2])
-                if c == READ:
-                    read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, s, m)
-                else:
-                    write_all(outputs, view(targets, 2 * at, (some, 2)), w, row, s, m)
+            elif c == READ:
+                row, some, at = _whole(registers, k)
+                read_all(inputs, view(sources, 2 * at, (some, 2)), w, row, s, m)
+                k += 1
+            elif c == WRITE:
+                row, some, at = _whole(registers, k)
+                write_all(outputs, view(targets, 2 * at, (some, 2)), w, row, s, m)
                 k += 1
             else:  # its own time hides the choice
                 o, x, y = registers[k, 0], registers[k, 1], registers[k, 2]

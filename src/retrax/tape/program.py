@@ -58,7 +58,7 @@ def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, wind
     instructions, or among all, the same ones stand together: that takes more registers, and less time, as a processor
     foresees which comes next.
     """
-    instructions, segments = read(inputs, ca.densify(outputs), loops)
+    instructions, parts = read(inputs, ca.densify(outputs), loops)
     _count(instructions)
     for k, instruction in enumerate(instructions):
         _select(instructions, instruction)
@@ -67,8 +67,8 @@ def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, wind
         _multiplied(instructions, k)
         _summed(instructions, instruction)
     order = list[int]()
-    for segment in segments:
-        kept = [k for k in segment if instructions[k].uses or instructions[k].name in ALWAYS]
+    for part in parts:
+        kept = [k for k in part if instructions[k].uses or instructions[k].name in ALWAYS]
         size = len(kept) if window is None else window
         order += [k for i in range(0, len(kept), size or 1) for k in _grouped(instructions, kept[i : i + size])]
     order = order if window is None else _in_fours(instructions, order)

@@ -13,7 +13,8 @@ from .elementwise import larger, select
 from .linear import LARGEST_FACTOR, inverse
 
 PRIMITIVE = "implicit_root"
-LONGEST = 10_000  # instructions, or about so many, of a step of Newton's method for all roots of one equation
+LONGEST = 10_000  # instructions, or about so many, of a step of Newton's method for all roots of one equation: of
+# their derivatives there are many times more
 EPS = float(np.finfo(float).eps)
 SETTLED = 64 * EPS  # of the unknowns' sizes: a step that is no longer leaves rounding
 QUADRATIC = EPS**QUADRATIC_POWER  # of the unknowns' sizes: a step that is no longer is the last but for rounding
@@ -38,11 +39,13 @@ def roots(params: dict[str, Any], arrays: list[Any], system: System, loop: Loope
         return [start, np.array(True)]
     count = start.shape[0]
     if count > LARGEST_FACTOR:
-        raise NotTraceableError(PRIMITIVE, f"here of {count} unknowns, where at most {LARGEST_FACTOR} are written out")
+        raise NotTraceableError(PRIMITIVE, f"here of {count} unknowns, where a tape has at most {LARGEST_FACTOR}")
     function, at = system(params["jaxpr"], operands), ca.vertcat(ca.SX(0, 1), *(column(a) for a in operands))
     length = copies * (function.n_instructions() + count**3)  # with an elimination
     if length > LONGEST:
-        raise NotTraceableError(PRIMITIVE, f"here of {length} instructions, where at most {LONGEST} are written out")
+        raise NotTraceableError(
+            PRIMITIVE, f"here of {length} instructions for a step, where a tape has at most {LONGEST}"
+        )
     root, converged = _root(function, column(start), at, loop)
     return [scalars(root, (count,)), scalars(converged, ())]
 

@@ -4,7 +4,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from types import ModuleType
 from typing import Any, Self, final
@@ -170,6 +170,7 @@ class Tape(Often):
 
         The function has the values ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them;
         the tape has the Hessian and gradient of the scalar, the Jacobians of the vectors, the vectors and the others.
+        It has derivatives of its own, but none through roots.
         """
         d, (first, vectors, *others) = self.graph.inputs[0], jax.tree.unflatten(self.structure, self._values)
         several, width = [column(v) for v in jax.tree.leaves(vectors)], d.numel()
@@ -187,7 +188,7 @@ class Tape(Often):
         shapes = [(width,) * 2, (width,), *((v.numel(), width) for v in several)]
         shapes += [leaf.shape for leaf in self._results[1:]]
         results: list[Entries] = [scalars(v, shape) for v, shape in zip(there, shapes, strict=True)]
-        leaves = self._leaves[1:]
+        leaves = [replace(leaf, argument=leaf.argument - 1) for leaf in self._leaves[1:]]
         arguments = leaves, jax.tree.structure((0,) * len(leaves))
         return Tape(graph, results, arguments, jax.tree.structure((0,) * len(results)))
 
