@@ -224,7 +224,7 @@ def _other(c: int, x: float, y: float) -> float:
 
 
 @kernel_part()
-def _whole(registers: np.ndarray, k: int) -> tuple[int, int, int]:
+def _whole(registers: np.ndarray, k: int) -> tuple[np.int64, np.int64, np.int64]:
     """From which register on how many numbers are read or written, and from which place on."""
     return np.int64(registers[k, 0]), np.int64(registers[k, 1]), np.int64(registers[k, 2])
 
