@@ -2,8 +2,10 @@
 
 import casadi as ca
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax.manifolds.numerics.root import find_root
 from retrax.tape import Tape
 from retrax.tape.arrays import scalars
 from retrax.tape.graph import Graph
@@ -71,6 +73,34 @@ def test_machine_code_runs_loops_to_the_last_bit_as_the_machine_does(twice):
     assert np.count_nonzero(code.codes == CODES["REPEAT"]) == 2 + twice
     tape.compile()
     np.testing.assert_array_equal(tape(POINTS), values)
+
+
+@pytest.mark.parametrize("rounds", range(1, 6))
+def test_numbers_of_a_state_change_places(rounds):
+    x = ca.SX.sym("x", 3)
+    graph, state = Graph([x]), ca.SX.sym("s", 3)
+    turned = ca.Function("turned", [state, ca.SX.sym("g", 0)], [ca.vertcat(state[2], state[0], state[1]), ca.SX(0)])
+    values = graph.loop(x, ca.SX(0, 1), turned, rounds)
+    tape = Tape(graph, [scalars(values, (3,))], ([Leaf((3,), False)], jax.tree.structure((0,))), jax.tree.structure(0))
+    points = np.arange(27.0).reshape(3, 9)
+    np.testing.assert_array_equal(tape(points), np.roll(points, rounds, axis=0))
+    tape.compile()
+    np.testing.assert_array_equal(tape(points), np.roll(points, rounds, axis=0))
+
+
+def test_machine_code_of_long_rounds_keeps_what_they_are_given():
+    """A round is several functions of the code, which leave numbers to each other in rows of a memory."""
+
+    def root(a):
+        unknown = find_root(lambda c: c + c**3 / 9 + 0.1 * jnp.roll(c, 1) * jnp.cos(a) - a * a[0], jnp.zeros(9))[0]
+        return unknown, a**2
+
+    points = np.random.default_rng(1).normal(size=(9, 20))
+    tape = Tape.trace(root, points[:, 0])
+    expected = tape(points)
+    tape.compile()
+    for one, other in zip(tape(points), expected, strict=True):
+        np.testing.assert_array_equal(one, other)
 
 
 def test_what_nothing_needs_does_not_run():
