@@ -443,6 +443,12 @@ PLANTED: dict[str, Planted] = {
         "return c, 1 + 0 * select(step",
         (f"{ROOTS}::test_no_claim_of_convergence_is_false",),
     ),
+    "a column that is zero below its diagonal changes its sign": Planted(
+        "src/retrax/tape/linear.py",
+        "turned = select(ca.logic_or(below > 0, none), 1.0, -1.0)",
+        "turned = select(ca.logic_or(below > 0, none), 1.0, 1.0)",
+        ("tests/tape/test_triangular_matrices.py",),
+    ),
     "a loop gives the registers of what it is given to others": Planted(
         "src/retrax/tape/program.py",
         "if row_of[i] < begin < row < end",

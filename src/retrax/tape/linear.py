@@ -223,14 +223,18 @@ def _reflected(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:
     m, n = matrix.shape
     r, q = ca.densify(matrix), ca.densify(ca.SX.eye(m))
     for k in range(min(m - 1, n)):
-        rest = ca.sumsqr(r[k + 1 :, k])
-        none = rest == 0  # LAPACK leaves a column alone that is zero already
-        size = ca.sqrt(select(none, 1.0, r[k, k] ** 2 + rest))
-        head = select(none, r[k, k], select(r[k, k] < 0, size, -size))
+        below, square = ca.sum1(ca.fabs(r[k + 1 :, k])), ca.sumsqr(r[k:, k])
+        none = square == 0
+        size = ca.sqrt(select(none, 1.0, square))
+        head = select(none, 0.0, select(r[k, k] < 0, size, -size))
         direction = ca.vertcat(1, r[k + 1 :, k] / select(none, 1.0, r[k, k] - head))
         factor = select(none, 0.0, (head - r[k, k]) / select(none, 1.0, head))
         r[k:, :] -= factor * ca.mtimes(direction, ca.mtimes(direction.T, r[k:, :]))
         q[:, k:] -= factor * ca.mtimes(ca.mtimes(q[:, k:], direction), direction.T)
+        # LAPACK leaves a column alone that is zero below: the same but for its sign, and derivatives are those of others.
+        turned = select(ca.logic_or(below > 0, none), 1.0, -1.0)
+        r[k, :] *= turned
+        q[:, k] *= turned
     return q, ca.triu(r)
 
 
