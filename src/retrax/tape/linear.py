@@ -231,7 +231,7 @@ def _reflected(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:
         factor = select(none, 0.0, (head - r[k, k]) / select(none, 1.0, head))
         r[k:, :] -= factor * ca.mtimes(direction, ca.mtimes(direction.T, r[k:, :]))
         q[:, k:] -= factor * ca.mtimes(ca.mtimes(q[:, k:], direction), direction.T)
-        # LAPACK leaves a column alone that is zero below: the same but for its sign, and derivatives are those of others.
+        # LAPACK leaves a column alone that is zero below: the same but for its sign, and with derivatives as others.
         turned = select(ca.logic_or(below > 0, none), 1.0, -1.0)
         r[k, :] *= turned
         q[:, k] *= turned
