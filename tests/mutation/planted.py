@@ -451,14 +451,14 @@ PLANTED: dict[str, Planted] = {
     ),
     "a loop gives the registers of what it is given to others": Planted(
         "src/retrax/tape/program.py",
-        "if row_of[i] < begin < row < end",
-        "if row_of[i] < begin < row < begin",
+        "last = lasting(last, {k: row for row, k in enumerate(kept)}, [instructions[k].name for k in kept])",
+        "last = dict(last)",
         (LOOPS,),
     ),
     "machine code gives the rows of what a loop is given to others": Planted(
         "src/retrax/tape/native.py",
-        "if piece_of.get(i, end) < begin < at < end",
-        "if piece_of.get(i, end) < begin < at < begin",
+        "last = lasting(last, piece_of, [lines[piece.lines[0]].name for piece in pieces])",
+        "last = dict(last)",
         (LOOPS,),
     ),
     "a loop ends with the first point that is done": Planted(

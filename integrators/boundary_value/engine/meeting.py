@@ -7,9 +7,8 @@ from jaxtyping import Float
 
 from .transcription import Nodes
 
-FAR = (
-    0.9  # times the largest entry of a column of the nodes, a turn by 64 degrees: ends further apart meet along an arc
-)
+# Times the largest entry of a column of the nodes, a turn by 64 degrees: ends further apart meet along an arc.
+FAR = 0.9
 
 
 @final

@@ -41,6 +41,21 @@ class Instruction:
     divides: bool = False  # the second operand is an inverse
 
 
+def lasting(last: dict[int, int], made: dict[int, int], names: Sequence[str]) -> dict[int, int]:
+    """The places where values are needed last, among places with these names: what is from before a loop stays until
+    its last round.
+
+    ``made``: the places where values are made, but for those that stay anyway.
+    """
+    begin = 0
+    for place, name in enumerate(names):
+        if name == "LOOP":
+            begin = place
+        elif name == "REPEAT":
+            last = last | {i: place for i, at in last.items() if made.get(i, place) < begin < at < place}
+    return last
+
+
 def read(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = ()) -> tuple[list[Instruction], list[list[int]]]:
     """The instructions of a column of scalars as a function of a column of symbols, and their parts, which run one
     after the other."""

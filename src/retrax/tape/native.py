@@ -16,7 +16,7 @@ from numba.core import config as numba_config
 from numba.core.codegen import get_host_cpu_features
 
 from .emitted import EMITTED, operands_of, spread
-from .instructions import CODES, NAMES, OPERANDS
+from .instructions import CODES, NAMES, OPERANDS, lasting
 from .program import VECTOR, Program
 
 config: Any = numba_config  # its names are made when it is read
@@ -116,9 +116,7 @@ def _rows(program: Program, lines: list[_Line], pieces: list[_Piece]) -> tuple[d
     """Where inputs, outputs, and values that one piece leaves to others stand, and the number of these rows."""
     piece_of = {k: piece.number for piece in pieces for k in piece.lines}
     last = {i: piece_of[k] for k, line in enumerate(lines) for i in (*line.inputs, line.state) if i is not None}
-    for begin, end in zip(*(_pieces_of(word, lines, pieces) for word in ("LOOP", "REPEAT")), strict=True):
-        # What is from before a loop stays until its last round.
-        last |= {i: end for i, at in last.items() if piece_of.get(i, end) < begin < at < end}
+    last = lasting(last, piece_of, [lines[piece.lines[0]].name for piece in pieces])
     before = {"INPUT": 0, "OUTPUT": program.inputs}
     rows = {k: before[line.name] + int(line.value) for k, line in enumerate(lines) if line.name in before}
     size, free, ends = program.inputs + program.outputs, list[int](), dict[int, list[int]]()
@@ -134,11 +132,6 @@ def _rows(program: Program, lines: list[_Line], pieces: list[_Piece]) -> tuple[d
                 ends.setdefault(max(last.get(k, number), number), []).append(rows[k])
         free += ends.pop(number, [])
     return rows, size
-
-
-def _pieces_of(word: str, lines: list[_Line], pieces: list[_Piece]) -> list[int]:
-    """The numbers of the pieces that are this instruction."""
-    return [piece.number for piece in pieces if lines[piece.lines[0]].name == word]
 
 
 def _text(lines: list[_Line], groups: list[list[_Piece]], rows: dict[int, int]) -> Iterator[str]:

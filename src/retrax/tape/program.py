@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from .graph import Loop
-from .instructions import CODES, OPERANDS, Instruction, read
+from .instructions import CODES, OPERANDS, Instruction, lasting, read
 
 VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 FOUR = 4  # inputs or outputs that stand together: the machine reads and writes as many at once
@@ -240,11 +240,7 @@ def _allocated(instructions: list[Instruction], kept: list[int], inputs: int, ou
 def _ends(instructions: list[Instruction], kept: list[int]) -> dict[int, list[int]]:
     """The values that are needed no more after an instruction; those from before a loop stay until its last round."""
     last = {i: row for row, k in enumerate(kept) for i in instructions[k].inputs}
-    names = [instructions[k].name for k in kept]
-    loops = zip(*([row for row, name in enumerate(names) if name == word] for word in ("LOOP", "REPEAT")), strict=True)
-    row_of = {k: row for row, k in enumerate(kept)}
-    for begin, end in loops:
-        last |= {i: end for i, row in last.items() if row_of[i] < begin < row < end}
+    last = lasting(last, {k: row for row, k in enumerate(kept)}, [instructions[k].name for k in kept])
     ends: dict[int, list[int]] = {}
     for i, row in last.items():
         ends.setdefault(kept[row], []).append(i)
