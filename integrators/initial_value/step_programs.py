@@ -11,7 +11,7 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape
-from ...tape.graph import parts_of, with_parts
+from ...tape.graph import changed, symbols_in
 from ...tape.instructions import CODES
 from ...tape.often import Often
 from ...tape.program import Program, assembled
@@ -251,11 +251,11 @@ def _merged(
         symbols: list[Any] = tape.inputs.elements()
         by_row = dict(zip(read.tolist(), symbols, strict=True))
         simpler = [constant.get(row, by_row[again.get(row, row)]) for row in read.tolist()]
-        (value, *parts) = ca.substitute([*values[k], *parts_of(loops[k])], [tape.inputs], [ca.vertcat(*simpler)])
-        used = {hash(s) for part in (value, *parts) for s in ca.symvar(part)}
+        given = [tape.inputs], [ca.vertcat(*simpler)]
+        (value,), own = changed(lambda parts, given=given: ca.substitute(parts, *given), values[k], loops[k])
+        used = symbols_in([value], own)
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        program = assembled(tape.inputs, value, with_parts(loops[k], parts), window=None)
-        programs.append(InRows.of(program, read, write))
+        programs.append(InRows.of(assembled(tape.inputs, value, own, window=None), read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
     first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), loops[0], window=None)
     return [InRows.of(first, reads[0], writes[0][kept]), *programs]

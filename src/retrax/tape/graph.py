@@ -131,23 +131,23 @@ class Graph:
 
     def scheduled(self, values: Sequence[ca.SX]) -> tuple[list[ca.SX], list[Loop]]:
         """The same but for loops, and the loops that the values need, in order, which need no other marks."""
+        marks = [mark for mark in self.marks if isinstance(mark, Mark)]
         loops = [mark for mark in self.marks if isinstance(mark, Loop)]
-        found = _replaced([*values, *parts_of(loops)], [mark for mark in self.marks if isinstance(mark, Mark)])
-        values, loops = found[: len(values)], with_parts(loops, found[len(values) :])
-        needed, kept = _symbols(values), list[Loop]()
+        values, loops = changed(lambda parts: _replaced(parts, marks), values, loops)
+        needed, kept = symbols_in(values), list[Loop]()
         for loop in reversed(loops):
-            if needed & _symbols([loop.symbols]):
-                needed |= _symbols(parts_of([loop]))
+            if needed & symbols_in([loop.symbols]):
+                needed |= symbols_in([], [loop])
                 kept.append(loop)
         return values, kept[::-1]
 
     def at_zero(self, values: Sequence[ca.SX]) -> tuple[list[ca.SX], "Graph"]:
         """The values where the first input is zero, and their graph, which has the other inputs."""
         (values, loops), first = self.scheduled(values), self.inputs[0]
-        found = ca.substitute([*values, *parts_of(loops)], [first], [ca.SX.zeros(first.shape)])
-        loops = with_parts(loops, found[len(values) :])
+        zero = ca.SX.zeros(first.shape)
+        values, loops = changed(lambda parts: ca.substitute(parts, [first], [zero]), values, loops)
         marks = [replace(loop, arguments=ca.vertcat(loop.first, loop.given)) for loop in loops]
-        return found[: len(values)], Graph(self.inputs[1:], [*marks])
+        return values, Graph(self.inputs[1:], [*marks])
 
     def _moving(self, values: ca.SX, by: ca.SX) -> list[Mark | Loop]:
         """Marks with a derivative by symbols among the inputs, in order, of which the values are made."""
@@ -158,22 +158,30 @@ class Graph:
             new = {k for k in met - found if self.marks[k].arguments.numel()}
             open_ends += [self.marks[k].arguments for k in new]
             found |= new
-        moved, moving = _symbols([by]), list[Mark | Loop]()
+        moved, moving = symbols_in([by]), list[Mark | Loop]()
         for mark in (self.marks[k] for k in sorted(found)):
-            if moved & _symbols([mark.arguments]):
+            if moved & symbols_in([mark.arguments]):
                 moving.append(mark)
-                moved |= _symbols([mark.symbols])
+                moved |= symbols_in([mark.symbols])
         return moving
 
 
-def parts_of(loops: Sequence[Loop]) -> list[ca.SX]:
-    """What loops begin with and what they are given, one after the other."""
+def changed(
+    change: Callable[[list[ca.SX]], list[ca.SX]], values: Sequence[ca.SX], loops: Sequence[Loop]
+) -> tuple[list[ca.SX], list[Loop]]:
+    """The values, and the loops that they need, after a change of all expressions at once."""
+    found = change([*values, *_parts(loops)])
+    values, parts = found[: len(values)], found[len(values) :]
+    return values, [replace(loop, first=a, given=b) for loop, a, b in zip(loops, parts[::2], parts[1::2], strict=True)]
+
+
+def symbols_in(values: Sequence[ca.SX], loops: Sequence[Loop] = ()) -> set[int]:
+    """The symbols in some expressions, and in what loops begin with and are given."""
+    return {hash(s) for s in ca.symvar(ca.vertcat(ca.SX(0, 1), *map(ca.vec, (*values, *_parts(loops)))))}
+
+
+def _parts(loops: Sequence[Loop]) -> list[ca.SX]:
     return [part for loop in loops for part in (loop.first, loop.given)]
-
-
-def with_parts(loops: Sequence[Loop], parts: Sequence[ca.SX]) -> list[Loop]:
-    """The loops with these in place of their own."""
-    return [replace(loop, first=a, given=b) for loop, a, b in zip(loops, parts[::2], parts[1::2], strict=True)]
 
 
 def _total(values: ca.SX, by: ca.SX, slopes: Sequence[tuple[Mark | Loop, ca.SX]]) -> ca.SX:
@@ -190,8 +198,3 @@ def _replaced(values: Sequence[ca.SX], marks: Sequence[Mark | Loop]) -> list[ca.
     if not marks:
         return list(values)
     return ca.substitute_inplace([mark.symbols for mark in marks], [mark.value for mark in marks], list(values))[1]
-
-
-def _symbols(values: Sequence[ca.SX]) -> set[int]:
-    """The symbols in some expressions."""
-    return {hash(s) for s in ca.symvar(ca.vertcat(ca.SX(0, 1), *map(ca.vec, values)))}
