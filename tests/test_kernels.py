@@ -4,6 +4,7 @@ import importlib
 import sys
 
 import pytest
+from numba import typeof
 from retrax import kernels
 
 PARTS = """from retrax.kernels import kernel_part
@@ -46,7 +47,11 @@ def package(tmp_path, monkeypatch):
 def test_a_kernel_is_compiled_anew_where_a_part_of_it_changes_in_another_file(package):
     for factor, hits in ((2.0, 0), (2.0, 1), (3.0, 0), (3.0, 1), (2.0, 0)):
         found = package(factor)
+        kinds = (typeof(5.0),)
+        assert kernels.is_kept(found, kinds) == bool(hits)
         assert found(5.0) == 5 * factor + 1
+        assert kernels.is_kept(found, kinds)
+        assert not kernels.is_kept(found, (typeof(5),))
         assert sum(found.stats.cache_hits.values()) == hits
 
 

@@ -14,6 +14,7 @@ from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .arguments import Method, structure_of
 from .coupled import Own, coupling_of
+from .engine import first_use
 from .engine.collocation import Collocation
 from .engine.conditions import Conditions
 from .engine.coupling import Coupling
@@ -92,6 +93,8 @@ class Posing:
         else:
             method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
             steps = OneStage(self.problem, method, *given[1:])
+        if self.evaluator.name == "tape":
+            first_use.begin()
         rows = InequalityRows(self.problem, parameters, len(self.stages))
         own = Own(self.problem, parameters)
         coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None

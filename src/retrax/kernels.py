@@ -194,3 +194,9 @@ def kernel_part(**options: Any) -> Callable[[Any], Any]:
     """For functions that nothing but other compiled functions calls."""
     alone = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True, "pipeline_class": _PartCompiler}
     return _njit(error_model="numpy", nogil=True, **options, **alone)
+
+
+def is_kept(kernel: Any, kinds: tuple[Any, ...]) -> bool:
+    """Whether a kernel for arguments of these types is on the computer's disk."""
+    key = kernel._cache._index_key(kinds, kernel.targetctx.codegen())
+    return key in kernel._cache._cache_file._load_index()

@@ -171,7 +171,8 @@ class Trial(ABC):
     @cached_property
     def _calls(self) -> tuple[int, ...]:
         """The addresses of all kernels that a pass calls."""
-        return *self._kernels.addresses(self.limited), *self.addresses()
+        own = self.addresses()
+        return *self._kernels.addresses(self.limited), *own
 
     @abstractmethod
     def put(self, v: Any, iterate: Iterate, assembled: Assembled | None, step: Step | None) -> None:

@@ -43,3 +43,4 @@ def test_one_trajectory_and_many_with_limits_are_arrays_of_one_kind():
     assert list(several.success) == [False, False, True, True]
     for kernel in KERNELS:
         assert len(kernel.signatures) == 1, (kernel.__name__, kernel.signatures)
+    assert list(pursuit_kernels.pursue.overloads) == [pursuit_kernels.PURSUE.args]  # as another process compiles it

@@ -1,0 +1,66 @@
+"""A computer's first use: another process compiles some kernels of a pass while this one compiles the others.
+
+Numba compiles one function at a time in a process, and those of a pass take nine seconds. Both processes keep theirs on
+the disk, where this one finds what the other has made.
+"""
+
+import os
+import sys
+from functools import cache
+from pathlib import Path
+from subprocess import DEVNULL, Popen, TimeoutExpired
+from typing import Any
+
+from ....kernels import is_kept
+from ....linked import address
+
+LONGEST = 60.0  # seconds that are waited for the other process, which takes five
+
+_begun: list[Popen] = []
+
+
+def _shared() -> list[tuple[Any, Any]]:
+    """The kernels that the other process compiles, about half of the work, with their types."""
+    from .pursuit_kernels import PURSUE, pursue
+    from .scaling_kernels import units
+    from .trial_kernels import UNITS
+
+    return [(pursue, PURSUE), (units, UNITS)]
+
+
+def compile_shared() -> None:
+    """Compile them: what the other process is for."""
+    for kernel, kinds in _shared():
+        address(kernel, kinds)
+
+
+def _may_start() -> bool:
+    """Whether another process would run beside this one, and be Python: an application may have it built in."""
+    is_python = "python" in Path(sys.executable or "").stem.lower() and not getattr(sys, "frozen", False)
+    return is_python and (os.cpu_count() or 1) > 1
+
+
+@cache
+def begin() -> None:
+    """Start the other process, once, if there is something for it to do."""
+    if not _may_start() or all(is_kept(kernel, kinds.args) for kernel, kinds in _shared()):
+        return
+    code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import compile_shared; compile_shared()"
+    # It computes nothing: where there is a GPU, it takes none of its memory.
+    environment = {**os.environ, "JAX_PLATFORMS": "cpu"}
+    command = sys.executable, "-c", code
+    try:
+        _begun.append(Popen(command, env=environment, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL))
+    except OSError:  # the system starts none: all is compiled here
+        return
+
+
+def ready(kernel: Any) -> Any:
+    """The kernel, once the other process has ended: what that has not kept is compiled here."""
+    while _begun:
+        process = _begun.pop()
+        try:
+            process.wait(LONGEST)
+        except TimeoutExpired:
+            process.kill()
+    return kernel
