@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.manifolds.numerics.root import find_root, known_root
-from retrax.tape import NotTraceableError, Tape
+from retrax.tape import NotTraceableError, Tape, roots
+from retrax.tape.roots import EPS, SETTLED
 
 RANDOM = np.random.default_rng(0)
 A, B = RANDOM.uniform(0.5, 2.0, (2, 7)), RANDOM.uniform(0.5, 2.0, 7)
@@ -155,6 +156,27 @@ def test_a_root_does_not_depend_on_the_points_that_it_is_computed_with():
     for k in range(len(sideways)):
         for one, all_of_them in zip(tape(sideways[k : k + 1]), together, strict=True):
             np.testing.assert_array_equal(one[..., 0], all_of_them[..., k])
+
+
+@pytest.mark.parametrize("settled", [0.0, EPS, 8 * EPS, SETTLED, 1e3 * EPS])
+def test_where_a_loop_ends_changes_no_root_and_no_claim(settled, monkeypatch):
+    """It is that of all the steps that there may be, from no step that leaves rounding to a thousand times as long
+    ones; those of a tenth lose digits."""
+    sideways = np.concatenate([[0.0], 1 - 10.0 ** np.arange(-6, 0), 1 + 10.0 ** np.arange(-12, 1)])
+    several = RANDOM.normal(size=(3, 40))
+
+    def found(least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        monkeypatch.setattr(roots, "SETTLED", least)
+        own = Tape.trace(ring(3), several[:, 0])(several)
+        return *Tape.trace(circle, np.zeros(()))(sideways), own
+
+    (root, claimed, others), (least, all_claimed, least_others) = found(settled), found(0.0)
+    np.testing.assert_array_equal(claimed, all_claimed)
+    at = claimed > 0
+    np.testing.assert_allclose(root[0, at], least[0, at], rtol=1e-9)  # the edge is that near
+    np.testing.assert_allclose(others, least_others, rtol=1e-14, atol=1e-15)
+    early = found(0.1)
+    assert np.max(np.abs(early[2] - least_others)) > 1e-9
 
 
 def test_an_expansion_has_no_derivatives_through_roots():

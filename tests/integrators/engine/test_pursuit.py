@@ -52,25 +52,6 @@ def alike(one: Any, other: Any, atol: float = 1e-11) -> None:
     assert one.checks.strict_minimum == other.checks.strict_minimum
 
 
-@pytest.fixture
-def pursuits(monkeypatch) -> list[Any]:
-    """Those that are run from now on; None where a search does not set out."""
-    made, pursue, set_out = list[Any](), Trial.pursue, Trial.set_out
-
-    def heard(self: Trial, *given: Any) -> Any:
-        made.append(pursue(self, *given))
-        return made[-1]
-
-    def begun(self: Trial, *given: Any) -> Any:
-        found = set_out(self, *given)
-        made.append(found and found.pursuit)
-        return found
-
-    monkeypatch.setattr(Trial, "pursue", heard)
-    monkeypatch.setattr(Trial, "set_out", begun)
-    return made
-
-
 @pytest.mark.parametrize("name", CASES)
 def test_a_pursuit_is_its_iterations(name, pursuits, monkeypatch):
     """With costs of ends there is none, nor by collocation with inequalities at nodes."""
