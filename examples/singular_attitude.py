@@ -86,7 +86,7 @@ def examine(problem, start):
     )
     numbers = {
         "P_f": np.max(gaps),
-        "omega_f": np.array([form_defect(classification.presymplectic, method, problem, z, h) for h in SIZES]),
+        "omega_f": np.asarray(form_defect(classification.presymplectic, method, problem, z, SIZES)),
         "momentum": np.max(np.abs(momentum - momentum[0, 0])),
         "energy": np.max(np.abs(energy - energy[:, :1]), axis=1),
     }

@@ -91,7 +91,7 @@ def main(arguments=None):
     for name, steps in (("rattle", options.steps), ("project", options.steps // 10)):
         method, choice = singular_integrator(classification, Midpoint(Projection(problem.manifold)), name)
         path = integrate(problem, method, z, STEP, steps, save_every=10)
-        defects[name] = np.array([form_defect(classification.presymplectic, method, problem, z, h) for h in SIZES])
+        defects[name] = np.asarray(form_defect(classification.presymplectic, method, problem, z, SIZES))
         gaps[name] = float(jnp.max(jax.vmap(lambda q, p: vec.size(final.equations((q, p))))(path.q, path.p)))
         energy = energies(problem, classification, path)
         runs[name] = np.asarray(path.times), energy - energy[0]

@@ -2,6 +2,7 @@
 computes."""
 
 import itertools
+import sys
 from enum import Enum
 from hashlib import blake2b
 from typing import Any
@@ -128,6 +129,8 @@ class _Writer:
             return self._kind(value)
         if _is_high(value):
             return self._high(value)
+        if _is_found_by_name(value):
+            return "function", value.__module__, value.__qualname__
         self.foreign = True
         return "unknown", next(_serial)
 
@@ -148,6 +151,12 @@ class _Writer:
 def _is_nowhere(value: Any) -> bool:
     """Whether this is JAX's word for a place or a layout that nobody chose."""
     return type(value).__module__.startswith("jax.") and any(words in repr(value) for words in NOWHERE)
+
+
+def _is_found_by_name(value: Any) -> bool:
+    """Whether this is a function of a module of JAX, as those of a generator of random numbers are."""
+    module, name = getattr(value, "__module__", None) or "", getattr(value, "__qualname__", "")
+    return module.startswith("jax.") and getattr(sys.modules.get(module), name, None) is value
 
 
 def _is_high(value: Any) -> bool:

@@ -113,18 +113,20 @@ def point_from_random_starts(manifold: Manifold, key: Array, draw: Callable[[Arr
     def off(x: Ambient) -> Array:
         return ~(vec.size(manifold.violations(x)) <= default_tolerance())
 
-    def again(state: tuple[Array, Ambient, Array]) -> tuple[Array, Ambient, Array]:
+    def again(state: tuple[Array, Ambient, Array, Array]) -> tuple[Array, Ambient, Array, Array]:
         key, sub = jax.random.split(state[0])
-        return key, draw(sub), state[2] + 1
+        x = draw(sub)
+        return key, x, state[2] + 1, off(x)
 
-    def unfinished(state: tuple[Array, Ambient, Array]) -> Array:
-        return (state[2] < RANDOM_STARTS) & off(state[1])
+    def unfinished(state: tuple[Array, Ambient, Array, Array]) -> Array:
+        return (state[2] < RANDOM_STARTS) & state[3]
 
     nowhere = jax.tree.map(lambda leaf: jnp.full(leaf.shape, jnp.nan, leaf.dtype), manifold.ambient)
-    _, found, _ = jax.lax.while_loop(unfinished, again, (key, nowhere, jnp.zeros((), int)))
+    begin = key, nowhere, jnp.zeros((), int), jnp.array(True)
+    _, found, _, missed = jax.lax.while_loop(unfinished, again, begin)
     message = f"no point of {manifold} was found from {RANDOM_STARTS} random starts; check its equations"
     if not is_traced(found):
-        if off(found):
+        if missed:
             raise InvalidInputError(message)
         return found
-    return eqx.error_if(found, off(found), message)
+    return eqx.error_if(found, missed, message)

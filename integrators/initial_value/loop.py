@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds.numerics.ambient import Ambient
-from ..compilation import call_compiled
+from ..compilation import call_compiled, call_optimized
 from .integrator import Integrator
 from .pieces import Steps
 
@@ -102,6 +102,6 @@ class XlaSteps(Steps):
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[Nodes, np.ndarray, float]:
         numbers = [jnp.asarray(n) for n in (count, phase, every)]
         arguments = self._system, self._integrator, self._carry, self._step_size, size, *numbers
-        (self._carry, rows), _, seconds = call_compiled(_piece, *arguments)
+        (self._carry, rows), _, seconds = call_optimized(_piece, *arguments)
         failed = np.asarray(self._carry.failed_step)
         return jax.device_get(rows), np.where(failed < 0, -1, done + failed), seconds

@@ -12,7 +12,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance
 from ...reading import reads_once
-from ..compilation import call_compiled
+from ..compilation import call_compiled, call_optimized
 from ..functions import require_concrete
 from .integrator import Integrator
 from .step_evaluator import tape_steps
@@ -50,7 +50,7 @@ def integrate_many(
     saves, every = int(steps) // int(save_every), int(save_every)
     found = tape_steps(system, integrator, starts, sizes, evaluator)
     if isinstance(found, str):
-        batch = call_compiled(_scanned, system, integrator, starts, jnp.asarray(sizes), saves, every, found)[0]
+        batch = call_optimized(_scanned, system, integrator, starts, jnp.asarray(sizes), saves, every, found)[0]
     else:
         batch = run_on_tape(found, integrator, sizes, saves, every, verbose)
     return without_jumps(system, integrator, batch, every)[0]

@@ -1,11 +1,13 @@
 """Functions of a user under JAX's transformations, and programs that are compiled once."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, compilation, integrate, solve
-from retrax.integrators.compilation import call_compiled, digest
+from retrax.integrators.compilation import call_compiled, call_optimized, digest
 from retrax.integrators.functions import in_precision, is_transformed, require_concrete
 from retrax.manifolds import Euclidean, InvalidInputError, NotDifferentiableError
 from retrax.reading import one_reading, reads_once
@@ -129,6 +131,42 @@ def test_what_is_not_known_is_compiled_anew(compilations):
         np.testing.assert_array_equal(value, k * THREE)
     assert compilations() == 2
     assert digest(lambda x: jax.pure_callback(np.asarray, THREE, x), THREE) is None
+
+
+@pytest.mark.parametrize("used", ["threefry2x32", "rbg", "unsafe_rbg"])
+def test_programs_with_random_numbers_are_compiled_once(compilations, used):
+    """Their equations have functions of JAX among their parameters; those of other generators are others."""
+
+    def moved(x, impl=used):
+        return x + jax.random.normal(jax.random.key(3, impl=impl), x.shape)
+
+    values = [call_compiled(lambda x: moved(x), THREE)[0] for _ in range(3)]
+    np.testing.assert_array_equal(values[0], values[2])
+    assert compilations() == 1
+    other = "threefry2x32" if used == "rbg" else "rbg"
+    assert digest(moved, THREE) != digest(partial(moved, impl=other), THREE)
+
+
+def test_functions_with_a_name_of_another_are_told_apart(compilations):
+    """A function of a user who gives it the place and the name of one of JAX."""
+
+    def renamed(x):
+        return 2 * np.asarray(x)
+
+    renamed.__module__, renamed.__qualname__ = jax.numpy.sin.__module__, "sin"
+    for _ in range(2):
+        value, *_ = call_compiled(lambda x: jax.pure_callback(renamed, THREE, x), THREE)
+        np.testing.assert_array_equal(value, 2 * THREE)
+    assert compilations() == 2
+
+
+def test_a_function_that_runs_long_is_another_program_with_the_same_values(compilations):
+    def function(x):
+        return jnp.sum(jnp.sin(x) * jnp.exp(-x))
+
+    for call in (call_compiled, call_optimized, call_compiled, call_optimized):
+        assert call(function, THREE)[0] == pytest.approx(float(function(THREE)), rel=1e-15)
+    assert compilations() == 2
 
 
 def test_programs_of_arrays_of_another_kind_are_compiled(compilations):

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from retrax.integrators import SymplecticIntegrator
+from retrax.integrators import SymplecticIntegrator, form_defect
 from retrax.integrators.initial_value.step import lifted_step
-from retrax.manifolds import CotangentBundle, Euclidean, form_matrix
+from retrax.manifolds import ConvergenceError, CotangentBundle, Euclidean, PresymplecticManifold, form_matrix
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection, default_retraction
 
@@ -183,3 +183,15 @@ def plane_step() -> Callable:
 def test_in_euclidean_space_the_midpoint_map_gives_the_implicit_midpoint_rule(seed, h):
     q, p = np.random.default_rng(seed).uniform(-1, 1, (2, 2))
     assert norm(plane_step()(q, p, h)) < 1e-14
+
+
+def test_the_form_after_steps_of_several_lengths():
+    bundle, method = CotangentBundle(SPHERE), SymplecticIntegrator(CotangentLift(Midpoint(Projection(SPHERE))))
+    space, z = PresymplecticManifold(bundle, bundle.two_form), (np.array([0.6, 0.0, 0.8]), np.array([0.8, 1.0, -0.6]))
+    sizes = np.array([[0.01, 0.1], [0.3, 0.2], [0.15, 0.05]])
+    found = form_defect(space, method, pendulum_energy, z, sizes)
+    assert found.shape == sizes.shape
+    assert np.max(found) < 1e-13
+    assert form_defect(space, method, pendulum_energy, z, 0.1).shape == ()
+    with pytest.raises(ConvergenceError, match=r"a step of 1000 from .* take a smaller one"):
+        form_defect(space, method, pendulum_energy, z, np.array([0.1, 1e3, 0.2]))
