@@ -48,7 +48,7 @@ def sample(count):
     return draw((3, count)), (1 + draw((3, count)), draw(count))
 
 
-COUNTS = [1, 2, 7, 8, 9, 64, 255, 256, 257, 520]
+COUNTS = [0, 1, 2, 7, 8, 9, 64, 255, 256, 257, 520]
 
 
 @cache

@@ -249,7 +249,7 @@ class Tape(Often):
                 f"got shapes {[a.shape for a in arrays]}"
             )
         halves = [half for a, leaf in zip(arrays, self._leaves, strict=True) for half in _real_parts(a, leaf.complex)]
-        return np.concatenate([np.asarray(h, float).reshape(-1, h.shape[-1]) for h in halves])
+        return np.concatenate([np.asarray(h, float).reshape(math.prod(h.shape[:-1]), h.shape[-1]) for h in halves])
 
     def _unpacked(self, rows: np.ndarray) -> list[np.ndarray]:
         ends = np.cumsum([0, *(leaf.rows for leaf in self._results)])
@@ -267,6 +267,8 @@ class Tape(Often):
         point stands and how far the next is, shape ``(rows, 2)``; numbers that are written, and the same for the
         values.
         """
+        if not count:
+            return
         machine = _machine()
         if machine is None:
             self._run_slowly(count, *ends)
