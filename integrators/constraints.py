@@ -77,7 +77,13 @@ class Inequalities(eqx.Module):
     @property
     def along(self) -> bool:
         """Whether there is one that holds along the whole trajectory."""
-        return bool(self.node_names) or any(self.bounded.values()) or not self.at_first.issuperset(self.names)
+        return any(self.bounded.values()) or self.of_points_along
+
+    @property
+    def of_points_along(self) -> bool:
+        """Whether functions hold along the whole trajectory, besides bounds of the controls and of what is free, which
+        break no symmetry."""
+        return bool(self.node_names) or not self.at_first.issuperset(self.names)
 
     @property
     def every_name(self) -> tuple[str, ...]:

@@ -135,7 +135,7 @@ def require_arguments(name: str, function: Any, expected: str, more: str = "") -
         hint = f"; {ENERGY_TIME if expected == '(q, p)' else TIME}" if clock and not expected.endswith("t)") else ""
         also = f", or of these and {more}" if more else ""
         raise InvalidInputError(
-            f"{name} must be a function of {expected}{also}, got one of ({', '.join(parameters)}){hint}"
+            f"{name} must be a function of {expected}{also}, got one with the arguments {arguments_of(function)}{hint}"
         )
     return takes_them
 
@@ -150,6 +150,11 @@ def _has_clock(parameters: list[str], count: int, timed: bool) -> bool:
 def takes_more(function: Callable[..., Any], count: int) -> bool:
     """Whether a function takes one argument more than ``count``, and cannot do without it."""
     return _names(function) is not None and not _binds(function, count) and _binds(function, count + 1)
+
+
+def arguments_of(function: Callable[..., Any]) -> str:
+    """The names of the arguments, as ``(q, u)``."""
+    return f"({', '.join(_names(function) or ['...'])})"
 
 
 def _names(function: Callable[..., Any]) -> list[str] | None:

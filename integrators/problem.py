@@ -23,7 +23,7 @@ from .controls import resting_control
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number, shapes_in
 from .inspection import Inspection, probes
-from .options import known_options, require_arguments, takes_more
+from .options import arguments_of, known_options, require_arguments, takes_more
 from .probing import FAILURES, failure_words
 from .quantities import Quantities
 from .statement import statement
@@ -167,8 +167,18 @@ class OptimalControlProblem(eqx.Module):
         """The problem whose functions have the parameters; the problem itself if they take none."""
         if not self.takes_parameters:
             return self
-        counts = (1, 2, 3, 3) if self.time_dependent else (1, 1, 2, 2)
-        return self._changed(lambda f, kind: _bound(f, counts[kind], parameters), self.time_dependent)
+        return self._changed(lambda f, kind: _bound(f, self._counts[kind], parameters), self.time_dependent)
+
+    @property
+    def _counts(self) -> tuple[int, ...]:
+        """How many arguments functions of each kind take, without parameters."""
+        return (1, 2, 3, 3) if self.time_dependent else (1, 1, 2, 2)
+
+    @property
+    def first_with_parameters(self) -> str:
+        """The first of the functions that takes parameters, in words."""
+        of = ((name, f) for name, f, kind in self._functions() if takes_more(f, self._counts[kind]))
+        return next((f"{name} has the arguments {arguments_of(f)}" for name, f in of), "none does")
 
     def at_time(self, t: Any) -> "OptimalControlProblem":
         """The problem whose functions have the time, behind which they take nothing more; itself if they take no

@@ -2,14 +2,17 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
+from dataclasses import replace
+from inspect import get_annotations, signature
 from math import prod
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .manifold import Manifold
+from .manifold import Manifold, Verdict
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
 from .numerics.errors import InvalidInputError, shapes_of
@@ -20,6 +23,7 @@ from .numerics.sizes import as_shape
 
 RANDOM_STARTS = 20
 GAUSS_NEWTON_STEPS = 30
+LOST = "rank lost by the constraint's Jacobian"
 
 
 def positive_norms(rows: Float[Array, "m N"]) -> Float[Array, " m"]:
@@ -31,25 +35,42 @@ def positive_norms(rows: Float[Array, "m N"]) -> Float[Array, " m"]:
 class LevelSet(Manifold):
     """Regular level set ``{x : c(x) = 0}`` of a smooth function of arrays of one shape.
 
-    Subclass it with ``constraint``; the tangent spaces, projections, random points and checks follow by automatic
-    differentiation. The equations must be independent: where the Jacobian of ``c`` loses rank there is no manifold.
+    Subclass it with ``constraint``. The shape of points is given to each manifold, or is that of the class, ``shape =
+    (3,)``. The tangent spaces, projections, random points and checks follow by automatic differentiation. The equations
+    must be independent: where the Jacobian of ``c`` loses rank there is no manifold.
     """
 
     shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        """A shape that the class has for all of its manifolds need not be given to them."""
+        super().__init_subclass__(**options)
+        own = get_annotations(cls)
+        if "shape" in vars(cls) and "shape" not in own:
+            cls.shape = eqx.field(static=True, converter=as_shape, default=vars(cls)["shape"], kw_only=True)
+            cls.__annotations__ = {**own, "shape": tuple[int, ...]}
+
     def __check_init__(self) -> None:
-        values, size = (
-            shapes_of(self.constraint, f"the constraint of {type(self).__name__}", self.ambient),
-            prod(self.shape),
-        )
-        if not hasattr(values, "size"):
+        what, size = f"the constraint of {type(self).__name__}", prod(self.shape)
+        try:
+            signature(self.constraint).bind(self.ambient)
+        except TypeError as error:
             raise InvalidInputError(
-                f"the constraint of {type(self).__name__} returns an array, got {values}; try jnp.stack([...])"
+                f"{what} must be a method of one array, def constraint(self, x), got one with the arguments "
+                f"{signature(type(self).constraint)}"
+            ) from error
+        values = shapes_of(self.constraint, what, self.ambient)
+        if not hasattr(values, "size"):
+            raise InvalidInputError(f"{what} returns an array, got {values}; try jnp.stack([...])")
+        if not jnp.issubdtype(values.dtype, jnp.floating):
+            raise InvalidInputError(
+                f"{what} returns real numbers that are zero on the manifold, got {values.dtype}; try x @ x - 1 in "
+                "place of x @ x == 1"
             )
         if not 0 < values.size <= size:
             raise InvalidInputError(
-                f"the constraint of {type(self).__name__} has {values.size} equations for points of {size} numbers; "
-                "expected at least one and at most as many as numbers"
+                f"{what} has {values.size} equations for points of {size} numbers; expected at least one and at most "
+                "as many as numbers"
             )
 
     @abstractmethod
@@ -95,7 +116,16 @@ class LevelSet(Manifold):
         apart = jnp.abs(jnp.diagonal(jnp.linalg.qr(j.T, mode="r")))  # of each unit row from those before it
         lost = jnp.sum(apart <= default_tolerance())
         off = vec.size(values) / jnp.maximum(vec.size(x), 1.0)
-        return {"max |constraint / its gradient|": off, "rank lost by the constraint's Jacobian": lost}
+        return {"max |constraint / its gradient|": off, LOST: lost}
+
+    def judge(self, violations: dict[str, Array], limit: float) -> Verdict:
+        verdict = super().judge(violations, limit)
+        if LOST not in verdict.reason:
+            return verdict
+        hint = (
+            "; its equations must be independent: leave out one that follows from others, and take c in place of c**2"
+        )
+        return replace(verdict, reason=verdict.reason + hint)
 
     def random_point(self, key: Array) -> Array:
         """A random ambient point moved to the level set by least squares; an error if 20 draws find none."""

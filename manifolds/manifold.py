@@ -178,7 +178,7 @@ class Manifold(eqx.Module):
                 known = self._in_place_of.get((shape.shape, np.shape(leaf)), "") if "point" in role else ""
                 hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else known
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
-                return f"{self._named(role)} has shape {shape.shape} where {came} came{hint}"
+                return f"{self._named(role)} has shape {shape.shape}, got {came}{hint}"
         return ""
 
     def _describe_kinds(self, a: Ambient, role: str) -> str:

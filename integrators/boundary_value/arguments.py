@@ -79,8 +79,9 @@ def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
     numbers."""
     if problem.takes_parameters and parameters is None:
         raise InvalidInputError(
-            "the problem's functions take parameters, and none are given; try parameters=..., numbers or arrays, or "
-            "tuples or dictionaries of them"
+            f"the problem's functions take parameters, and none are given: {problem.first_with_parameters}; try "
+            "parameters=..., numbers or arrays, or tuples or dictionaries of them; a state of several arrays is one "
+            "argument, a tuple"
         )
     if not problem.takes_parameters and parameters is not None:
         raise InvalidInputError(

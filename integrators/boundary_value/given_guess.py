@@ -77,7 +77,7 @@ class GuessReader:
         for guess in guesses:
             if not isinstance(guess, Guess):
                 raise InvalidInputError(
-                    f"guess must be a Guess or a Solution, got {guess!r}; try Guess(states, controls)"
+                    f"guess must be a Guess or a Solution, got {guess!r:.80}; try Guess(states, controls)"
                 )
             if (guess.nodes is None) != (guess.stage_costates is None):
                 raise InvalidInputError(

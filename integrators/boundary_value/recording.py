@@ -28,7 +28,7 @@ class Recording:
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
-        self.quantities, self._constrained = problem.quantities, bool(problem.limits.every_name)
+        self.quantities, self._constrained = problem.quantities, problem.limits.of_points_along
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def of(

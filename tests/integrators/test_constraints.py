@@ -170,15 +170,18 @@ def test_constraints_belong_to_what_makes_two_problems_equal():
         ({"constraints": {"cone": 1.0}}, r"constraints\['cone'\] must be a function of a state and a control, got 1.0"),
         (
             {"constraints": {"cone": lambda q: 0}},
-            r"constraints\['cone'\] must be a function of \(q, u\).*got one of \(q\)$",
+            r"constraints\['cone'\] must be a function of \(q, u\).*arguments \(q\)$",
         ),
-        ({"constraints": {"cone": lambda q, u, t: 0}}, r"constraints\['cone'\] must be .*got one of \(q, u, t\)"),
+        (
+            {"constraints": {"cone": lambda q, u, t: 0}},
+            r"constraints\['cone'\] must be .*arguments \(q, u, t\)",
+        ),
         ({"initial_cost": 1.0}, r"initial_cost must be a function of q, got 1.0"),
         ({"initial_cost": lambda q, u, p: 0}, r"initial_cost must be a function of q, or of these and parameters"),
         ({"time_dependent": 1}, r"time_dependent must be True or False, got 1"),
         (
             {"time_dependent": True},
-            r"dynamics must be a function of \(q, u, t\), or of these and parameters, got one of \(q, u\)$",
+            r"dynamics must be a function of \(q, u, t\), or of these and parameters.*arguments \(q, u\)$",
         ),
     ],
 )
@@ -190,7 +193,7 @@ def test_what_is_no_bound_no_constraint_and_no_cost_is_named(options, words):
 @pytest.mark.parametrize("names", ["t, q, u", "q, t, u", "q, time, u, a", "t, q, u, a"])
 def test_the_time_comes_after_the_control(names):
     given = eval(f"lambda {names}: None")
-    with pytest.raises(InvalidInputError, match=rf"dynamics must be a function of \(q, u, t\).*got one of \({names}\)"):
+    with pytest.raises(InvalidInputError, match=rf"dynamics must be a function of \(q, u, t\).*arguments \({names}\)"):
         OptimalControlProblem(PLANE, given, lambda q, u, t: 0, 1, time_dependent=True)
 
 

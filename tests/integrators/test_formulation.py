@@ -330,7 +330,7 @@ def test_free_is_frozen():
         ),
         ({"horizon": Free(2.0), "steps": 0}, r"steps must be a whole number"),
         ({"horizon": Free(2.0), "tolerance": -1.0}, r"tolerance must be a positive"),
-        ({"horizon": Free(2.0), "end": np.zeros(3)}, r"end: .*shape \(2,\) where \(3,\) came"),
+        ({"horizon": Free(2.0), "end": np.zeros(3)}, r"end: .*shape \(2,\), got \(3,\)"),
     ],
 )
 def test_arguments_beside_a_free_horizon_are_checked(change, words):

@@ -61,8 +61,8 @@ def test_arguments_of_the_wrong_kind_are_named(options, words):
     ("start", "words"),
     [
         ((2 * Q, P), r"start: not on Sphere.* is 3, expected at most"),
-        ((Q[:2], P), r"start: a point of Sphere.*shape \(3,\) where \(2,\) came"),
-        ((Q, P[:2]), r"start: a covector of Sphere.*shape \(3,\) where \(2,\) came"),
+        ((Q[:2], P), r"start: a point of Sphere.*shape \(3,\), got \(2,\)"),
+        ((Q, P[:2]), r"start: a covector of Sphere.*shape \(3,\), got \(2,\)"),
         ((Q, np.nan * P), r"start: a covector of Sphere.*NaN"),
         ((np.nan * Q, P), r"start: a point of Sphere.*NaN"),
         ((Q, None), r"start: a covector of Sphere.*structure array\[3\], got None"),

@@ -28,6 +28,12 @@ def turning(q, u):
     return q @ hat(u)
 
 
+def written(q, u):
+    rate = jnp.zeros(3)
+    rate[0] = u[0]
+    return q @ hat(rate)
+
+
 def problem(dynamics=turning, cost=half_square, controls=3, manifold=SO3, **options):
     return OptimalControlProblem(manifold, dynamics, cost, controls, **options)
 
@@ -85,14 +91,14 @@ def test_arguments_of_the_wrong_kind_are_named(options, words):
     [
         ({"end": 2 * END}, r"end: not on SO.*x'x - I.* is 3, expected at most"),
         ({"end": -END}, r"end: not on SO.*det x - 1.* is 2, expected at most"),
-        ({"end": np.eye(2)}, r"end: .*shape \(3, 3\) where \(2, 2\) came"),
+        ({"end": np.eye(2)}, r"end: .*shape \(3, 3\), got \(2, 2\)"),
         ({"start": np.nan * END}, r"start: .*NaN"),
         (
             {"end": END.tolist()},
             r"end: .*structure array\[3,3\], got \[\[float.*a list or a tuple is no array, try jax.numpy.array",
         ),
         ({"end": (END,)}, r"end: .*structure array\[3,3\], got \(array\[3,3\],\)"),
-        ({"end": Rotation.identity()}, r"end: .*shape \(3, 3\) where Rotation came; try its as_matrix\(\)"),
+        ({"end": Rotation.identity()}, r"end: .*shape \(3, 3\), got Rotation; try its as_matrix\(\)"),
         ({"end": END + 1e-6}, r"end: not on SO\(3\).*; restore\(x\) brings"),
     ],
 )
@@ -106,7 +112,7 @@ def test_ends_that_are_no_points_are_described(options, words):
     [
         ((IDENTITY,), r"start: .*structure \(array\[3,3\], array\[3\]\), got \(array\[3,3\],\)"),
         (IDENTITY, r"start: .*structure \(array\[3,3\], array\[3\]\), got array\[3,3\]"),
-        ((REST, IDENTITY), r"start, factor 0: .*shape \(3, 3\) where \(3,\) came"),
+        ((REST, IDENTITY), r"start, factor 0: .*shape \(3, 3\), got \(3,\)"),
         ((2 * IDENTITY, REST), r"start, factor 0: not on SO"),
         ((IDENTITY, np.array([0.0, np.nan, 0.0])), r"start, factor 1: .*NaN"),
     ],
@@ -132,9 +138,12 @@ def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
     [
         ({"dynamics": lambda q, u: q + q @ hat(u)}, NotOnManifoldError, "leaves the tangent space .*normal part is"),
         ({"dynamics": lambda q, u: hat(u)}, NotOnManifoldError, "leaves the tangent space"),
-        ({"dynamics": lambda q, u: u}, InvalidInputError, r"dynamics.*shape \(3, 3\) where \(3,\) came"),
+        ({"dynamics": lambda q, u: u}, InvalidInputError, r"dynamics.*shape \(3, 3\), got \(3,\)"),
         ({"dynamics": lambda q, u: (q @ hat(u),)}, InvalidInputError, "dynamics.*structure"),
         ({"controls": 2}, InvalidInputError, r"fail at .*control u of R\^2.*try another number of controls"),
+        ({"dynamics": lambda q, u: q @ hat(u / [1.0, 2.0, 3.0])}, InvalidInputError, r"line .*in place of a list"),
+        ({"dynamics": lambda q, u: (q, u)[2]}, InvalidInputError, r"out of .*index what is there"),
+        ({"dynamics": written}, InvalidInputError, r"item assignment.*try jnp.stack"),
         (
             {"dynamics": lambda u, q: q @ hat(u.reshape(3))},
             InvalidInputError,

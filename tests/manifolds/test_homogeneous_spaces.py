@@ -134,10 +134,10 @@ def test_other_forms_of_attitudes_are_answered():
     for form, words in (
         (np.array([0, 0, 0, 1.0]), r'; for a quaternion try retrax\.interop\.from_quaternions\(q, "last"\)'),
         (np.zeros(3), r"; for a rotation vector try scipy's Rotation\.from_rotvec\(v\)\.as_matrix\(\)$"),
-        (np.zeros(2), r"has shape \(3, 3\) where \(2,\) came$"),
+        (np.zeros(2), r"has shape \(3, 3\), got \(2,\)$"),
     ):
         assert re.search(words, SO(3).contains(form).reason)
-        assert SO(3).describe_mismatch(form, "a tangent vector").endswith(" came")
+        assert SO(3).describe_mismatch(form, "a tangent vector").endswith(f", got {np.shape(form)}")
 
 
 def test_one_rotation_of_a_batch_is_orthogonal():

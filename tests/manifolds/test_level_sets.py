@@ -71,6 +71,7 @@ def test_the_apex_of_a_cone_is_not_a_point_of_a_manifold():
     verdict = Cone(3).contains(jnp.zeros(3))
     assert not verdict
     assert "rank lost by the constraint's Jacobian is 1" in verdict.reason
+    assert verdict.reason.endswith("and take c in place of c**2")
 
 
 def test_a_level_set_without_points_says_so():
@@ -96,7 +97,53 @@ class TooMany(LevelSet):
         return jnp.concatenate([x, x])
 
 
+@final
+class Inside(LevelSet):
+    """What is true or false."""
+
+    def constraint(self, x):
+        return x @ x < 1
+
+
+@final
+class Alone(LevelSet):
+    """A function without self."""
+
+    def constraint(x):
+        return x @ x - 1
+
+
+class Round(LevelSet):
+    """A class with a shape of its own, and a number beside it."""
+
+    shape = (3,)
+    radius: float
+
+    def constraint(self, x):
+        return x @ x - self.radius**2
+
+
+@final
+class Rounder(Round):
+    """Its shape is that of the class that it is made of."""
+
+
+def test_a_class_may_have_the_shape_of_its_points():
+    for made in (Round(2.0), Rounder(radius=2.0), Round(2.0, shape=3)):
+        assert (made.shape, made.dimension) == ((3,), 2)
+        assert made.contains(np.array([0.0, 2.0, 0.0]))
+        assert jax.tree.leaves(made) == [2.0]
+    assert Round(2.0, shape=(4,)).dimension == 3
+    for wrong in (-1, 0.5, "3"):
+        with pytest.raises(InvalidInputError, match="a shape is one length or a tuple"):
+            Round(2.0, shape=wrong)
+
+
 def test_equations_that_are_none_are_refused_in_words():
+    with pytest.raises(InvalidInputError, match=r"Inside returns real numbers .* got bool; try x @ x - 1"):
+        Inside(3)
+    with pytest.raises(InvalidInputError, match=r"constraint of Alone must be .*\(self, x\), got .*arguments \(x\)"):
+        Alone(3)
     with pytest.raises(InvalidInputError, match=r"the constraint of Two returns an array, got .*try jnp.stack"):
         Two(3)
     with pytest.raises(InvalidInputError, match=r"the constraint of TooMany has 6 equations for points of 3 numbers"):
@@ -160,7 +207,7 @@ def test_what_no_point_is_near_is_refused_in_words():
     curve = MANIFOLDS["curve"]
     with pytest.raises(InvalidInputError, match=r"of Submanifold\(Sphere\(2\), 1 equation\) has entries that are NaN"):
         curve.nearby(np.array([0.6, np.nan, 0.8]))
-    with pytest.raises(InvalidInputError, match=r"shape \(3,\) where \(2,\) came"):
+    with pytest.raises(InvalidInputError, match=r"shape \(3,\), got \(2,\)"):
         curve.nearby(np.zeros(2))
 
 

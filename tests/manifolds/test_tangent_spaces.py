@@ -75,7 +75,7 @@ def wrong_points(manifold: Manifold) -> dict[str, tuple[Any, str]]:
     nan = jax.tree.unflatten(structure, [leaves[0].at[(0,) * leaves[0].ndim].set(jnp.nan), *leaves[1:]])
     short = jax.tree.unflatten(structure, [leaves[0][..., 1:], *leaves[1:]])
     return {
-        "shape": (short, f"where {leaves[0][..., 1:].shape} came"),
+        "shape": (short, f", got {leaves[0][..., 1:].shape}"),
         "structure": ({"x": x}, "has the structure"),
         "nan": (nan, "NaN or infinite"),
         "off": (jax.tree.map(lambda leaf: 1.01 * leaf + 0.1, x), "expected at most"),
@@ -99,7 +99,7 @@ def test_is_tangent_says_in_words_what_is_wrong(name):
     x = unflat(manifold)(draw_point(manifold, 1)[0])
     assert "relative normal part" in manifold.is_tangent(x, x + 0.1).reason
     assert not manifold.is_tangent(x, x + 0.1)
-    assert "where float came" in manifold.is_tangent(x, 1.0).reason
+    assert ", got float" in manifold.is_tangent(x, 1.0).reason
     assert "NaN" in manifold.is_tangent(x, x * jnp.nan).reason
 
 

@@ -11,7 +11,7 @@ from retrax.channels import Channel, rotation_vectors, rotations, view
 from retrax.integrators import OptimalControlProblem, Quantities, Quantity, Result, Trajectory, solve
 from retrax.interop import to_casadi
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Sphere, hat
-from retrax.retractions import Cayley, Gauss, Midpoint, Theta
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Theta
 from scipy.spatial.transform import Rotation
 
 mpl.use("Agg")
@@ -83,14 +83,15 @@ def test_histories_are_the_numbers_with_names_and_units(solved):
         tick.label1.get_visible() for axis in (attitude, beside, control) for tick in axis.xaxis.get_major_ticks()
     )
     vectors = Rotation.from_matrix(solution.states[0]).as_rotvec()
-    for axis, times, values in (
-        (attitude, solution.times, vectors),
-        (beside, solution.times, solution.states[1]),
-        (control, solution.times, np.concatenate([solution.controls, solution.controls[-1:]])),
+    for axis, values in (
+        (attitude, vectors),
+        (beside, solution.states[1]),
+        (control, np.concatenate([solution.controls, solution.controls[-1:]])),
     ):
-        drawn = np.stack([line.get_ydata() for line in axis.lines], axis=1)
-        np.testing.assert_allclose(drawn, values, atol=1e-14)
-        np.testing.assert_array_equal(axis.lines[0].get_xdata(), times)
+        drawn, times = np.stack([line.get_ydata() for line in axis.lines], axis=1), axis.lines[0].get_xdata()
+        places = np.searchsorted(times, solution.times)
+        np.testing.assert_allclose(times[places], solution.times, atol=1e-15)
+        np.testing.assert_allclose(drawn[places], values, atol=1e-14)
         assert axis.get_xlabel() == "time [s]"
     assert [axis.get_ylabel() for axis in (attitude, beside, control)] == [
         "attitude, rotation vector [rad]",
@@ -138,8 +139,38 @@ def test_the_steps_of_a_solution_begin_and_end_at_its_nodes(solved):
             np.testing.assert_array_equal(axis.lines[0].get_ydata()[:-1], found.controls[:, 0])
     both = solve(PROBLEM, Gauss(2, Cayley(Q)), START, END, 3.0, STEPS)
     for axis in (plotting.controls(both), plotting.optimality(both)[0], plotting.histories(both)[-1]):
-        np.testing.assert_array_equal(axis.lines[0].get_xdata(), both.stage_times)
         assert axis.lines[0].get_drawstyle() == "default"
+        times, values = axis.lines[0].get_data()
+        first = np.flatnonzero(np.diff(times) == 0) + 1  # where a step ends and the next begins
+        np.testing.assert_allclose(times[first], both.times[1:-1], atol=1e-14)
+        for step, (own_times, own) in enumerate(zip(np.split(times, first), np.split(values, first), strict=True)):
+            stages = slice(2 * step, 2 * step + 2)
+            line = np.polyfit(both.stage_times[stages], both.controls[stages, 0], 1)
+            np.testing.assert_allclose(own, np.polyval(line, own_times), atol=1e-12)
+
+
+@pytest.mark.parametrize("steps", [1, 3, 150, 500])
+def test_a_solution_is_drawn_between_its_nodes_and_a_file_without_a_retraction_is_not(steps, tmp_path):
+    """By many points of few steps, by few of many: those of the solution itself."""
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u @ u / 2, 1)
+    solution = solve(problem, Gauss(2, Addition(plane)), np.zeros(2), np.array([1.0, 0.0]), 1.0, steps)
+    (line,) = plotting.controls(solution).lines
+    times, values = plotting.histories(solution)[0].lines[0].get_data()
+    assert 200 <= len(times) <= 2000
+    np.testing.assert_allclose(values, solution(times).states[:, 0], atol=1e-13)
+    assert np.all(np.diff(times) >= 0)
+    np.testing.assert_array_equal(line.get_xdata(), times)
+    bare = replace(solution, interpolant=None)
+    np.testing.assert_array_equal(plotting.histories(bare)[0].lines[0].get_xdata(), solution.times)
+
+
+def test_the_sphere_is_round():
+    """What is drawn on it has one scale, wherever the curve is."""
+    record = made_by_hand(q=Rotation.from_rotvec(np.linspace(0, 0.3, 5)[:, None] * [1, 0, 0]).as_matrix()[:, 1])
+    axis = plotting.path(record, problem=Sphere(2))
+    spans = [np.ptp(limits) for limits in (axis.get_xlim(), axis.get_ylim(), axis.get_zlim())]
+    np.testing.assert_allclose(spans, spans[0], rtol=1e-12)
 
 
 def test_entries_without_names_are_x_y_z_where_there_are_three_and_nothing_where_there_is_one():

@@ -164,7 +164,7 @@ def test_facts_are_measured_at_the_points_of_the_user():
     with pytest.raises(ConformanceError, match=rf"{name}: .* is nan, .*\n.*\n.*at points\[1\], x = \[0.  0.6 0.8\]"):
         check_manifold(manifold, only=name, points=[jnp.array([0.8, 0.6, 0.0]), EAST])
     with pytest.raises(
-        InvalidInputError, match=r"points\[0\] is not a point: .* where \(2,\) came; try a list of points of Sphere"
+        InvalidInputError, match=r"points\[0\] is not a point: .*, got \(2,\); try a list of points of Sphere"
     ):
         check_retraction(Projection(SPHERE), points=[jnp.ones(2)])
 

@@ -12,6 +12,7 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics.tolerances import ACTIVE, EPS
 from ..reading import reads_once
 from .axes import draw, draw_controls, one, several, time_axis
+from .drawn import drawn
 
 
 def conserved(solution: Solution, ax: Any = None) -> Any:
@@ -113,7 +114,7 @@ def optimality(solution: Solution, problem: OptimalControlProblem | None = None,
     Bounds of the problem are dashed. ``ax``: as many axes as there are panels, in this order. Returns them, shape
     ``(panels,)``.
     """
-    found = view(_checked(solution), problem)
+    _, found = drawn(_checked(solution), problem)
     has_multipliers = bool(solution.stage_multipliers or solution.node_multipliers)
     rows = 1 + (problem is not None) + has_multipliers
     axes = several(ax, rows, columns=1, panel=(6.4, 2.6))

@@ -4,10 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from ..channels import POSES, SPHERE, About, rotations, view
+from ..channels import POSES, SPHERE, About, rotations
 from ..integrators.quantities import with_unit
 from ..manifolds import InvalidInputError
 from .axes import one
+from .drawn import drawn
 
 FRAMES = 8
 ARM = 0.08  # length of the axes of a frame, of the extent of the path
@@ -25,7 +26,7 @@ def body_axes(record: Any, array: int | None = None, problem: About = None, ax: 
     Each leads from an open to a full dot. Returns the axes, in three dimensions; raises ``InvalidInputError`` for a
     record without an attitude.
     """
-    attitudes, axis = rotations(view(record, problem), array), one(ax, "3d")
+    attitudes, axis = rotations(drawn(record, problem)[0], array), one(ax, "3d")
     sphere(axis)
     for k in range(3):
         curve(axis, attitudes[:, :, k], f"body axis {'xyz'[k]}")
@@ -40,7 +41,7 @@ def path(record: Any, array: int | None = None, problem: About = None, frames: i
     Of the array at a place, or of the first that has such a path. Returns the axes; raises ``InvalidInputError`` for a
     record without one.
     """
-    found = view(record, problem)
+    found, _ = drawn(record, problem)
     place = _place([q.space for q in found.quantities.states], found.states, array)
     quantity, values = found.quantities.states[place], found.states[place]
     is_pose = quantity.space in POSES
@@ -101,7 +102,8 @@ def curve(axis: Any, points: np.ndarray, name: str | None) -> None:
 
 
 def bare(axis: Any) -> None:
-    """Equal scales, and nothing but the picture."""
+    """A cube about the unit sphere, with equal scales, and nothing but the picture."""
+    axis.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
     axis.set_box_aspect((1, 1, 1), zoom=1.4)
     axis.set_axis_off()
 

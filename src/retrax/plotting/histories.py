@@ -4,26 +4,28 @@ from typing import Any
 
 import numpy as np
 
-from ..channels import About, Channel, control_channels, rotation_vectors, rotations, state_channels, view
+from ..channels import About, Channel, control_channels, rotation_vectors, rotations, state_channels
 from ..manifolds import InvalidInputError
 from .axes import draw, draw_controls, one, several
+from .drawn import drawn
 
 
 def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:
     """States and controls of a solution or a trajectory against time, one panel for each.
 
     Rotations are shown as rotation vectors, poses as rotation vectors and positions; controls as steps where each step
-    has one, which holds along it. Three entries with one unit and without names are x, y, z. ``problem`` has the names
-    and units of a trajectory, a manifold its spaces; a solution has its own. ``ax``: as many axes as there are panels.
-    Returns the array of axes. Raises ``InvalidInputError`` for another record or number of axes.
+    has one, which holds along it. A solution is drawn between its nodes by its polynomials. Three entries with one unit
+    and without names are x, y, z. ``problem`` has the names and units of a trajectory, a manifold its spaces; a
+    solution has its own. ``ax``: as many axes as there are panels. Returns the array of axes. Raises
+    ``InvalidInputError`` for another record or number of axes.
     """
-    found = view(record, problem)
-    states, own = state_channels(found), control_channels(found)
+    found, of_controls = drawn(record, problem)
+    states, own = state_channels(found), control_channels(of_controls)
     axes = several(ax, len(states) + len(own))
     for axis, channel in zip(axes[: len(states)], states, strict=True):
         draw(axis, found.times, channel, found)
     for axis, channel in zip(axes[len(states) :], own, strict=True):
-        draw_controls(axis, [channel], found)
+        draw_controls(axis, [channel], of_controls)
     return axes
 
 
@@ -32,7 +34,7 @@ def state(record: Any, array: int = 0, problem: About = None, ax: Any = None) ->
 
     Returns the axes; raises ``InvalidInputError`` for a place that no array has.
     """
-    found = view(record, problem)
+    found, _ = drawn(record, problem)
     if array not in range(len(found.states)):
         raise InvalidInputError(
             f"array must be a place of one of the {len(found.states)} arrays of a state, got {array!r}"
@@ -46,11 +48,12 @@ def state(record: Any, array: int = 0, problem: About = None, ax: Any = None) ->
 
 
 def controls(record: Any, problem: About = None, ax: Any = None) -> Any:
-    """The controls against time: lines through those of the stages, or steps where each step has one.
+    """The controls against time: the polynomials of each step, or steps where each step has one; of a trajectory lines
+    through those of the stages.
 
     Returns the axes; raises ``InvalidInputError`` where there are none.
     """
-    found = view(record, problem)
+    _, found = drawn(record, problem)
     channels = control_channels(found)
     if not channels:
         raise InvalidInputError(
@@ -65,7 +68,7 @@ def attitude(record: Any, array: int | None = None, problem: About = None, ax: A
 
     Returns the axes; raises ``InvalidInputError`` for a record without an attitude.
     """
-    found = view(record, problem)
+    found, _ = drawn(record, problem)
     vectors = rotation_vectors(rotations(found, array))
     return draw(one(ax), found.times, Channel("rotation vector", tuple("xyz"), ("rad",), vectors), found)
 
