@@ -170,9 +170,9 @@ def plot(paths, leaving, fronts, path):
 def main(arguments=None):
     """Classify, compare, plot; returns what is printed: classifications, errors by order and steps, departures from the
     line."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--front", type=int, default=80, help="values of p3 that the wave fronts are drawn from")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
 

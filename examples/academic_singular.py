@@ -124,8 +124,8 @@ def plot(paths, errors, path):
 def main(arguments=None):
     """Classify and integrate; returns, by drift, the errors at each step size, and the differences to the printed
     scheme."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
 

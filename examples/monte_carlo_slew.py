@@ -111,10 +111,10 @@ def run(samples, folder, workers):
 def main(arguments=None):
     """Solve, or go on, summarise, compare, plot; returns the sweep, the deviation of its costs, and that to first
     order."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--samples", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=0, help="processes; 0: this one, with threads")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
     options = parser.parse_args(arguments)
     folder = options.output / f"monte_carlo_slew_{options.samples}"
 

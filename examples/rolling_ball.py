@@ -150,9 +150,9 @@ def plot(circles, path, energy, momentum, target):
 
 def main(arguments=None):
     """Roll, compare with what is known, plot; returns the numbers that are printed."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--steps", type=int, default=10_000, help="number of steps, a multiple of 10")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
 

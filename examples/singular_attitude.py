@@ -108,8 +108,8 @@ def plot(found, path):
 
 def main(arguments=None):
     """Returns for each problem its classification, the numbers, the finest trajectory and its energy error."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
 

@@ -124,10 +124,10 @@ NAMES = (*MOTIONS, *CHAINS, *EMPTY)
 def main(arguments=None):
     """Classify, compare, integrate, plot; returns whether each outcome is the known one, and the numbers of each
     motion."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, metavar="PROBLEM", help=", ".join(NAMES))
     parser.add_argument("--steps", type=int, default=120, help="number of steps of each motion")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
 

@@ -69,14 +69,14 @@ def plot(defects, runs, path):
 def main(arguments=None):
     """Returns the defects by method, the largest residual of ``P_f`` and the drift with its standard error by
     method."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument(
         "--steps",
         type=int,
         default=100_000,
         help="steps of RATTLE, a multiple of 500, at least 5000; a tenth projected",
     )
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
     options = parser.parse_args(arguments)
     if options.steps < 5000 or options.steps % 500:
         parser.error(f"--steps must be a multiple of 500, at least 5000, got {options.steps}")

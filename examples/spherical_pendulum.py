@@ -78,9 +78,9 @@ def plot(times, errors, path):
 
 def main(arguments=None):
     """Integrate both ways, print the errors, plot; returns the energy errors and the largest momentum error."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--steps", type=int, default=100_000, help="number of steps, a multiple of 50")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output")
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
     options = parser.parse_args(arguments)
     options.output.mkdir(parents=True, exist_ok=True)
     every = 50

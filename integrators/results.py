@@ -31,8 +31,8 @@ class Result(eqx.Enumeration):
     interrupted = "The computation was interrupted; the trajectory ends with the last state that was kept."
     stopped = "The iteration was stopped before the conditions were met; this is its best iterate."
     too_many_iterations = (
-        "The iteration limit of a search came before the conditions were met; try more iterations, a better guess, or "
-        "more steps."
+        "The iteration limit of a search came before the conditions were met; try more iterations, a better guess, "
+        "more steps, or a longer horizon: the end may be out of reach."
     )
     no_improvement = (
         "No step along the computed directions improves the trajectory any more, and the conditions are not met; try a "

@@ -10,6 +10,7 @@ from .checks import RegularChecks
 from .solution import SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
+EQUAL = 1e-9  # relative: steps that differ by less are of one length
 NO_MINIMUM = (
     "a curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a "
     "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs"
@@ -110,9 +111,11 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
 
 
 def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
-    statistics, step = solution.statistics, solution.times[1] - solution.times[0]
+    statistics, steps = solution.statistics, np.diff(solution.times)
     method = "Newton" if solution.singular is None else "Gauss-Newton"
-    length = f"{step:.6g}{_unit(solution, 'time')}"
+    least, most = float(steps.min()), float(steps.max())
+    length = f"{least:.6g}" if most - least <= EQUAL * most else f"{least:.3g} to {most:.3g}"
+    length += _unit(solution, "time")
     yield "iterations", f"{many(statistics.iterations, f'{method} step')} on {many(solution.steps, 'step')} of {length}"
     if solution.singular is not None:
         seconds = statistics.compile_seconds + statistics.run_seconds

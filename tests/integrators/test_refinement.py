@@ -368,3 +368,28 @@ def test_constraints_with_an_explicit_time_are_looked_at_between_the_points(kind
     found = solve(problem, Gauss(2, Addition(line)), np.zeros(1), np.ones(1), 1.0, 10, accuracy=1e-6)
     assert found.cost == pytest.approx(0.5, rel=1e-9)
     assert found.checks.between == {"tube": 0.0}
+
+
+@pytest.mark.parametrize("accuracy", [None, 1e-6])
+@pytest.mark.parametrize(
+    ("horizon", "constraints", "count"),
+    [
+        (Free(3.0), None, 1),
+        (Free(3.0, lower=0.5), None, 1),
+        (Free(3.0, lower=2.5), None, 1),
+        (Free(3.0), {"slow": lambda q, u: q[1] - 0.8}, 0),
+    ],
+)
+def test_bounds_of_durations_and_horizons_break_no_symmetry(horizon, constraints, count, accuracy, capsys):
+    """The price of the place is constant; a constraint of states may change that of another component."""
+    bounds = {"control_bounds": (-1, 1), "constraints": constraints}
+    problem = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, **bounds)
+    ends = np.zeros(2), np.array([1.0, 0.0])
+    found = solve(problem, Gauss(2, Addition(PLANE)), *ends, horizon, 12, accuracy=accuracy)
+    assert found.checks.conserved == {"R^2": count}
+    if count:
+        assert np.ptp(found.momenta["R^2"][:, 0]) < 1e-9
+    found.report()
+    lengths = np.diff(found.times)
+    words = f"{lengths[0]:.6g}" if np.ptp(lengths) < 1e-9 else f"{lengths.min():.3g} to {lengths.max():.3g}"
+    assert f"steps of {words}\n" in capsys.readouterr().out
