@@ -106,11 +106,8 @@ class OptimalControlProblem(eqx.Module):
                 raise InvalidInputError(f"{name} must be True or False, got {flag!r}")
         self.quantities = Quantities.of(self.manifold, self.controls, labels, units)
         given: Any = constraints
-        self.limits = (
-            given
-            if isinstance(given, Inequalities)
-            else Inequalities.of(control_bounds, given, node_constraints, self.controls)
-        )
+        is_made = isinstance(given, Inequalities)
+        self.limits = given if is_made else Inequalities.of(control_bounds, given, node_constraints, self.controls)
         self.boundary = BoundaryConditions.of(boundary_constraints, periodic, self.limits.every_name)
         expected = (
             ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")
@@ -177,8 +174,8 @@ class OptimalControlProblem(eqx.Module):
     @property
     def first_with_parameters(self) -> str:
         """The first of the functions that takes parameters, in words."""
-        of = ((name, f) for name, f, kind in self._functions() if takes_more(f, self._counts[kind]))
-        return next((f"{name} has the arguments {arguments_of(f)}" for name, f in of), "none does")
+        first, of = next(part[:2] for part in self._functions() if takes_more(part[1], self._counts[part[2]]))
+        return f"{first} has the arguments {arguments_of(of)}"
 
     def at_time(self, t: Any) -> "OptimalControlProblem":
         """The problem whose functions have the time, behind which they take nothing more; itself if they take no

@@ -1,4 +1,5 @@
-"""A computer's first use: another process compiles some kernels of a pass while this one compiles the others.
+"""The first use in an environment of Python: another process compiles a part of the kernels while this one compiles
+others.
 
 Numba compiles one function at a time in a process, and those of a pass take nine seconds. Both processes keep theirs on
 the disk, where this one finds what the other has made.
@@ -21,7 +22,8 @@ _begun: list[Popen] = []
 
 def _shared() -> list[tuple[Any, Any]]:
     """The kernels that the other process compiles, about half of the work, with their types."""
-    from .pursuit_kernels import PURSUE, pursue
+    from .pursuit_kernels import pursue
+    from .pursuit_types import PURSUE
     from .scaling_kernels import units
     from .trial_kernels import UNITS
 

@@ -2,8 +2,6 @@
 next step."""
 
 import numpy as np
-from numba import types
-from numba.core.typing.templates import signature
 
 from ....kernels import pasted
 from ....linked import view
@@ -31,7 +29,6 @@ from .limit_kernels import (
     turn,
 )
 from .trial_kernels import (
-    ADDRESSES,
     AT_COMPLETE,
     AT_DRIVE,
     AT_JAMMED,
@@ -40,12 +37,6 @@ from .trial_kernels import (
     AT_TRIAL,
     AT_TURN,
     AT_UNITS,
-    F1,
-    INDICES,
-    PLACES,
-    REAL,
-    TRUTH,
-    WHOLE,
     along_of,
     barrier_of,
     blocks_of,
@@ -91,34 +82,6 @@ from .trial_kernels import (
 from .vectors import compiled, inner
 
 NO_LIMITS = (0,) * 8
-
-# The rules that decide, in the order of ``pursue``; and its types.
-RULES = (
-    REAL,
-    types.Tuple((types.UniTuple(REAL, 9), types.UniTuple(REAL, 5))),
-    types.UniTuple(REAL, 7),
-    types.UniTuple(REAL, 3),
-    types.UniTuple(REAL, 2),
-    REAL,
-    types.UniTuple(REAL, 2),
-    types.Tuple((REAL, types.UniTuple(REAL, 3))),
-    types.UniTuple(REAL, 3),
-    types.Tuple((REAL, types.UniTuple(REAL, 5), REAL, REAL)),
-)
-THREE_VECTORS = types.UniTuple(F1, 3)
-PURSUE = signature(
-    types.UniTuple(WHOLE, 2),
-    ADDRESSES,
-    INDICES,
-    F1,
-    THREE_VECTORS,
-    THREE_VECTORS,
-    PLACES,
-    types.Tuple(RULES),
-    F1,
-    WHOLE,
-    TRUTH,
-)
 
 FAR, TRIED, ARRIVED, GOING, LOST, APART, CHANGED, EXACT = range(8)  # how a pass ends
 

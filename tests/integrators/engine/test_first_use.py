@@ -1,4 +1,4 @@
-"""On a computer's first use another process compiles a part of the kernels, or, where none can, this one."""
+"""On the first use in an environment another process compiles a part of the kernels, or, where none can, this one."""
 
 import itertools
 import os
@@ -7,7 +7,7 @@ import sys
 import time
 
 import pytest
-from retrax.integrators.boundary_value.engine import first_use, pursuit_kernels
+from retrax.integrators.boundary_value.engine import first_use, pursuit_kernels, pursuit_types
 
 SOLVE = """
 import sys
@@ -110,12 +110,12 @@ def test_a_process_is_waited_for_until_it_ends_or_for_so_long(monkeypatch, code,
 
 def test_the_kernel_that_passes_call_is_the_one_that_is_compiled_beside(started):
     """A test of all its callers counts its signatures."""
-    assert first_use._shared()[0] == (pursuit_kernels.pursue, pursuit_kernels.PURSUE)
+    assert first_use._shared()[0] == (pursuit_kernels.pursue, pursuit_types.PURSUE)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("other", ["compiles", "fails", "none"])
-def test_the_first_solve_on_a_computer(tmp_path, other):
+def test_the_first_solve_in_an_environment(tmp_path, other):
     """With its results: kernels come from the disk where the other process has left them, and are the same."""
     failing = tmp_path / "python-that-fails"
     failing.write_text("#!/bin/sh\nexit 1\n")

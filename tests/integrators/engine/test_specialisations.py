@@ -11,6 +11,7 @@ from retrax.integrators.boundary_value.engine import (
     pursuit_kernels,
     scaling_kernels,
 )
+from retrax.integrators.boundary_value.engine.pursuit_types import PURSUE
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Midpoint
 from retrax.tape import machine
@@ -43,4 +44,4 @@ def test_one_trajectory_and_many_with_limits_are_arrays_of_one_kind():
     assert list(several.success) == [False, False, True, True]
     for kernel in KERNELS:
         assert len(kernel.signatures) == 1, (kernel.__name__, kernel.signatures)
-    assert list(pursuit_kernels.pursue.overloads) == [pursuit_kernels.PURSUE.args]  # as another process compiles it
+    assert list(pursuit_kernels.pursue.overloads) == [PURSUE.args]  # as another process compiles it
