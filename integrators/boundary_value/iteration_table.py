@@ -34,6 +34,13 @@ class Printed:
         return self._callback(iteration) if self._callback is not None else None
 
 
+def told(callback: Callable[[Iteration], Any] | None, iteration: Iteration, words: str) -> bool:
+    """Show an iteration whose line is one of its own, and whether the user's callback wants it to be the last."""
+    say(callback, words)
+    own = callback._callback if isinstance(callback, Printed) else callback
+    return own is not None and bool(own(iteration))
+
+
 def say(callback: Callable[[Iteration], Any] | None, words: str) -> None:
     """Print a line on what is done now, if the callback is one that prints."""
     if isinstance(callback, Printed):

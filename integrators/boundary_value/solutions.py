@@ -1,5 +1,6 @@
 """The solutions of a batch: one after the other, and their arrays together."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -84,7 +85,7 @@ class Solutions(Sequence[Solution]):
         """How many different extremals there are among those that converged: states further apart than 1e-6 of their
         extent."""
         leaves = [leaf[self.success] for leaf in jax.tree.leaves(self.states)]
-        flat = np.concatenate([leaf.reshape(len(leaf), -1) for leaf in leaves], axis=1)
+        flat = np.concatenate([leaf.reshape(len(leaf), math.prod(leaf.shape[1:])) for leaf in leaves], axis=1)
         found: list[np.ndarray] = []
         for states in flat:
             if all(np.max(np.abs(states - other)) > SAME_EXTREMAL * (1 + np.max(np.abs(states))) for other in found):

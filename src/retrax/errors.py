@@ -9,6 +9,10 @@ class RetraxError(Exception):
     """
 
 
+class CompilingInterrupted(KeyboardInterrupt):
+    """An interrupt while a kernel is compiled: there is nothing yet that could be returned."""
+
+
 class NotDifferentiableError(RetraxError, ValueError):
     """JAX cannot differentiate a user's function: costates and Newton's method need its derivatives, forward and
     backward.

@@ -7,8 +7,9 @@ and only there, and kernels once.
 
 import re
 import sys
+import warnings
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from hashlib import blake2b
 from importlib.util import resolve_name
 from pathlib import Path
@@ -22,6 +23,7 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.typed_passes import NativeLowering
 
+from .errors import CompilingInterrupted
 from .undisturbed import undisturbed
 
 
@@ -140,6 +142,8 @@ class _PartCompiler(_Compiler):
     lowering = _PartLowering
 
 
+_errors: list[Exception] = []  # of what could not be kept
+
 IMPORT = re.compile(r"^from (\.+[\w.]*) import (.*)$", re.MULTILINE)
 
 
@@ -179,15 +183,68 @@ def kernel(vectors: bool = False, **options: Any) -> Callable[[Any], Any]:
 
     def made(function: Any) -> Any:
         passes = {"pipeline_class": _VectorsCompiler, "_nrt": False} if vectors else {"pipeline_class": _LoopsCompiler}
-        own = {"cache": True, "no_cfunc_wrapper": True, **passes}
-        found = _njit(error_model="numpy", nogil=True, **own, **options)(function)
-        found.compile = undisturbed(found.compile)
-        kept = getattr(found._cache, "_cache_file", None)
-        if kept is not None:
-            kept._source_stamp = _digest(function.__module__)
+        own = {"error_model": "numpy", "nogil": True, "no_cfunc_wrapper": True, **passes, **options}
+        try:
+            found = _njit(cache=True, **own)(function)
+        except RuntimeError as error:  # there is no folder that it can be kept in
+            _warn(error)
+            found = _njit(**own)(function)
+        found.compile = undisturbed(_told(found.compile))
+        if _has_a_place(found):
+            found._cache._cache_file._source_stamp = _digest(function.__module__)
+            _forgive(found._cache)
         return found
 
     return made
+
+
+def _told(compile_it: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, of which an interrupt says that it compiles."""
+
+    def run(*given: Any) -> Any:
+        try:
+            return compile_it(*given)
+        except KeyboardInterrupt as interrupt:
+            raise CompilingInterrupted(*interrupt.args) from interrupt
+
+    return run
+
+
+def _has_a_place(kernel: Any) -> bool:
+    """Whether there is a folder where it is kept."""
+    return hasattr(kernel._cache, "_cache_file")
+
+
+def _forgive(kept: Any) -> None:
+    """Let a folder that cannot be read or written, or that holds something else, cost time and nothing more."""
+    load, save, empty = kept.load_overload, kept.save_overload, kept.flush
+
+    def attempted(attempt: Callable[..., Any], *given: Any) -> Any:
+        try:
+            return attempt(*given)
+        except Exception as error:  # pickle raises about everything for bytes that it did not write
+            _warn(error)
+            return None
+
+    def loaded(*given: Any) -> Any:
+        try:
+            return load(*given)
+        except Exception:  # the same: what is there is of no use
+            attempted(empty)
+            return None
+
+    kept.load_overload, kept.save_overload = loaded, partial(attempted, save)
+
+
+def _warn(error: Exception) -> None:
+    """Say, once, that nothing is kept."""
+    if not _errors:
+        warnings.warn(
+            f"compiled kernels are not kept on the disk, and compiled anew in each process, for seconds: {error}; try "
+            "the environment variable NUMBA_CACHE_DIR, a folder that can be written",
+            stacklevel=2,
+        )
+    _errors.append(error)
 
 
 def kernel_part(**options: Any) -> Callable[[Any], Any]:
@@ -196,7 +253,12 @@ def kernel_part(**options: Any) -> Callable[[Any], Any]:
     return _njit(error_model="numpy", nogil=True, **options, **alone)
 
 
-def is_kept(kernel: Any, kinds: tuple[Any, ...]) -> bool:
-    """Whether a kernel for arguments of these types is on the computer's disk."""
+def is_missing(kernel: Any, kinds: tuple[Any, ...]) -> bool:
+    """Whether a kernel for arguments of these types could be on the computer's disk, and is not."""
+    if not _has_a_place(kernel):
+        return False
     key = kernel._cache._index_key(kinds, kernel.targetctx.codegen())
-    return key in kernel._cache._cache_file._load_index()
+    try:
+        return key not in kernel._cache._cache_file._load_index()
+    except Exception:  # pickle raises about everything for bytes that it did not write
+        return True

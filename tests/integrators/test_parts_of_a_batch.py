@@ -139,6 +139,8 @@ def test_an_interrupt_is_not_lost_where_all_parts_have_ended(in_parts, monkeypat
     monkeypatch.setattr(parallel, "wait", interrupted)
     solver, ends = slews()
     found = solver.solve_many(START, ends, HORIZON, max_iterations=1)
+    assert (found.converged, found.distinct) == (0, 0)
+    assert f"{len(found)}, 0 of them converged, 0 distinct" in repr(found)
     assert found.result == [Result[Result.stopped]] * COUNT
 
 

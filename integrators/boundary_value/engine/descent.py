@@ -17,6 +17,7 @@ from typing import Any, final
 
 import numpy as np
 
+from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
 from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
@@ -66,6 +67,8 @@ class Descent:
         """What is found from a guess, until an interrupt at the latest."""
         try:
             self.run(guess)
+        except CompilingInterrupted:  # that takes seconds, and nothing is found before
+            raise
         except KeyboardInterrupt:
             self.stopped = True
             if self.state is None:  # what the first pass has found takes milliseconds to find again

@@ -12,8 +12,9 @@ from pathlib import Path
 from subprocess import DEVNULL, Popen, TimeoutExpired
 from typing import Any
 
-from ....kernels import is_kept
-from ....linked import address
+from ....errors import CompilingInterrupted
+
+# Numba is imported where a kernel is asked for, and not with the library.
 
 LONGEST = 60.0  # seconds that are waited for the other process, which takes five
 
@@ -32,6 +33,8 @@ def _shared() -> list[tuple[Any, Any]]:
 
 def compile_shared() -> None:
     """Compile them: what the other process is for."""
+    from ....linked import address
+
     for kernel, kinds in _shared():
         address(kernel, kinds)
 
@@ -45,7 +48,9 @@ def _may_start() -> bool:
 @cache
 def begin() -> None:
     """Start the other process, once, if there is something for it to do."""
-    if not _may_start() or all(is_kept(kernel, kinds.args) for kernel, kinds in _shared()):
+    from ....kernels import is_missing
+
+    if not (_may_start() and any(is_missing(kernel, kinds.args) for kernel, kinds in _shared())):
         return
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import compile_shared; compile_shared()"
     # It computes nothing: where there is a GPU, it takes none of its memory.
@@ -59,10 +64,11 @@ def begin() -> None:
 
 def ready(kernel: Any) -> Any:
     """The kernel, once the other process has ended: what that has not kept is compiled here."""
-    while _begun:
-        process = _begun.pop()
+    for process in _begun:
         try:
             process.wait(LONGEST)
         except TimeoutExpired:
             process.kill()
+        except KeyboardInterrupt as interrupt:
+            raise CompilingInterrupted(*interrupt.args) from interrupt
     return kernel

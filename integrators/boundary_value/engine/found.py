@@ -8,7 +8,11 @@ from .kkt_system import Assembled, Iterate, Residuals
 
 
 class Iteration(NamedTuple):
-    """What a callback sees after each evaluation, with one entry for each member that is still on its way."""
+    """What a callback sees after each evaluation, with one entry for each member that is still on its way.
+
+    Of a singular problem the ``stationarity`` is the norm of the conditions of shooting, and the ``shift`` the damping;
+    its cost, which is not known on the way, is NaN.
+    """
 
     number: int
     members: np.ndarray  # their places in the batch

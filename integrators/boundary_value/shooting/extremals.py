@@ -76,7 +76,7 @@ def _on_piece(request: Request, conditions: EndConditions, c: Classification) ->
     guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, request.integrator))
     prepared = time.perf_counter()
     shown(f"shooting over {many(shooting.segments, 'segment')} of {many(shooting.length, 'step')} is compiled")
-    found = meet_conditions(shooting, conditions, guess, *request.options[:2], shown)
+    found = meet_conditions(shooting, conditions, guess, *request.options)
     shown("the trajectory is examined")
     outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
     seconds = prepared - began, time.perf_counter() - prepared

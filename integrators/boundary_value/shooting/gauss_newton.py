@@ -14,6 +14,8 @@ from ....manifolds.numerics.ambient import Frame
 from ....manifolds.numerics.levenberg import RELATIVE
 from ...compilation import compiled
 from ...results import Result
+from ..engine.found import Iteration
+from ..iteration_table import say, told
 from .end_conditions import AtEnds, EndConditions
 from .least_squares import shortest_step
 from .segments import Iterate, Linearised, Shooting
@@ -71,21 +73,23 @@ def meet_conditions(
     guess: Iterate,
     tolerance: float,
     max_iterations: int,
-    shown: Callable[[str], None],
+    callback: Callable[[Iteration], Any] | None,
 ) -> Found:
-    """Close the gaps and meet the boundary conditions from a guess, with gauge controls of least norm; ``shown`` is
-    called with a line for each iteration.
+    """Close the gaps and meet the boundary conditions from a guess, with gauge controls of least norm.
 
     Damped Gauss-Newton with steps of least norm. It ends with ``Result.no_extremal`` where the residual is stationary
-    and does not vanish: the conditions contradict each other there.
+    and does not vanish: the conditions contradict each other there; with ``Result.stopped`` by the callback or an
+    interrupt.
     """
     still = jax.tree.map(lambda leaf: jnp.zeros((len(leaf), shooting.final.dimension, *leaf.shape[1:])), guess.points)
     weights = _weights(shooting, guess)
     state = _evaluate(shooting, conditions, guess, still, np.zeros_like(weights))
-    damping, rank, count, result, sizes = RELATIVE.first, 0, 0, Result.too_many_iterations, []
-    shown(TITLES)
+    damping, rank, count, result, sizes, better = RELATIVE.first, 0, 0, Result.too_many_iterations, [], True
+    say(callback, TITLES)
     for count in range(max_iterations + 1):
-        shown(f"{count:>9} {state.size:>10.1e} {float(state.at.distance):>9.1e} {damping:>8.0e}")
+        if _is_last(callback, count, state, damping, better):
+            result = Result.stopped
+            break
         if not np.isfinite(state.size):
             return Found(state.iterate, state.at, state.ends, count, 0, Result.step_not_solved)
         matrix, excess = _matrix(state), _excess(shooting, state.iterate)
@@ -102,6 +106,20 @@ def meet_conditions(
         better = tried.meets(tolerance) or tried.size < (1 - DECREASE) * state.size
         state, damping = tried if better else state, RELATIVE.after(damping, better)
     return Found(state.iterate, state.at, state.ends, count, rank - state.at.gaps.size, result)
+
+
+def _is_last(
+    callback: Callable[[Iteration], Any] | None, count: int, state: _State, damping: float, accepted: bool
+) -> bool:
+    """Show the state to the callback, and whether that stops the iteration.
+
+    The conditions are all that is known of it: the cost is computed once, at the end.
+    """
+    gap = float(state.at.distance)
+    unknown, none, one = np.array([np.nan]), np.zeros(1), np.ones(1)
+    sizes = np.array([gap]), np.array([state.size]), np.array([damping]), one, np.array([accepted])
+    seen = Iteration(count, np.arange(1), unknown, *sizes, none, none)
+    return told(callback, seen, f"{count:>9} {state.size:>10.1e} {gap:>9.1e} {damping:>8.0e}")
 
 
 def _verdict(state: _State, tolerance: float, slope: float, change: float, exhausted: bool) -> Result:

@@ -11,6 +11,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
 from ..equations import CALLS, HIGH, called, is_in_scalars, name_of, scan_parts
+from ..errors import RetraxError
 from ..reading import traced
 from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, is_known, parts, scalars, taken
 from .elementwise import elementwise, select_n
@@ -50,6 +51,15 @@ class Tracer:
         return self.run(opened(jaxpr), getattr(jaxpr, "consts", ()), arguments, wanted)
 
     def _equation(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
+        """The values of an equation; what its rule has not been written for is not traceable."""
+        try:
+            return self._values(eqn, arrays, wanted)
+        except RetraxError:
+            raise
+        except Exception as error:  # of NumPy or CasADi, any
+            raise NotTraceableError(name_of(eqn), f"whose rule does not take this: {error}") from error
+
+    def _values(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
         name, params = name_of(eqn), eqn.params
         if name in RULES or eqn.primitive.name == HIGH:
             return self._custom(eqn, arrays)

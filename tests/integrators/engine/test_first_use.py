@@ -5,9 +5,18 @@ import os
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
+from retrax import kernels
+from retrax.errors import CompilingInterrupted
+from retrax.integrators import Solver
 from retrax.integrators.boundary_value.engine import first_use, pursuit_kernels, pursuit_types
+from retrax.integrators.boundary_value.engine.trial import Trial
+from retrax.retractions import Cayley, Midpoint
+
+from tests.integrators.engine.test_trial import SLEWS
+from tests.integrators.problems import RIGID, SLEW
 
 SOLVE = """
 import sys
@@ -42,13 +51,13 @@ def started(monkeypatch):
     first_use.begin.cache_clear()
 
 
-@pytest.mark.parametrize("kept", list(itertools.product((False, True), repeat=2)))
-def test_a_process_is_started_once_if_one_of_its_kernels_is_not_on_the_disk(started, monkeypatch, kept):
-    answers = iter(kept)
-    monkeypatch.setattr(first_use, "is_kept", lambda kernel, kinds: next(answers))
+@pytest.mark.parametrize("missing", list(itertools.product((False, True), repeat=2)))
+def test_a_process_is_started_once_if_one_of_its_kernels_is_not_on_the_disk(started, monkeypatch, missing):
+    answers = iter(missing)
+    monkeypatch.setattr(kernels, "is_missing", lambda kernel, kinds: next(answers))
     first_use.begin()
     first_use.begin()
-    assert len(started) == (not all(kept))
+    assert len(started) == any(missing)
     for arguments, options in started:
         assert arguments[:2] == (sys.executable, "-c")
         assert repr(sys.path) in arguments[2]
@@ -58,7 +67,7 @@ def test_a_process_is_started_once_if_one_of_its_kernels_is_not_on_the_disk(star
 @pytest.mark.parametrize(("count", "may"), [(None, False), (1, False), (2, True), (16, True)])
 def test_there_is_none_beside_this_one_on_a_single_processor(started, monkeypatch, count, may):
     monkeypatch.setattr(first_use.os, "cpu_count", lambda: count)
-    monkeypatch.setattr(first_use, "is_kept", lambda kernel, kinds: False)
+    monkeypatch.setattr(kernels, "is_missing", lambda kernel, kinds: True)
     first_use.begin()
     assert len(started) == may
 
@@ -78,7 +87,7 @@ def test_there_is_none_beside_this_one_on_a_single_processor(started, monkeypatc
 def test_an_application_with_python_in_it_is_not_started_once_more(started, monkeypatch, executable, frozen, may):
     monkeypatch.setattr(sys, "executable", executable)
     monkeypatch.setattr(sys, "frozen", frozen, raising=False)
-    monkeypatch.setattr(first_use, "is_kept", lambda kernel, kinds: False)
+    monkeypatch.setattr(kernels, "is_missing", lambda kernel, kinds: True)
     first_use.begin()
     assert len(started) == may
 
@@ -88,7 +97,7 @@ def test_a_system_that_starts_no_process_is_no_error(started, monkeypatch):
         raise PermissionError("no more processes")
 
     monkeypatch.setattr(first_use, "Popen", refused)
-    monkeypatch.setattr(first_use, "is_kept", lambda kernel, kinds: False)
+    monkeypatch.setattr(kernels, "is_missing", lambda kernel, kinds: True)
     first_use.begin()
     assert first_use.ready(pursuit_kernels.pursue) is pursuit_kernels.pursue
 
@@ -105,12 +114,34 @@ def test_a_process_is_waited_for_until_it_ends_or_for_so_long(monkeypatch, code,
     assert first_use.ready(pursuit_kernels.pursue) is pursuit_kernels.pursue
     assert time.perf_counter() - began < 25
     assert process.wait(10) == status or (status is None and process.returncode != 0)
-    assert not first_use._begun
 
 
 def test_the_kernel_that_passes_call_is_the_one_that_is_compiled_beside(started):
     """A test of all its callers counts its signatures."""
     assert first_use._shared()[0] == (pursuit_kernels.pursue, pursuit_types.PURSUE)
+
+
+def test_an_interrupt_while_kernels_are_compiled_is_not_held_back(monkeypatch):
+    """Nothing is found yet that could be returned; the next call begins anew."""
+    set_out, solver = Trial.set_out, Solver(SLEW, Midpoint(Cayley(RIGID)), 5)
+
+    def interrupted(*given):
+        monkeypatch.setattr(Trial, "set_out", set_out)
+        raise CompilingInterrupted
+
+    monkeypatch.setattr(Trial, "set_out", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        solver.solve(*SLEWS)
+    assert solver.solve(*SLEWS).success
+
+
+def test_an_interrupt_while_the_other_process_compiles_is_one_of_these(monkeypatch):
+    def interrupted(seconds):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(first_use, "_begun", [SimpleNamespace(wait=interrupted)])
+    with pytest.raises(CompilingInterrupted):
+        first_use.ready(pursuit_kernels.pursue)
 
 
 @pytest.mark.slow
