@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 ZERO = np.zeros(3)
+TABLE = jnp.array([0.2j, 0.5 + 1.0j, 0.3 - 2.0j])
 TIES = np.array([0.0, 1.0, -1.0])
 
 # Smooth where they are sampled: compared with XLA in value, gradient and Hessian, at random points of (0, 1)^3.
@@ -124,6 +125,36 @@ SMOOTH = {
     "complex entries": lambda x: jnp.real(
         _pair(x)[(2 * x[0]).astype(int)] * jnp.concatenate([_pair(x), x, 1j * x])[2:5] * jax.lax.stop_gradient(_pair(x))
     ),
+    "loops over known complex numbers": lambda x: (
+        _both(jax.lax.scan(lambda c, k: (c + k * x, c), x + 0j, TABLE)[1][-1])
+        + _both(jax.lax.scan(lambda c, k: (c * k + 1, c), 1j, TABLE)[0]) * x
+        + _both(jax.lax.map(lambda k: k * k, TABLE)) * x**2
+        + _both(jax.lax.fori_loop(0, 3, lambda k, c: c * TABLE[k] + x, x + 0j))
+    ),
+    "known complex polynomials": lambda x: (
+        _both(jnp.polyval(TABLE, x)) + _both(jnp.polyval(TABLE, (1 + 2j) * x)) + _both(jnp.polyval(TABLE, 1j)) * x
+    ),
+    "interpolation of complex numbers": lambda x: _both(jnp.interp(2 * x, jnp.arange(3.0), TABLE)),
+    "known complex entries where the input says": lambda x: (
+        _both(jnp.take(TABLE, _place(x)) + TABLE[jnp.argmax(x)]) * x
+        + _both(jax.lax.dynamic_slice(TABLE, (_place(x),), (2,))[1]) * x**2
+        + _both(TABLE[jnp.stack([_place(x), 1, jnp.argmin(x)])] * jnp.outer(TABLE, TABLE)[_place(x)]) * x
+    ),
+    "known complex choices": lambda x: (
+        _both(jax.lax.switch(_place(x), [lambda: TABLE, lambda: 1j * TABLE, lambda: TABLE**2])) * x
+        + _both(jnp.where(x > 0.5, TABLE, TABLE**2) * jnp.where(x < 0.3, TABLE, 1j * x))
+    ),
+    "updates of known complex numbers": lambda x: (
+        _both(jax.lax.dynamic_update_slice(TABLE, 3 * TABLE[:1], (_place(x),))) * x
+        + _both(jax.lax.dynamic_update_slice(TABLE, 3j * x[:1], (_place(x),)))
+        + _both(TABLE.at[_place(x)].set(4j) + TABLE.at[_place(x)].add(1j * x[1])) * x
+    ),
+    "loops over known whole numbers": lambda x: (
+        x * jax.lax.scan(lambda c, k: (c, k - 1), 0, jnp.array([0, 1, 5], jnp.uint8))[1] / 255
+        + x**2 * jax.lax.scan(lambda c, k: (c ^ k, (k & 6) | ~c), 3, jnp.array([2, 9, 5]))[1]
+        + x**3 * jax.lax.map(lambda k: (k << 2) >> 1, jnp.array([2, 1, 3]))
+    ),
+    "loops over known numbers": lambda x: x * jax.lax.map(jax.lax.lgamma, jnp.array([2.5, 0.3, 4.0])),
     "complex solve": lambda x: jnp.real(jnp.linalg.solve(_matrix(x) + 1j * jnp.eye(3), x * (1 + 2j))),
 }
 
@@ -140,6 +171,15 @@ SPECIAL = {
     "pivots": (lambda x: jnp.linalg.solve(jnp.array([[0.0, 1.0, 0.0], [1.0, 0, 0], [0, 0, 1]]) + x[0], 1 + x), ZERO),
     "triangular qr": (lambda x: jnp.linalg.qr(jnp.triu(_matrix(x)))[1][0], ZERO),
 }
+
+
+def _both(z):
+    """A real number that shows either part of a complex one."""
+    return jnp.real(z) + 2 * jnp.imag(z)
+
+
+def _place(x):
+    return (3 * x[0]).astype(int)
 
 
 def _matrix(x):

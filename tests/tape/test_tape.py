@@ -18,6 +18,7 @@ from retrax.manifolds import SE, SO, SU, Hyperbolic, Oblique, Sphere, Stiefel
 from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module
+from retrax.tape.arrays import column
 from retrax.tape.instructions import CODES, NAMES
 from retrax.tape.machine import run_one
 from retrax.tape.program import SUMS, assembled
@@ -275,6 +276,7 @@ UNTRACEABLE = {
     "pow of complex numbers": lambda x: (1j * x) ** 2.5,
     "tan which has no rule for complex numbers": lambda x: jnp.tan(1j * x),
     "reduce_prod of complex numbers": lambda x: jnp.prod(1j * x),
+    "cumsum of complex numbers": lambda x: jnp.cumsum(1j * x),
     "custom_jvp_call of complex numbers": lambda x: turned(1j * x),
     "and on the bits of whole numbers": lambda x: (3 * x).astype(int) & 1,
 }
@@ -295,6 +297,23 @@ def test_a_complex_number_that_becomes_a_real_one_loses_its_imaginary_part():
     with pytest.warns(np.exceptions.ComplexWarning, match="discards the imaginary part"):
         tape = Tape.trace(real, np.ones(3))
     np.testing.assert_allclose(tape(np.full((3, 2), 1.5)), 3.0)
+
+
+def test_complex_numbers_stay_complex():
+    table = jnp.array([1 + 2j, 3j, -1.0])
+
+    def values(x):
+        return table, table[0], 1j * x[0], table[jnp.argmax(x)]
+
+    points = np.random.default_rng(2).normal(size=(3, 4))
+    tape = Tape.trace(values, points[:, 0])
+    for found, expected in zip(tape(points), jax.vmap(values, -1, -1)(points), strict=True):
+        assert np.iscomplexobj(found)
+        np.testing.assert_array_equal(found, expected)
+    with pytest.raises(TypeError, match="of a real array, got a complex one"):
+        tape(points + 1j)
+    with pytest.raises(TypeError, match="expected a real array, got a complex one"):
+        column(np.array([1.0, 1j]))
 
 
 def test_a_loop_is_written_out_as_long_as_its_length_is_known():

@@ -26,6 +26,10 @@ class NotTraceableError(RetraxError, TypeError):
         self.primitive = primitive
 
 
+class NotRealError(TypeError):
+    """An array is complex where a rule has real numbers only: the tracer says which operation's rule it was."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Scalars:
     """A real array: a dense column of scalars in C order, and its shape. Truth values are 0 and 1, whole numbers are
@@ -62,11 +66,12 @@ def is_known(*arrays: Any) -> bool:
 
 
 def column(a: Entries) -> ca.SX:
-    """Entries of a real array as a dense column in C order."""
+    """Entries of a real array as a dense column in C order; a complex one is refused, as it would lose its imaginary
+    part."""
     if isinstance(a, Scalars):
         return a.values
-    if isinstance(a, Complex):
-        raise TypeError("expected a real array, got a complex one")
+    if is_complex(a):
+        raise NotRealError("expected a real array, got a complex one")
     return ca.SX(ca.DM(np.asarray(a, float).reshape(-1, 1)))
 
 
@@ -90,11 +95,12 @@ def scalars(values: ca.SX, shape: tuple[int, ...]) -> Scalars:
 
 
 def taken(a: Entries, places: np.ndarray) -> Any:
-    """The array of the shape of ``places`` whose entries are those of ``a`` at these places of its C order."""
+    """The array of the shape of ``places`` whose entries are those of ``a`` at these places of its C order; of a known
+    array a known array, where NumPy would make one entry a number."""
     if isinstance(a, Complex):
         return Complex(taken(a.real, places), taken(a.imag, places))
     if isinstance(a, np.ndarray):
-        return np.reshape(a, -1)[places]
+        return np.asarray(np.reshape(a, -1)[places])
     values = a.values[places.reshape(-1).tolist()]  # a row if there is one scalar to take from
     return Scalars(ca.reshape(values, places.size, 1), places.shape)
 

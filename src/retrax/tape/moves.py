@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from .arrays import Complex, Entries, Scalars, column, is_known, joined, moved, parts, scalars, taken
+from .arrays import Complex, Entries, Scalars, column, is_complex, is_known, joined, moved, parts, scalars, taken
 from .elementwise import elementwise, select
 
 OUTSIDE = -1  # the place of an entry that lies outside of the array
@@ -108,7 +108,7 @@ def _parts(
 def _chosen(found: list[tuple[Any, Entries]]) -> Entries:
     if len(found) == 1:
         return found[0][1]
-    if any(isinstance(value, Complex) for _, value in found):
+    if any(is_complex(value) for _, value in found):
         halves = ([(c, parts(value)[k]) for c, value in found] for k in (0, 1))
         return Complex(*(_chosen(half) for half in halves))
     shape, value = found[0][1].shape, column(found[-1][1])

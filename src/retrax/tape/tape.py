@@ -16,7 +16,7 @@ import numpy as np
 from ..aligned import scratch
 from ..threads import in_threads, worth_threads
 from ..undisturbed import put_off
-from .arrays import Complex, Entries, column, scalars
+from .arrays import Entries, column, is_complex, parts, scalars
 from .graph import Graph
 from .often import Often
 from .program import Program, assembled
@@ -54,7 +54,7 @@ class Tape(Often):
         self.graph, self.structure = graph, structure
         self._leaves, self._arguments = arguments
         self._values = values
-        self._results = [Leaf(tuple(v.shape), isinstance(v, Complex)) for v in values]
+        self._results = [Leaf(tuple(v.shape), is_complex(v)) for v in values]
         super().__init__()
         self._native: Program | None = None
 
@@ -307,11 +307,13 @@ class Tape(Often):
 
 
 def _halves(a: Entries) -> tuple[Any, ...]:
-    return (a.real, a.imag) if isinstance(a, Complex) else (a,)
+    return parts(a) if is_complex(a) else (a,)
 
 
-def _real_parts(a: np.ndarray, is_complex: bool) -> tuple[np.ndarray, ...]:
-    return (np.real(a), np.imag(a)) if is_complex else (a,)
+def _real_parts(a: np.ndarray, pair: bool) -> tuple[Any, ...]:
+    if np.iscomplexobj(a) and not pair:
+        raise TypeError("the tape is of a real array, got a complex one")
+    return parts(a) if pair else (a,)
 
 
 def _rows(count: int, points: int) -> np.ndarray:

@@ -13,7 +13,19 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, n
 from ..equations import CALLS, HIGH, called, is_in_scalars, name_of, scan_parts
 from ..errors import RetraxError
 from ..reading import traced
-from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, is_known, parts, scalars, taken
+from .arrays import (
+    Complex,
+    Entries,
+    NotRealError,
+    NotTraceableError,
+    Scalars,
+    column,
+    is_complex,
+    is_known,
+    parts,
+    scalars,
+    taken,
+)
 from .elementwise import elementwise, select_n
 from .graph import Graph, Mark
 from .known import evaluated
@@ -43,12 +55,19 @@ class Tracer:
         values.update(zip([*jaxpr.constvars, *jaxpr.invars], given, strict=True))
         for eqn, outputs, inputs in needed(jaxpr, wanted)[0]:
             arrays = [_read(values, v) if need else None for v, need in zip(eqn.invars, inputs, strict=True)]
-            values.update(zip(eqn.outvars, self._equation(eqn, arrays, outputs), strict=True))
+            values.update(zip(eqn.outvars, self._named(eqn, arrays, outputs), strict=True))
         return [_read(values, v) if want else None for v, want in zip(jaxpr.outvars, wanted, strict=True)]
 
     def closed(self, jaxpr: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
         """Values of a jaxpr that may hold its constants."""
         return self.run(opened(jaxpr), getattr(jaxpr, "consts", ()), arguments, wanted)
+
+    def _named(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
+        """Values of an equation; of complex numbers, where its rule has real ones, it is refused by name."""
+        try:
+            return self._equation(eqn, arrays, wanted)
+        except NotRealError:
+            raise NotTraceableError(name_of(eqn), "here of complex numbers") from None
 
     def _equation(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
         """The values of an equation; what its rule has not been written for is not traceable."""
@@ -88,7 +107,7 @@ class Tracer:
         for k in reversed(range(length)) if params["reverse"] else range(length):
             out = self.closed(params["jaxpr"], [*fixed, *carry, *(_row(a, k) for a in along)])
             carry, rows[k] = out[: len(carry)], out[len(carry) :]
-        empty = [np.zeros(v.aval.shape) for v in eqn.outvars[len(carry) :]]
+        empty = [np.zeros(v.aval.shape, v.aval.dtype) for v in eqn.outvars[len(carry) :]]
         return [
             *carry,
             *([stacked([rows[k][i] for k in range(length)]) for i in range(len(empty))] if length else empty),
