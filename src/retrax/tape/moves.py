@@ -152,27 +152,48 @@ def _is_outside(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...
     return any(s < 0 or s + size > n for s, n, size in known)
 
 
+def _filling(params: dict[str, Any], x: Entries) -> np.ndarray:
+    """What ``gather`` gives in place of entries that lie outside of an array."""
+    value = np.nan if params["fill_value"] is None else params["fill_value"]
+    return np.asarray(value, x.dtype if isinstance(x, np.ndarray) else complex if is_complex(x) else float)
+
+
+def _window_or(filling: np.ndarray, x: Entries, starts: list[Any], sizes: tuple[int, ...]) -> Entries:
+    """The part of an array of these sizes that starts at an index, all ``filling`` where the index is of no such
+    part: it is not moved into the array."""
+    nothing = np.broadcast_to(filling, sizes)
+    if _is_outside(starts, x.shape, sizes):
+        return nothing
+    at = _columns(starts)
+    found = [(c, moved(x, lambda a, part=part: a[part])) for c, part in _parts(at, x.shape, sizes)]
+    return found[0][1] if found[0][0] is None else _chosen([*found, (None, nothing)])
+
+
+def _columns(starts: list[Any]) -> list[int | ca.SX]:
+    """Starts of a window as numbers, or expressions."""
+    return [s.values if isinstance(s, Scalars) else s for s in starts]
+
+
 def _gather(params: dict[str, Any], x: Entries, indices: Entries) -> Entries:
     d, sizes = params["dimension_numbers"], tuple(params["slice_sizes"])
     batch = indices.shape[:-1]
     batching = tuple(zip(d.operand_batching_dims, d.start_indices_batching_dims, strict=True))
     dropped = {*d.collapsed_slice_dims, *d.operand_batching_dims}
     kept = [size for axis, size in enumerate(sizes) if axis not in dropped]
-    fills = "FILL" in str(params["mode"])
+    filling = _filling(params, x) if "FILL" in str(params["mode"]) else None
     windows: list[Entries] = []
     for at in np.ndindex(*batch):
         starts = _starts(d.start_index_map, indices, at, len(x.shape), batching)
-        if fills and _is_outside(starts, x.shape, sizes):
-            value = np.nan if params["fill_value"] is None else params["fill_value"]
-            windows.append(np.full(kept, value))
-        else:
+        if filling is None:
             window = _window(x, _clamped(starts, x.shape, sizes), sizes)
-            windows.append(moved(window, lambda a: a.reshape(kept)))
+        else:
+            window = _window_or(filling, x, starts, sizes)
+        windows.append(moved(window, lambda a: a.reshape(kept)))
     rank = len(batch) + len(kept)
     outer = [axis for axis in range(rank) if axis not in d.offset_dims]
     order = np.argsort([*outer, *d.offset_dims])
     if not windows:
-        return np.transpose(np.zeros((*batch, *kept)), order)
+        return np.transpose(np.zeros((*batch, *kept), complex if is_complex(x) else float), order)
     whole = moved(stacked(windows), lambda a: a.reshape((*batch, *kept)))
     return moved(whole, lambda a: np.transpose(a, order))
 
@@ -212,8 +233,7 @@ def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: Any, updat
         if "CLIP" in str(params["mode"]):
             starts = _clamped(starts, shape, tuple(sizes))
         if not _is_outside(starts, shape, tuple(sizes)):
-            known = [s.values if isinstance(s, Scalars) else s for s in starts]
-            found.append((known, tuple(sizes), np.reshape(places[at], sizes)))
+            found.append((_columns(starts), tuple(sizes), np.reshape(places[at], sizes)))
     return found
 
 
