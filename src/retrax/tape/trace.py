@@ -55,26 +55,21 @@ class Tracer:
         values.update(zip([*jaxpr.constvars, *jaxpr.invars], given, strict=True))
         for eqn, outputs, inputs in needed(jaxpr, wanted)[0]:
             arrays = [_read(values, v) if need else None for v, need in zip(eqn.invars, inputs, strict=True)]
-            values.update(zip(eqn.outvars, self._named(eqn, arrays, outputs), strict=True))
+            values.update(zip(eqn.outvars, self._equation(eqn, arrays, outputs), strict=True))
         return [_read(values, v) if want else None for v, want in zip(jaxpr.outvars, wanted, strict=True)]
 
     def closed(self, jaxpr: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
         """Values of a jaxpr that may hold its constants."""
         return self.run(opened(jaxpr), getattr(jaxpr, "consts", ()), arguments, wanted)
 
-    def _named(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
-        """Values of an equation; of complex numbers, where its rule has real ones, it is refused by name."""
-        try:
-            return self._equation(eqn, arrays, wanted)
-        except NotRealError:
-            raise NotTraceableError(name_of(eqn), "here of complex numbers") from None
-
     def _equation(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
-        """The values of an equation; what its rule has not been written for is not traceable."""
+        """Values of an equation; it is refused by name where its rule does not take this, as complex numbers."""
         try:
             return self._values(eqn, arrays, wanted)
         except RetraxError:
             raise
+        except NotRealError:
+            raise NotTraceableError(name_of(eqn), "here of complex numbers") from None
         except Exception as error:  # of NumPy or CasADi, any
             raise NotTraceableError(name_of(eqn), f"whose rule does not take this: {error}") from error
 
