@@ -22,6 +22,8 @@ from ...problem import OptimalControlProblem
 Pair = tuple[Ambient, Ambient]
 Jet = Float[Array, "order+1 m"]
 Flat = Float[Array, " N"]
+# What jet raises of a primitive that it has no rule for, that is not in its table, and that keeps what it is given.
+UNSUITED = NotImplementedError, KeyError, jax.errors.UnexpectedTracerError
 
 
 def control_slope(problem: OptimalControlProblem, z: Pair, center: Ambient, c: Array) -> Float[Array, " m"]:
@@ -40,7 +42,8 @@ class DerivativeArray(eqx.Module):
     """``(F_0, ..., F_order)`` at a point of ``T*Q``, given the control and its derivatives in a chart of U.
 
     Computed by Taylor arithmetic, at a cost polynomial in the order. Functions that have no rule for it (linear solves,
-    loops) fall back to nested derivatives, whose cost doubles with every order.
+    loops, those with derivatives of their own, as ``jax.nn.softplus``) fall back to nested derivatives, whose cost
+    doubles with every order.
     """
 
     problem: OptimalControlProblem
@@ -59,7 +62,7 @@ class DerivativeArray(eqx.Module):
 
         try:
             return _taylor(field, slope, flat, u)
-        except (NotImplementedError, KeyError):  # KeyError: the primitive is not in the table of rules
+        except UNSUITED:
             return jnp.stack(_nested(field, slope, self.order)(flat, u))
 
 

@@ -362,3 +362,24 @@ def test_an_interrupted_classification_has_its_levels(finished, monkeypatch, cap
         else:
             assert len(classify(problem, verbose=True).levels) == count
     assert ("20 of 20 points" in caplog.text) == (finished >= count)
+
+
+@pytest.mark.parametrize(
+    ("function", "written"),
+    [
+        (jax.nn.softplus, lambda x: jnp.log1p(jnp.exp(x))),
+        (lambda x: jnp.logaddexp(x, 0.5), lambda x: jnp.log(jnp.exp(x) + jnp.exp(0.5))),
+    ],
+)
+def test_functions_with_derivatives_of_their_own_are_expanded_too(function, written):
+    """Taylor arithmetic has no rule for them: nested derivatives have those that they say."""
+    plane = Euclidean(2)
+
+    def found(rate):
+        dynamics = lambda q, u: jnp.stack([rate(q[1]), u[0]])  # noqa: E731
+        return classify(OptimalControlProblem(plane, dynamics, lambda q, u: q @ q / 2, 1), starts=8)
+
+    one, other = found(function), found(written)
+    assert (one.dimension, one.k_f_base) == (other.dimension, other.k_f_base) == (2, 1)
+    z = jax.tree.map(lambda leaf: leaf[0], other.stratum.states)
+    np.testing.assert_allclose(one.control(*z), other.control(*z), rtol=1e-9)
