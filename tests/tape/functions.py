@@ -165,6 +165,7 @@ SPECIAL = {
     "zero of logistic": (lambda x: jax.nn.sigmoid(x) + jax.nn.softplus(x), ZERO),
     "far logistic": (lambda x: jax.nn.sigmoid(1e3 * x), TIES),
     "kinks": (lambda x: jnp.abs(x) + jnp.maximum(x, -x) + jnp.minimum(x, 1.0) + jax.nn.relu(x), TIES),
+    "zero of a complex size": (lambda x: jnp.abs(_complex(x)) ** 3 + x, ZERO),
     "zero powers": (lambda x: x**2 + x**3 + x**0 + x**2.0, ZERO),
     "guarded": (lambda x: jnp.where(x == 0, 1.0, jnp.sin(jnp.where(x == 0, 1.0, x)) / jnp.where(x == 0, 1.0, x)), ZERO),
     "guarded norm": (lambda x: x * jnp.where(x @ x == 0, 0.0, jnp.sqrt(jnp.where(x @ x == 0, 1.0, x @ x))), ZERO),

@@ -155,6 +155,11 @@ def _quotient(x: Pair, y: Pair) -> Pair:
     return a / size, b / size
 
 
+def _length(square: ca.SX) -> ca.SX:
+    """Its root, whose derivative at zero is that of JAX: none."""
+    return select(square > 0, ca.sqrt(select(square > 0, square, 1.0)), square)
+
+
 def _exponential(x: Pair) -> Pair:
     size = ca.exp(x[0])
     return size * ca.cos(x[1]), size * ca.sin(x[1])
@@ -162,7 +167,7 @@ def _exponential(x: Pair) -> Pair:
 
 # Functions of complex arrays of one shape, as pairs.
 _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
-    "abs": lambda x: ca.sqrt(x[0] * x[0] + x[1] * x[1]),
+    "abs": lambda x: _length(x[0] * x[0] + x[1] * x[1]),
     "add": _sum,
     "add_any": _sum,
     "conj": lambda x: (x[0], -x[1]),
