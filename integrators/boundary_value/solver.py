@@ -10,6 +10,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import taken
+from ...optional import needed
 from ...reading import is_reading, one_reading, reads_once
 from ..evaluator import chosen
 from ..free import is_free
@@ -59,7 +60,8 @@ class Solver:
 
     What the functions read when the solver is made stays as it was. What changes from call to call is an argument:
     ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at
-    the first call, and again for parameters of another structure.
+    the first call, and again for parameters of another structure. Raises ``MissingPackageError`` without Numba, whose
+    kernels solve the linear systems on either evaluator.
     """
 
     @known_options
@@ -67,6 +69,7 @@ class Solver:
         self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: Any = "automatic"
     ) -> None:
         require_concrete("Solver", problem)
+        needed("numba", "a solver")
         check_problem(problem, method)
         self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
         self._evaluator = chosen(evaluator)

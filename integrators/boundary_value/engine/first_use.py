@@ -5,6 +5,7 @@ Numba compiles one function at a time in a process, and those of a pass take nin
 the disk, where this one finds what the other has made.
 """
 
+import logging
 import os
 import sys
 from functools import cache
@@ -50,7 +51,10 @@ def begin() -> None:
     """Start the other process, once, if there is something for it to do."""
     from ....kernels import is_missing
 
-    if not (_may_start() and any(is_missing(kernel, kinds.args) for kernel, kinds in _shared())):
+    if not any(is_missing(kernel, kinds.args) for kernel, kinds in _shared()):
+        return
+    logging.getLogger("retrax").info("kernels are compiled for some seconds, once for this environment of Python")
+    if not _may_start():
         return
     code = f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import compile_shared; compile_shared()"
     # It computes nothing: where there is a GPU, it takes none of its memory.

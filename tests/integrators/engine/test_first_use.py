@@ -1,6 +1,7 @@
 """On the first use in an environment another process compiles a part of the kernels, or, where none can, this one."""
 
 import itertools
+import logging
 import os
 import subprocess
 import sys
@@ -52,12 +53,14 @@ def started(monkeypatch):
 
 
 @pytest.mark.parametrize("missing", list(itertools.product((False, True), repeat=2)))
-def test_a_process_is_started_once_if_one_of_its_kernels_is_not_on_the_disk(started, monkeypatch, missing):
+def test_a_process_is_started_once_if_one_of_its_kernels_is_not_on_the_disk(started, monkeypatch, missing, caplog):
+    caplog.set_level(logging.INFO, "retrax")
     answers = iter(missing)
     monkeypatch.setattr(kernels, "is_missing", lambda kernel, kinds: next(answers))
     first_use.begin()
     first_use.begin()
     assert len(started) == any(missing)
+    assert [record.message[:24] for record in caplog.records] == ["kernels are compiled for"] * any(missing)
     for arguments, options in started:
         assert arguments[:2] == (sys.executable, "-c")
         assert repr(sys.path) in arguments[2]
