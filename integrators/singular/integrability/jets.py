@@ -22,8 +22,9 @@ from ...problem import OptimalControlProblem
 Pair = tuple[Ambient, Ambient]
 Jet = Float[Array, "order+1 m"]
 Flat = Float[Array, " N"]
-# What jet raises of a primitive that it has no rule for, that is not in its table, and that keeps what it is given.
-UNSUITED = NotImplementedError, KeyError, jax.errors.UnexpectedTracerError
+# What jet raises of a primitive that it has no rule for, that is not in its table, and, before JAX 0.11 and since, that
+# has derivatives of its own.
+UNSUITED = NotImplementedError, KeyError, jax.errors.UnexpectedTracerError, AttributeError
 
 
 def control_slope(problem: OptimalControlProblem, z: Pair, center: Ambient, c: Array) -> Float[Array, " m"]:
