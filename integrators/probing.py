@@ -261,8 +261,6 @@ def kink_words(bent: Bend, direction: np.ndarray, slopes: np.ndarray, controls: 
 HINTS = {  # by parts of what an error says
     "item assignment": "try jnp.stack([...]) of all entries, or x = x.at[0].set(...)",
     "unsupported operand": "try an array, jnp.array([...]), in place of a list or a tuple",
-    "out of range": "index what is there",
-    "out of bounds": "index what is there",
 }
 
 
@@ -270,7 +268,8 @@ def failure_words(problem: "OptimalControlProblem", error: Exception, q: Ambient
     """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
     shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
     reason = str(error).rstrip(".")
-    hint = next((words for part, words in HINTS.items() if part in reason), "try another number of controls")
+    other = "try another number of controls, or index what is there"
+    hint = next((words for part, words in HINTS.items() if part in reason), other)
     if isinstance(error, jax.errors.JAXTypeError):
         reason, hint = f"JAX cannot trace them ({type(error).__name__})", TRACEABLE
     elif not _has_velocity(problem, q, u) and _has_velocity(problem, u, q):

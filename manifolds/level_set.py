@@ -2,7 +2,6 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import replace
 from inspect import get_annotations, signature
 from math import prod
 from typing import Any
@@ -12,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .manifold import Manifold, Verdict
+from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
 from .numerics.errors import InvalidInputError, shapes_of
@@ -118,14 +117,9 @@ class LevelSet(Manifold):
         off = vec.size(values) / jnp.maximum(vec.size(x), 1.0)
         return {"max |constraint / its gradient|": off, LOST: lost}
 
-    def judge(self, violations: dict[str, Array], limit: float) -> Verdict:
-        verdict = super().judge(violations, limit)
-        if LOST not in verdict.reason:
-            return verdict
-        hint = (
-            "; its equations must be independent: leave out one that follows from others, and take c in place of c**2"
-        )
-        return replace(verdict, reason=verdict.reason + hint)
+    def _hint(self, words: str, value: float) -> str:
+        lost = "its equations must be independent: leave out one that follows from others, and take c in place of c**2"
+        return f"; {lost}" if words == LOST else super()._hint(words, value)
 
     def random_point(self, key: Array) -> Array:
         """A random ambient point moved to the level set by least squares; an error if 20 draws find none."""

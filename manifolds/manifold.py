@@ -112,11 +112,15 @@ class Manifold(eqx.Module):
         """The verdict on a point with these violations of the defining equations."""
         for words, value in violations.items():
             if not float(value) <= limit:
-                hint = "; restore(x) brings a point near the manifold onto it" if float(value) < NEAR else ""
+                hint = self._hint(words, float(value))
                 return Verdict(
                     False, f"not on {self}: {words} is {float(value):.3g}, expected at most {limit:.1g}{hint}"
                 )
         return Verdict(True, f"a point of the manifold to {limit:.1g}")
+
+    def _hint(self, words: str, value: float) -> str:
+        """What to try where a point violates the equation of these words by a value, behind a semicolon."""
+        return "; restore(x) brings a point near the manifold onto it" if value < NEAR else ""
 
     def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:
         """Whether ``v`` is tangent at ``x``: its normal part, relative to ``1 + max |v|``, is below ``tolerance``."""

@@ -23,8 +23,7 @@ from numba.core.compiler import CompilerBase, DefaultPassBuilder
 from numba.core.compiler_machinery import PassManager, register_pass
 from numba.core.typed_passes import NativeLowering
 
-from .errors import CompilingInterrupted
-from .undisturbed import undisturbed
+from .undisturbed import compiling, undisturbed
 
 
 class _Code(JITCodeLibrary):
@@ -189,25 +188,13 @@ def kernel(vectors: bool = False, **options: Any) -> Callable[[Any], Any]:
         except RuntimeError as error:  # there is no folder that it can be kept in
             _warn(error)
             found = _njit(**own)(function)
-        found.compile = undisturbed(_told(found.compile))
+        found.compile = undisturbed(compiling()(found.compile))
         if _has_a_place(found):
             found._cache._cache_file._source_stamp = _digest(function.__module__)
             _forgive(found._cache)
         return found
 
     return made
-
-
-def _told(compile_it: Callable[..., Any]) -> Callable[..., Any]:
-    """The function, of which an interrupt says that it compiles."""
-
-    def run(*given: Any) -> Any:
-        try:
-            return compile_it(*given)
-        except KeyboardInterrupt as interrupt:
-            raise CompilingInterrupted(*interrupt.args) from interrupt
-
-    return run
 
 
 def _has_a_place(kernel: Any) -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 from subprocess import DEVNULL, Popen, TimeoutExpired
 from typing import Any
 
-from ....errors import CompilingInterrupted
+from ....undisturbed import compiling
 
 # Numba is imported where a kernel is asked for, and not with the library.
 
@@ -68,11 +68,10 @@ def begin() -> None:
 
 def ready(kernel: Any) -> Any:
     """The kernel, once the other process has ended: what that has not kept is compiled here."""
-    for process in _begun:
-        try:
-            process.wait(LONGEST)
-        except TimeoutExpired:
-            process.kill()
-        except KeyboardInterrupt as interrupt:
-            raise CompilingInterrupted(*interrupt.args) from interrupt
+    with compiling():
+        for process in _begun:
+            try:
+                process.wait(LONGEST)
+            except TimeoutExpired:
+                process.kill()
     return kernel

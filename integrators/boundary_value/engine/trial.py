@@ -171,7 +171,7 @@ class Trial(ABC):
     @cached_property
     def _calls(self) -> tuple[int, ...]:
         """The addresses of all kernels that a pass calls."""
-        own = self.addresses()
+        own = self.addresses()  # before the common ones, of which another process may compile the last
         return *self._kernels.addresses(self.limited), *own
 
     @abstractmethod

@@ -78,8 +78,8 @@ def meet_conditions(
     """Close the gaps and meet the boundary conditions from a guess, with gauge controls of least norm.
 
     Damped Gauss-Newton with steps of least norm. It ends with ``Result.no_extremal`` where the residual is stationary
-    and does not vanish: the conditions contradict each other there; with ``Result.stopped`` by the callback or an
-    interrupt.
+    and does not vanish: the conditions contradict each other there; with ``Result.stopped`` where the callback
+    returns something true.
     """
     still = jax.tree.map(lambda leaf: jnp.zeros((len(leaf), shooting.final.dimension, *leaf.shape[1:])), guess.points)
     weights = _weights(shooting, guess)

@@ -398,22 +398,3 @@ def test_what_is_done_before_the_iterations_is_printed_where_it_is_asked_for(ver
     numbers = [f"{count:>9} " for count in range(solution.statistics.iterations + 1)]
     expected, lines = [*words, *numbers, "is examined"] if verbose else [], capsys.readouterr().out.splitlines()
     assert [part in line for part, line in zip(expected, lines, strict=True)] == [True] * len(expected)
-
-
-@pytest.mark.parametrize("last", [0, 1, 100])
-def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last):
-    seen = []
-
-    def stop(iteration):
-        seen.append(iteration)
-        return iteration.number == last
-
-    given = (ZERO, None), (ONE, None), np.pi / 2, 8
-    known = {"classification": classified(ALY_CHAN), "throw": False}
-    found = solve(ALY_CHAN, MIDPOINT, *given, callback=stop, **known)
-    assert [iteration.number for iteration in seen] == list(range(len(seen)))
-    assert all(np.isfinite(iteration.gap).all() and np.isnan(iteration.cost).all() for iteration in seen)
-    assert found.success == (last == 100)
-    assert len(seen) == (found.statistics.iterations + 1 if found.success else last + 1)
-    if not found.success:
-        assert found.result == Result[Result.stopped]
