@@ -107,12 +107,33 @@ def null_frame(rows: Float[Array, "m n"]) -> Float[Array, "n-m n"]:
 def adapted_frame(projector: Matrix, rank: int) -> Matrix:
     """Orthogonal matrix whose first ``rank`` columns span the image of an orthogonal projector, the others its kernel.
 
-    The eigenvectors are frozen; carried into image and kernel and made orthonormal again they move with the projector.
+    Columns of the projector, and of that on the kernel, made orthonormal; which ones is frozen, they move with it.
     """
-    u = jnp.linalg.eigh(jax.lax.stop_gradient(projector))[1][:, ::-1]
-    image = projector @ u
-    carried = jnp.where(jnp.arange(u.shape[1]) < rank, image, u - image)
-    return jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(carried.T @ carried), carried.T, lower=True).T
+    n = projector.shape[0]
+    parts = (projector, rank), (jnp.eye(n, dtype=projector.dtype) - projector, n - rank)
+    return jnp.concatenate([_spanned(part, count) for part, count in parts], axis=1)
+
+
+def _spanned(projector: Matrix, rank: int) -> Frame:
+    """Orthonormal columns, as many as the rank of a projector, that span its image."""
+    carried = projector @ _pivots(jax.lax.stop_gradient(projector), rank).T
+    # Made orthonormal twice: rounding of the first time grows with the square of the condition of the columns.
+    for _ in range(2):
+        factor = jnp.linalg.cholesky(carried.T @ carried)
+        carried = jax.scipy.linalg.solve_triangular(factor, carried.T, lower=True).T
+    return carried
+
+
+def _pivots(projector: Matrix, rank: int) -> Float[Array, "p n"]:
+    """The unit vectors of which elimination finds the images the farthest from the span of those before."""
+    names = jnp.arange(projector.shape[0])
+
+    def eliminate(a: Matrix, _: None) -> tuple[Matrix, Array]:
+        chosen = jnp.where(names == jnp.argmax(jnp.diagonal(a)), 1.0, 0.0).astype(a.dtype)
+        column = a @ chosen
+        return a - jnp.outer(column, column) / (column @ chosen), chosen
+
+    return jax.lax.scan(eliminate, projector, None, length=rank)[1]
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))

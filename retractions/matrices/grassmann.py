@@ -14,7 +14,6 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import Grassmann
 from ...manifolds.numerics.frames import adapted_frame, polar_factor
-from ...manifolds.numerics.matrices import exponential
 from ..groups.functions import rotations
 from ..retraction import MidpointRetraction, implicit_preimage, nan_unless
 from ..rounding import EDGE, is_seen_beside, keeps_half_the_digits, length
@@ -102,7 +101,7 @@ class GrassmannExponential(_AlignedProjector):
     manifold: Grassmann
 
     def rotation(self, omega: Array) -> Array:
-        return exponential(omega)
+        return rotations.exponential(omega)
 
     def generator(self, rotation: Array) -> Array:
         return rotations.logarithm(rotation)

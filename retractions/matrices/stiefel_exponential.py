@@ -24,7 +24,10 @@ _TURNS = 60  # of the second half of the frame in the canonical logarithm
 class StiefelExponential(Retraction):
     """Geodesics of the embedded metric [Edelman, Arias, Smith 1998, 2.2.2]: with ``a = x'v`` and ``s = v'v``,
 
-        R(x, v) = [x, v] exp [[a, -s], [I, a]] [I; 0] exp(-a).
+        R(x, v) = [x, v] exp [[a, -s], [I, a]] [I; 0] exp(-a) = exp(vx' - xv') x exp(-a),
+
+    the second where its matrices are not larger, ``n <= 2p`` [Hueper, Markina, Silva Leite 2021, of their family of
+    metrics the one for alpha = -1/2].
 
     Inverse (logarithm) by shooting [after Zimmermann, Hueper 2022]: from the chord, Levenberg-Marquardt steps, with
     derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is
@@ -38,11 +41,14 @@ class StiefelExponential(Retraction):
     manifold: Stiefel
 
     def retract(self, x: Array, v: Array) -> Array:
-        p = x.shape[1]
+        n, p = x.shape
         v = self.manifold.projection(x, v)
         a, s = self.manifold.skew(x, v), v.T @ v
+        back = rotations.exponential(-a)
+        if n <= 2 * p:
+            return rotations.exponential(v @ x.T - x @ v.T) @ x @ back
         flow = exponential(jnp.block([[a, -s], [jnp.eye(p, dtype=x.dtype), a]]))[:, :p]
-        return (x @ flow[:p] + v @ flow[p:]) @ exponential(-a)
+        return (x @ flow[:p] + v @ flow[p:]) @ back
 
     def preimage(self, x: Array, y: Array) -> Array:
         v = newton_preimage(self, x, y, start=self._near(*jax.lax.stop_gradient((x, y))))

@@ -1,7 +1,7 @@
 """Functions of skew and orthogonal matrices, with derivatives that are right everywhere, the identity included.
 
 In two and three dimensions a skew matrix has one angle, ``omega^3 = -|w|^2 omega``, and every function of it is a
-quadratic polynomial [Lynch, Park 2017, 3.2.3].
+quadratic polynomial [Lynch, Park 2017, 3.2.3]; in four dimensions it has two.
 """
 
 import jax.numpy as jnp
@@ -32,11 +32,30 @@ def smallest_cosine(a: Matrix) -> Array:
 
 
 def exponential(omega: Matrix) -> Matrix:
-    """Matrix exponential of a skew matrix; Rodrigues' formula for n = 2 and 3."""
-    if omega.shape[0] <= 3:
+    """Matrix exponential of a skew matrix; Rodrigues' formula for n = 2 and 3.
+
+    For n = 4 a skew matrix is a sum of two that commute, one its own dual, one minus its own, of two equal angles each:
+    ``a a = -s I``, whose exponential is ``cos(sqrt(s)) I + sinc(sqrt(s)) a`` [Mebius 2005].
+    """
+    n = omega.shape[0]
+    if n > 4:
+        return general.exponential(omega)
+    eye = jnp.eye(n, dtype=omega.dtype)
+    if n < 4:
         s = squared_angle(omega)
-        return jnp.eye(omega.shape[0], dtype=omega.dtype) + series.sinc(s) * omega + series.cosc(s) * (omega @ omega)
-    return general.exponential(omega)
+        return eye + series.sinc(s) * omega + series.cosc(s) * (omega @ omega)
+    dual = _dual(omega)
+    left, right = (
+        series.cosine(s) * eye + series.sinc(s) * a
+        for a, s in ((a, squared_angle(a) / 2) for a in ((omega + dual) / 2, (omega - dual) / 2))
+    )
+    return left @ right
+
+
+def _dual(omega: Matrix) -> Matrix:
+    """The dual of a skew matrix, n = 4: entries of the first row change places with those that they do not touch."""
+    first, rest = omega[0, 1:], vee(omega[1:, 1:])
+    return jnp.block([[jnp.zeros((1, 1), omega.dtype), -rest[None]], [rest[:, None], -hat(first)]])
 
 
 def logarithm(a: Matrix) -> Matrix:
