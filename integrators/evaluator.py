@@ -11,10 +11,11 @@ from jax.extend.core import ClosedJaxpr
 
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
+from ..optional import numba_is_there
 from ..reading import traced
 from .compilation import in_chunks, of_rows
 from .evaluated import Arrays, Evaluated, Evaluator, Function
-from .tape_evaluator import ALL_TRACED, TapeEvaluator
+from .tape_evaluator import ALL_TRACED, MOST_OPERATIONS, LargeTapeError, TapeEvaluator
 
 
 @final
@@ -84,10 +85,10 @@ def _filled(axes: int, arguments: Sequence[np.ndarray]) -> tuple[tuple[int, ...]
 
 @final
 class Automatic(Evaluator):
-    """Runs a function as a tape where it can be traced to scalars, else by XLA."""
+    """Runs a function as a tape where it can be traced to scalars, and these are not too many, else by XLA."""
 
     def __init__(self) -> None:
-        self._tape, self._refusals = TapeEvaluator(), list[str]()
+        self._tape, self._refusals = TapeEvaluator(MOST_OPERATIONS), list[str]()
 
     @property
     def name(self) -> str:
@@ -103,10 +104,12 @@ class Automatic(Evaluator):
         from ..tape import NotTraceableError
 
         try:
-            return self._tape._made(function, sizes, first)
-        except NotTraceableError as error:
+            if numba_is_there():
+                return self._tape._made(function, sizes, first)
+            self._refusals.append("Numba is not available, which makes the machine for tapes")
+        except (NotTraceableError, LargeTapeError) as error:
             self._refusals.append(str(error))
-            return XlaEvaluator(str(error))._made(function, sizes, first)
+        return XlaEvaluator(self._refusals[-1])._made(function, sizes, first)
 
     def compile(self) -> None:
         self._tape.compile()

@@ -11,6 +11,7 @@ from weakref import WeakSet
 import numpy as np
 
 from ..aligned import LINE, aligned
+from ..errors import RetraxError
 from .evaluated import Arrays, Evaluated, Evaluator, Function, Placed
 from .program_keys import content_key
 
@@ -19,21 +20,36 @@ if TYPE_CHECKING:
     from ..tape.program import Program
 
 MOST_TAPES = 256
+MOST_OPERATIONS = 1_000_000  # of a graph: XLA compiles the function of a larger one in less time than a tape is made
 PLANS = 8  # of a tape, for as many shapes of its arrays
 ROOM = 2**17  # numbers that the small tapes of a thread share, in the near caches
 # As many times more operations are one thread's in a pass of several kernels, which spares what is between them.
 IN_ONE_PASS = 4.0
-_tapes: dict[Hashable, "Tape"] = {}  # by what they compute, the last one that was asked for at the end
-
 ALL_TRACED = "all functions are traced to scalar operations"
 
 
 @final
-class TapeEvaluator(Evaluator):
-    """Runs functions as tapes of scalar instructions, in double precision; nothing is compiled for a problem."""
+class LargeTapeError(RetraxError, ValueError):
+    """The graph of a tape is larger than was asked for."""
 
-    def __init__(self) -> None:
-        self._tapes = WeakSet["Tape"]()
+    def __init__(self, size: int, most: float) -> None:
+        super().__init__(f"its derivatives are {size} scalar operations, more than {most:.0f}: XLA takes less time")
+
+
+# By what they compute, the last one that was asked for at the end.
+_tapes: dict[Hashable, "Tape | LargeTapeError"] = {}
+
+
+@final
+class TapeEvaluator(Evaluator):
+    """Runs functions as tapes of scalar instructions, in double precision; nothing is compiled for a problem.
+
+    ``most``: scalar operations in the graph of a tape, of which some are one instruction; larger ones raise
+    ``LargeTapeError``.
+    """
+
+    def __init__(self, most: float = math.inf) -> None:
+        self._tapes, self._most = WeakSet["Tape"](), most
 
     @property
     def name(self) -> str:
@@ -47,7 +63,7 @@ class TapeEvaluator(Evaluator):
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
         d = [] if first is None else [np.zeros(first)]
-        tape = _tape(function, [*d, *(np.zeros(size) for size in sizes)], first is not None)
+        tape = _tape(function, [*d, *(np.zeros(size) for size in sizes)], first is not None, self._most)
         self._tapes.add(tape)
         return _OnTape(tape)
 
@@ -56,22 +72,25 @@ class TapeEvaluator(Evaluator):
             tape.compile()
 
 
-def _tape(function: Function, examples: list[np.ndarray], expanded: bool) -> "Tape":
+def _tape(function: Function, examples: list[np.ndarray], expanded: bool, most: float) -> "Tape":
     """The tape of a function, or of its expansion; functions that compute the same have one."""
     from ..tape import Tape
     from ..tape.trace import flat
 
     program = flat(function, *examples)
     content = content_key(program.jaxpr, differentiated=expanded)
-    key = content, program.result, expanded
+    key = content, program.result, expanded, most
     tape = None if content is None else _tapes.pop(key, None)
     if tape is None:
         tape = Tape.read(program)
         tape = tape.expansion() if expanded else tape
+        tape = tape if tape.size <= most else LargeTapeError(tape.size, most)
     if content is not None:
         _tapes[key] = tape
         if len(_tapes) > MOST_TAPES:
             _tapes.pop(next(iter(_tapes)), None)
+    if isinstance(tape, LargeTapeError):
+        raise tape
     return tape
 
 

@@ -10,7 +10,6 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import taken
-from ...optional import needed
 from ...reading import is_reading, one_reading, reads_once
 from ..evaluator import chosen
 from ..free import is_free
@@ -60,8 +59,8 @@ class Solver:
 
     What the functions read when the solver is made stays as it was. What changes from call to call is an argument:
     ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at
-    the first call, and again for parameters of another structure. Raises ``MissingPackageError`` without Numba, whose
-    kernels solve the linear systems on either evaluator.
+    the first call, and again for parameters of another structure. Without Numba XLA is the evaluator, Python solves the
+    linear systems, and one warning says that this takes long.
     """
 
     @known_options
@@ -69,7 +68,6 @@ class Solver:
         self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: Any = "automatic"
     ) -> None:
         require_concrete("Solver", problem)
-        needed("numba", "a solver")
         check_problem(problem, method)
         self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
         self._evaluator = chosen(evaluator)

@@ -143,7 +143,7 @@ class _PartCompiler(_Compiler):
 
 _errors: list[Exception] = []  # of what could not be kept
 
-IMPORT = re.compile(r"^from (\.+[\w.]*) import (.*)$", re.MULTILINE)
+IMPORT = re.compile(r"^ *from (\.+[\w.]*) import (.*)$", re.MULTILINE)
 
 
 @cache

@@ -1,9 +1,11 @@
 """Packages that are imported where they are used."""
 
+import warnings
+from functools import cache
 from importlib import import_module
 from typing import Any
 
-from .manifolds import RetraxError
+from .errors import RetraxError
 
 
 class MissingPackageError(RetraxError, ImportError):
@@ -22,3 +24,18 @@ def needed(name: str, what: str) -> Any:
         raise MissingPackageError(
             f"{what} needs the package {package}, which is not installed; try: pip install {package}"
         ) from error
+
+
+@cache
+def numba_is_there() -> bool:
+    """Whether Numba is, as not yet for each new Python; a warning says, once, how all goes on without it."""
+    try:
+        import_module("numba")
+    except (ImportError, RuntimeError, SystemError) as error:
+        warnings.warn(
+            f"Numba is not available: {error}. XLA compiles functions instead, tapes run on CasADi's machine, and "
+            "Python solves the linear systems of solve, which takes some hundred times longer; try: pip install numba",
+            stacklevel=2,
+        )
+        return False
+    return True

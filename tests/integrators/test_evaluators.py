@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, Solver, SymplecticIntegrator, integrate
+from retrax.integrators import evaluator as evaluators
 from retrax.integrators.tape_evaluator import TapeEvaluator
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint
@@ -44,6 +45,27 @@ def test_a_solver_runs_on_the_tape_as_far_as_linear_systems_are_written_out():
         costs.append(solver.solve(np.zeros(1), np.ones(1), 1.0).cost)
         assert solver.evaluator == ("tape" if rows <= LARGEST_FACTOR else "xla"), (rows, solver.reason)
         assert (f"{rows} rows" in solver.reason) == (rows > LARGEST_FACTOR)
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-12)
+
+
+def test_a_solver_runs_on_the_tape_as_far_as_its_graphs_are_not_too_large(monkeypatch):
+    """Swept through the size of the largest graph, with the same solution on both sides."""
+    sizes, made = [], Tape.size.fget
+    monkeypatch.setattr(Tape, "size", property(lambda tape: sizes.append(made(tape)) or sizes[-1]))
+    problem = OptimalControlProblem(LINE, lambda q, u: u - jnp.sin(q), lambda q, u: u @ u / 2, 1)
+
+    def solver():
+        return Solver(problem, Gauss(2, Addition(LINE)), 4)
+
+    costs = [solver().solve(np.zeros(1), np.ones(1), 1.0).cost]
+    largest = max(sizes)
+    for most in (largest + 1, largest, largest - 1, 1):
+        monkeypatch.setattr(evaluators, "MOST_OPERATIONS", most)
+        mine = solver()
+        costs.append(mine.solve(np.zeros(1), np.ones(1), 1.0).cost)
+        assert mine.evaluator == ("tape" if most >= largest else "xla"), (most, mine.reason)
+        assert (f"more than {most}" in mine.reason) == (most < largest)
+        assert Solver(problem, MIDPOINT, 4, evaluator="tape").evaluator == "tape"
     np.testing.assert_allclose(costs, costs[0], rtol=1e-12)
 
 

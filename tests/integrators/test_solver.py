@@ -1,6 +1,5 @@
 """The solver that a user holds: parameters, batches, unequal steps, callbacks, interrupts, evaluators."""
 
-import sys
 from itertools import pairwise
 
 import jax
@@ -8,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Result, Solver, solve
-from retrax.interop import MissingPackageError
 from retrax.manifolds import Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Exponential, Gauss, Midpoint, Projection, default_retraction
 
@@ -316,9 +314,3 @@ def test_ends_may_be_shared_and_free_in_a_batch(solver):
         np.testing.assert_allclose(found.costates[-1], -slope, rtol=1e-10)
     with pytest.raises(InvalidInputError, match="one length B"):
         several.solve_many(starts, None, [1.0, 2.0], parameters=parameters)
-
-
-def test_a_solver_without_numba_says_what_it_needs(monkeypatch, bound):
-    monkeypatch.setitem(sys.modules, "numba", None)
-    with pytest.raises(MissingPackageError, match=r"a solver needs the package numba, .*; try: pip install numba"):
-        Solver(bound.problem, bound.method, 3, evaluator="xla")

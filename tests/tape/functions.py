@@ -6,6 +6,7 @@ import numpy as np
 
 ZERO = np.zeros(3)
 TABLE = jnp.array([0.2j, 0.5 + 1.0j, 0.3 - 2.0j])
+SIDES = np.array([-1.0, 0.5, 2.0])
 TIES = np.array([0.0, 1.0, -1.0])
 
 # Smooth where they are sampled: compared with XLA in value, gradient and Hessian, at random points of (0, 1)^3.
@@ -170,6 +171,13 @@ SPECIAL = {
     "guarded": (lambda x: jnp.where(x == 0, 1.0, jnp.sin(jnp.where(x == 0, 1.0, x)) / jnp.where(x == 0, 1.0, x)), ZERO),
     "guarded norm": (lambda x: x * jnp.where(x @ x == 0, 0.0, jnp.sqrt(jnp.where(x @ x == 0, 1.0, x @ x))), ZERO),
     "pivots": (lambda x: jnp.linalg.solve(jnp.array([[0.0, 1.0, 0.0], [1.0, 0, 0], [0, 0, 1]]) + x[0], 1 + x), ZERO),
+    "cube of what is known or NaN": (
+        lambda x: _cube(jnp.where(x @ x < 9, jnp.cross(x, jnp.eye(3)), jnp.nan)) @ x,
+        SIDES,
+    ),
+    "zero or infinite": (lambda x: jnp.where(x < 3, 0.0, -jnp.inf) * x**2 + x * jnp.where(x > 3, jnp.inf, 0.0), SIDES),
+    "NaN in the branch that is not taken": (lambda x: jnp.where(x > 0, jnp.log(x), 0.0) * x[::-1] ** 2, SIDES),
+    "truth as a factor": (lambda x: (x > 0) * jnp.log(x) * x[::-1] ** 2, SIDES),
     "triangular qr": (lambda x: jnp.linalg.qr(jnp.triu(_matrix(x)))[1][0], ZERO),
 }
 
@@ -177,6 +185,10 @@ SPECIAL = {
 def _both(z):
     """A real number that shows either part of a complex one."""
     return jnp.real(z) + 2 * jnp.imag(z)
+
+
+def _cube(a):
+    return a @ a @ a
 
 
 def _place(x):

@@ -68,6 +68,22 @@ def test_values_and_two_derivatives_are_those_of_xla(name, by_xla):
     np.testing.assert_allclose(tape.hessian()(points), curvatures, rtol=1e-10, atol=1e-11)
 
 
+@pytest.mark.parametrize("lost", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_not_finite_come_where_they_are_asked_for(lost):
+    """Through the point where a choice changes, from either side: in values, and in a derivative by a factor."""
+    x = np.array([-1.0, -1e-300, 0.0, 1e-300, 1.0])
+    for choice in (
+        lambda x, y: jnp.where(x > 0, x, lost) * y,
+        lambda x, y: jnp.where(x < 0, lost, 0.0) * y,
+        lambda x, y: jnp.where(x > 0, lost, -lost) * y,
+        lambda x, y: jnp.where(x < 0, jnp.where(x < -0.5, 1.0, lost), x) * y,
+    ):
+        tape, y = Tape.trace(choice, 0.0, 0.0), np.full(5, 3.0)
+        np.testing.assert_array_equal(tape(x, y), jax.vmap(choice)(x, y))
+        np.testing.assert_array_equal(tape.gradient(1)(x, y)[0], jax.vmap(jax.grad(choice, 1))(x, y))
+        np.testing.assert_array_equal(tape.hessian(1)(x, y), np.zeros((1, 1, 5)))
+
+
 def primitives(jaxpr, found):
     for eqn in jaxpr.eqns:
         found.add(eqn.primitive.name)

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from ....linked import view
 from .arrays import LANES
-from .vectors import add, compiled, filled, higher, inner, magnitude, part, plus, put_part, scaled
+from .vectors import add, compiled, filled, higher, inner, magnitude, part, plus, put_part, scaled, view
 
 STILL = 1e-12  # of its value: what an entry that is constant moves by, which rounding has made
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from subprocess import DEVNULL, Popen, TimeoutExpired
 from typing import Any
 
+from ....optional import numba_is_there
 from ....undisturbed import compiling
 
 # Numba is imported where a kernel is asked for, and not with the library.
@@ -49,6 +50,8 @@ def _may_start() -> bool:
 @cache
 def begin() -> None:
     """Start the other process, once, if there is something for it to do."""
+    if not numba_is_there():
+        return
     from ....kernels import is_missing
 
     if not any(is_missing(kernel, kinds.args) for kernel, kinds in _shared()):

@@ -6,6 +6,7 @@ from functools import cache
 from types import TracebackType
 from typing import Any, Self, final
 
+from ....optional import numba_is_there
 from ...compiling import ignore, listen
 
 _COMPILING: Any = "numba:compile"
@@ -16,11 +17,13 @@ class Stopwatch:
     """Seconds since it was made, apart from those in which Numba or XLA has compiled in the body of ``with``."""
 
     def __init__(self) -> None:
+        self._began, self._told = time.perf_counter(), 0.0
         self._event = _events()
-        self._began, self._heard, self._told = time.perf_counter(), self._event.TimingListener(), 0.0
+        self._heard = self._event and self._event.TimingListener()
 
     def __enter__(self) -> Self:
-        self._event.register(_COMPILING, self._heard)
+        if self._event:
+            self._event.register(_COMPILING, self._heard)
         listen(self._add)
         return self
 
@@ -28,11 +31,12 @@ class Stopwatch:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         ignore(self._add)
-        self._event.unregister(_COMPILING, self._heard)
+        if self._event:
+            self._event.unregister(_COMPILING, self._heard)
 
     def seconds(self) -> tuple[float, float]:
         """Seconds that took to compile, of all threads together, and all others."""
-        compiling = self._told + (self._heard.duration if self._heard.done else 0.0)
+        compiling = self._told + (self._heard.duration if self._heard and self._heard.done else 0.0)
         return compiling, max(0.0, time.perf_counter() - self._began - compiling)
 
     def _add(self, seconds: float) -> None:
@@ -41,6 +45,9 @@ class Stopwatch:
 
 @cache
 def _events() -> Any:
+    """The events of Numba; None where it is not."""
+    if not numba_is_there():
+        return None
     from numba.core import event  # here: who only imports the library does not wait for Numba
 
     return event

@@ -21,6 +21,7 @@ NAMES = (
     "ATAN", "ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1",
 )  # fmt: skip
 COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
+TRUTHS = frozenset({"LT", "LE", "EQ", "NE", "AND", "OR", "NOT"})  # what is true or false
 OPERANDS = 7  # at most
 CODES = {name: code for code, name in enumerate(NAMES)}
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
@@ -159,8 +160,20 @@ class _Reader:
                 made[outs[0]] = self.number(name, [], function.instruction_constant(k))
             elif name == "INPUT":
                 made[outs[0]] = given(ins[0], ins[1])
+            elif name == "MUL" and (choice := self._choice(*(made[i] for i in ins))):
+                made[outs[0]] = self.number("IF_ELSE_ZERO", choice)
             elif name == "DIV" and self._found[made[ins[1]]].name != "CONST":
                 inverse = self.number("INV", [made[ins[1]]])
                 made[outs[0]] = self.number("MUL", [made[ins[0]], inverse], divides=True)
             else:
                 made[outs[0]] = self.number(name, [made[i] for i in ins])
+
+    def _choice(self, left: int, right: int) -> list[int]:
+        """The operands of a product of which one is true or false, that one first; none if neither is.
+
+        Derivatives of a choice are such products, and the branch that is not taken may be NaN. XLA reads them so too.
+        """
+        for truth, other in ((left, right), (right, left)):
+            if self._found[truth].name in TRUTHS:
+                return [truth, other]
+        return []

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -14,6 +13,7 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
+from ..optional import numba_is_there
 from ..threads import in_threads, worth_threads
 from ..undisturbed import put_off
 from .arrays import Entries, column, is_complex, parts, scalars
@@ -89,6 +89,13 @@ class Tape(Often):
     def instructions(self) -> int:
         """Number of instructions."""
         return len(self.program.codes)
+
+    @property
+    def size(self) -> int:
+        """Number of scalar operations in the graph, in which some are the same: the time in which its instructions are
+        made grows with it."""
+        (outputs,), loops = self.graph.scheduled([self.outputs])
+        return ca.n_nodes(ca.vertcat(outputs, *(part for loop in loops for part in (loop.first, loop.given))))
 
     @cached_property
     def inputs(self) -> ca.SX:
@@ -323,11 +330,9 @@ def _rows(count: int, points: int) -> np.ndarray:
 
 @cache
 def _machine() -> ModuleType | None:
-    """The compiled machine; None, after a warning, where Numba cannot make it."""
-    try:
-        with put_off():
-            from . import machine
-    except (ImportError, RuntimeError) as error:  # no Numba for this Python, or no folder for its cache
-        warnings.warn(f"tapes run slowly, on CasADi's machine, because Numba's is not available: {error}", stacklevel=2)
+    """The compiled machine; None where there is no Numba to compile it."""
+    if not numba_is_there():
         return None
+    with put_off():
+        from . import machine
     return machine
