@@ -1,7 +1,6 @@
-"""Where the iterates of Newton's method stand, whether a trial is accepted inside the funnel, and with which shift to
-go on."""
+"""Where the iterates of Newton's method stand, whether a trial is accepted, and with which shift to go on."""
 
-from typing import NamedTuple, Self, final
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -29,11 +28,6 @@ class Merit(NamedTuple):
     infeasibility: np.ndarray
     cost: np.ndarray
     held: np.ndarray
-
-    @classmethod
-    def of(cls, conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Self:
-        """Those at an iterate."""
-        return cls(*conditions.merit(iterate, assembled))
 
 
 class State(NamedTuple):
@@ -70,22 +64,42 @@ class Judgement(NamedTuple):
     done_with: np.ndarray
 
 
-def judged(
-    state: State,
-    trial: Merit,
-    reached: tuple[np.ndarray, np.ndarray, np.ndarray],
-    first: bool,
-    tolerance: float,
-) -> Judgement:
-    """The judgement of trials; ``reached``: their residuals, what each lacks most alone, and their costs; ``first``: no
-    trial was judged before.
-    """
-    from . import acceptance_kernels
+@final
+class Funnel:
+    """Which trials are accepted: the ``value`` of an iterate, the ``slope`` of a step, and what it ``accepts``.
 
-    step, count = state.step, len(state.funnel)
-    made = state.descends, state.promised, state.turned, step.reach, step.followed, state.fraction
-    standing = state.funnel, state.best, state.shift, *reached
-    found = Judgement(*np.empty((4, count)), *np.empty((2, count), bool))
-    given = made, tuple(state.merit), tuple(trial), standing
-    acceptance_kernels.judge(*given, first, tolerance, (RULES, SHIFTS), tuple(found))
-    return found
+    ``Descent`` asks nothing else of it, and would ask the same of another merit function or filter. The compiled passes
+    of whole steps judge by the kernel of this one.
+    """
+
+    def __init__(self, tolerance: float) -> None:
+        self.tolerance = tolerance
+
+    def value(self, conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Merit:
+        """The merit of iterates."""
+        return Merit(*conditions.merit(iterate, assembled))
+
+    def width(self, value: Merit) -> np.ndarray:
+        """The infeasibility that no iterate exceeds, where a search begins."""
+        return np.maximum(value.infeasibility, 1.0)
+
+    def slope(
+        self, conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Changes of the cost and of the multipliers on what is lacking, to first order, by whole steps."""
+        return conditions.promise(iterate, assembled, step)
+
+    def accepts(
+        self, state: State, trial: Merit, reached: tuple[np.ndarray, np.ndarray, np.ndarray], first: bool
+    ) -> Judgement:
+        """The judgement of trials; ``reached``: their residuals, what each lacks most alone, and their costs;
+        ``first``: no trial was judged before."""
+        from . import acceptance_kernels
+
+        step, count = state.step, len(state.funnel)
+        made = state.descends, state.promised, state.turned, step.reach, step.followed, state.fraction
+        standing = state.funnel, state.best, state.shift, *reached
+        found = Judgement(*np.empty((4, count)), *np.empty((2, count), bool))
+        given = made, tuple(state.merit), tuple(trial), standing
+        acceptance_kernels.judge(*given, first, self.tolerance, (RULES, SHIFTS), tuple(found))
+        return found

@@ -20,7 +20,7 @@ import numpy as np
 from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
-from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Judgement, Merit, State, judged
+from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Funnel, Judgement, State
 from .aside import aside, is_lost
 from .batches import merged, put
 from .conditions import Conditions
@@ -55,6 +55,7 @@ class Descent:
     ) -> None:
         self.conditions, self.tolerance = conditions, tolerance
         self.max_iterations, self.callback = max_iterations, callback
+        self.funnel = Funnel(tolerance)
         self.as_it_is, self.lost = as_it_is, np.zeros(0, bool)  # which guesses are moved aside
         self.state: State | None = None
         self._own: tuple[np.ndarray, Conditions] | None = None
@@ -147,7 +148,7 @@ class Descent:
             assembled = conditions.assemble(guess)
             step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)
         self.first, residuals = lambda: (guess, assembled), conditions.residuals(guess, assembled)
-        merit = Merit.of(conditions, guess, assembled)
+        merit = self.funnel.value(conditions, guess, assembled)
         if not self.lost.size:
             looked = not (conditions.joint or self.as_it_is)
             self.lost = is_lost(conditions, guess, assembled, step) if looked else no
@@ -157,8 +158,8 @@ class Descent:
                     moved = moved._replace(slacks=Slacks.none(given.slacks.slacks.shape))
                 return self.begun(merged(self.lost, moved, given))
         far = np.full(count, np.inf)
-        numbers = np.maximum(merit.infeasibility, 1.0), one, shift, far, far, no, no, no
-        promise = descends, *conditions.promise(guess, assembled, step), merit
+        numbers = self.funnel.width(merit), one, shift, far, far, no, no, no
+        promise = descends, *self.funnel.slope(conditions, guess, assembled, step), merit
         self.trials = 1
         state = State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
         arrived = residuals.final <= self.tolerance
@@ -176,7 +177,7 @@ class Descent:
             state, good, again = self.judged(conditions, before, *met) if met else (state, good, again)
         # What rounding refuses beside a solution tells nothing about units.
         refused = again & ~good & ~before.isolated
-        state, wider = rewritten((self.conditions, conditions), before, state, assembled, refused)
+        state, wider = rewritten(self.funnel, (self.conditions, conditions), before, state, assembled, refused)
         self.trials += 1
         state, lowered = self.lowered(conditions, state)
         again |= lowered
@@ -203,7 +204,7 @@ class Descent:
         if vain.any():
             step, shift, descends = merged(vain, (before.step, before.shift, before.descends), (step, shift, descends))
             state = state._replace(fraction=np.where(vain, before.fraction / 2, state.fraction))
-        promise, turned = conditions.promise(state.iterate, state.assembled, step)
+        promise, turned = self.funnel.slope(conditions, state.iterate, state.assembled, step)
         state = state._replace(step=step, shift=shift, descends=descends, promised=promise, turned=turned)
         return self.settled(state, arrived, conditions)
 
@@ -245,12 +246,12 @@ class Descent:
         if not changed.any():
             return state, changed
         residuals = conditions.residuals(iterate, state.assembled)
-        merit = Merit.of(conditions, iterate, state.assembled)
+        merit = self.funnel.value(conditions, iterate, state.assembled)
         state = state._replace(
             iterate=iterate,
             residuals=residuals,
             merit=merit,
-            funnel=np.where(changed, np.maximum(merit.infeasibility, 1.0), state.funnel),
+            funnel=np.where(changed, self.funnel.width(merit), state.funnel),
             best=np.where(changed, residuals.largest, state.best),
             fraction=np.where(changed, 1.0, state.fraction),
         )
@@ -261,9 +262,9 @@ class Descent:
     ) -> tuple[State, np.ndarray, np.ndarray]:
         """The state with the trial where it improves, whether it does, and whether the step has to be computed
         again."""
-        merit = Merit.of(conditions, trial, assembled)
+        merit = self.funnel.value(conditions, trial, assembled)
         reached_now = found.largest, conditions.shortfall(trial, assembled), assembled.cost
-        found_now = judged(state, merit, reached_now, self.trials == 1 and trial.slacks is None, self.tolerance)
+        found_now = self.funnel.accepts(state, merit, reached_now, self.trials == 1 and trial.slacks is None)
         new, old = (trial, assembled, found, merit), (state.iterate, state.assembled, state.residuals, state.merit)
         iterate, kept, reached, merit = merged(found_now.good, new, old)
         going_on = dict(zip(Judgement._fields[:4], found_now[:4], strict=True))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .acceptance import Merit, State
+from .acceptance import Funnel, State
 from .batches import merged, put
 from .conditions import Conditions
 from .kkt_system import Assembled
@@ -39,11 +39,11 @@ def widened(conditions: Conditions, before: State, after: Assembled) -> Units:
 
 
 def rewritten(
-    both: tuple[Any, Any], before: State, state: State, trial: Assembled, refused: np.ndarray
+    rule: Funnel, both: tuple[Any, Any], before: State, state: State, trial: Assembled, refused: np.ndarray
 ) -> tuple[State, np.ndarray]:
     """The state in wider units where these are what the step is refused for; and where that is.
 
-    ``both``: the conditions of all members, and of those of the state.
+    ``rule``: by which trials are judged; ``both``: the conditions of all members, and of those of the state.
     """
     whole, conditions = both
     # Of phases each would have its own: they are left as they are.
@@ -58,7 +58,7 @@ def rewritten(
         # A copy: the units before are those that success is judged in.
         whole.wider = put(Units(*map(np.array, whole.measured)), state.member, conditions.wider)
     residuals = conditions.residuals(state.iterate, state.assembled)
-    merit = Merit.of(conditions, state.iterate, state.assembled)
-    funnel = np.where(wider, np.maximum(merit.infeasibility, 1.0), state.funnel)
+    merit = rule.value(conditions, state.iterate, state.assembled)
+    funnel = np.where(wider, rule.width(merit), state.funnel)
     best, shift = np.where(wider, residuals.largest, state.best), np.where(wider, before.shift, state.shift)
     return state._replace(residuals=residuals, merit=merit, funnel=funnel, best=best, shift=shift), wider

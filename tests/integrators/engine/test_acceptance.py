@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.engine.acceptance import RECORD, ROUNDED, Judgement, Merit, judged
+from retrax.integrators.boundary_value.engine.acceptance import RECORD, ROUNDED, Funnel, Judgement, Merit
 
 TOLERANCE, WIDTH, BEST = 1e-9, 1e-2, 1e-4
 
@@ -29,7 +29,7 @@ def judgement(
         shift=0 * one,
     )
     trial = Merit(missing * WIDTH * one, cost * one, 0 * one)
-    return judged(state, trial, (residual * one, shortfall * one, cost * one), False, TOLERANCE)
+    return Funnel(TOLERANCE).accepts(state, trial, (residual * one, shortfall * one, cost * one), False)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.99, 1.01, 10.0, 1e6])
