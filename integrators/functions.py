@@ -136,7 +136,13 @@ def _untransformed() -> Any:
         return thread.submit(get_opaque_trace_state).result()
 
 
-def require_concrete(name: str, *arguments: Any) -> None:
-    """Raise if JAX is transforming the caller, the public function ``name``, which computes with values."""
+def require_concrete(name: str, *arguments: Any, instead: str = "") -> None:
+    """Raise if JAX is transforming the caller, the public function ``name``, which computes with values.
+
+    ``instead``: what has derivatives, or takes batches, in its place.
+    """
     if is_transformed(arguments):
-        raise InvalidInputError(f"{name} runs outside jit, vmap and grad: it checks its input and computes with values")
+        hint = f"; try {instead}" if instead else ""
+        raise InvalidInputError(
+            f"{name} runs outside jit, vmap and grad: it checks its input and computes with values{hint}"
+        )

@@ -15,6 +15,8 @@ from .arguments import Given
 from .sensitivity import Derivative, Sensitivity
 from .solution import Solution
 
+INSTEAD = "solver.extremal, which has derivatives, or solver.solve_many, which takes batches"
+
 
 class Extremal(NamedTuple):
     """What ``Solver.extremal`` returns: the arrays of a ``Solution`` that have derivatives, as JAX arrays of the same

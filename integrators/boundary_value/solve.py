@@ -9,6 +9,7 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from .arguments import Given, Method, Options, check_accuracy
+from .differentiable import INSTEAD
 from .engine.found import Iteration
 from .guess import Guess
 from .refinement import Refinement
@@ -53,7 +54,7 @@ def solve(
     data off ``P_f``), and, if ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read
     ``success``.
     """
-    require_concrete("solve", start, end, horizon, problem, guess, parameters)
+    require_concrete("solve", start, end, horizon, problem, guess, parameters, instead=INSTEAD)
     if accuracy is not None:
         check_accuracy(accuracy)
     solver, given = Solver(problem, discretization, steps), Given(start, end, horizon, parameters)

@@ -18,7 +18,7 @@ from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
-from .differentiable import Extremal, extremal_of
+from .differentiable import INSTEAD, Extremal, extremal_of
 from .engine.derivatives import Sensitivities
 from .engine.found import Found, Iteration
 from .engine.stopwatch import Stopwatch
@@ -174,7 +174,7 @@ class Solver:
         true. ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it too. Either way the record has the best
         iterate.
         """
-        require_concrete("solve", start, end, horizon, guess, parameters)
+        require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = Given(start, end, horizon, parameters)
         request = Request.of(self.reader, given, guess, options, classification, integrator)
@@ -235,7 +235,7 @@ class Solver:
         list of B. The same factors are free for all. Nothing is raised for a member that is not solved: read
         ``success``. Regular problems only.
         """
-        require_concrete("solve_many", starts, ends, horizons, parameters)
+        require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = Given(starts, ends, horizons, parameters)
         request = Request.of_many(self.reader, given, guesses, options)

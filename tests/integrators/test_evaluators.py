@@ -9,11 +9,12 @@ import pytest
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, Solver, SymplecticIntegrator, integrate
 from retrax.integrators import evaluator as evaluators
 from retrax.integrators.tape_evaluator import TapeEvaluator
-from retrax.manifolds import Euclidean
-from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint
+from retrax.manifolds import Euclidean, Grassmann, Stiefel, hat
+from retrax.retractions import Addition, Cayley, CotangentLift, Exponential, Gauss, Midpoint
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape.linear import LARGEST_FACTOR
 from retrax.tape.trace import LONGEST_LOOP
+from scipy.linalg import expm
 
 LINE = Euclidean(1)
 MIDPOINT = Midpoint(Addition(LINE))
@@ -78,6 +79,32 @@ def test_steps_run_on_the_tape_as_far_as_loops_are_written_out():
         assert path.evaluator.startswith("tape" if count <= LONGEST_LOOP else "XLA"), path.evaluator
         assert (f"{count} iterations" in path.evaluator) == (count > LONGEST_LOOP)
     np.testing.assert_allclose(ends, [(0.3 - 3 * 0.3**2 / 2, 1 - 3 * 0.3)] * 3, rtol=1e-12)
+
+
+FRAMES = {
+    "frames": (Stiefel(3, 2), Exponential, lambda w, x: hat(w) @ x),
+    "lines": (Grassmann(3, 1), Exponential, lambda w, x: hat(w) @ x - x @ hat(w)),
+    "planes": (Grassmann(4, 2), Cayley, lambda w, x: (a := jnp.pad(hat(w), (0, 1))) @ x - x @ a),
+}
+
+
+@pytest.mark.parametrize(
+    "name", ["frames", *(pytest.param(name, marks=pytest.mark.slow) for name in ("lines", "planes"))]
+)
+def test_frames_and_subspaces_run_on_the_tape_and_have_the_optimum_of_xla(name):
+    manifold, family, velocity = FRAMES[name]
+    problem = OptimalControlProblem(manifold, lambda x, u: velocity(u, x), lambda x, u: u @ u / 2, 3)
+    start = np.asarray(manifold.random_point(jax.random.key(0)))
+    turn = np.eye(len(start))
+    turn[:3, :3] = expm(np.array(hat(jnp.array([0.5, -0.3, 0.7]))))
+    end = turn @ start if isinstance(manifold, Stiefel) else turn @ start @ turn.T
+    found = []
+    for evaluator in ("automatic", "xla"):
+        solver = Solver(problem, Gauss(2, family(manifold)), 4, evaluator)
+        assert (solver.evaluator == "tape") == (evaluator == "automatic"), solver.reason
+        found.append(solver.solve(start, end, 1.0))
+    mine, other = ((s.states, s.costates, s.controls, s.cost) for s in found)
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-10), mine, other)
 
 
 PLANE, TABLE, CUBES = Euclidean(2), np.linspace(-3.0, 3.0, 25), np.arange(3.0) ** 3

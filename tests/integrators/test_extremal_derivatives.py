@@ -122,6 +122,8 @@ def test_where_it_is_not_offered_it_says_so():
     for wrong in (jax.jit(cost), jax.hessian(cost), lambda m: jax.vmap(cost)(jnp.stack([m, m]))):
         with pytest.raises(InvalidInputError, match="extremal is called with values that JAX is tracing"):
             wrong(jnp.asarray(1.0))
+    with pytest.raises(InvalidInputError, match=r"solve runs outside jit, .*; try solver.extremal"):
+        jax.grad(lambda mass: solver.solve(start, end, 1.0, parameters={**DRAG, "mass": mass}).cost)(1.0)
     with pytest.raises(InvalidInputError, match="extremal takes numbers and arrays of them, got 'soon'"):
         solver.extremal(start, end, "soon", parameters=DRAG)
     with pytest.raises(InvalidInputError, match="horizon must be a positive finite time"):

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 from retrax.manifolds import SO, FixedRank, Grassmann, Oblique, Sphere, Stiefel
+from retrax.manifolds.numerics.matrices import exponential
 from retrax.retractions import (
     QR,
     Cayley,
@@ -24,6 +25,7 @@ from retrax.retractions import (
     StiefelCanonicalExponential,
     StiefelPolar,
 )
+from retrax.retractions.groups.functions import rotations
 from scipy.linalg import expm
 
 from tests.support.matrices import draw, round_trip
@@ -47,6 +49,10 @@ def stiefel_cayley(x, v):
 def stiefel_canonical(x, v):
     p = np.eye(len(x)) - x @ x.T / 2
     return expm(p @ v @ x.T - x @ v.T @ p) @ x
+
+
+def stiefel_exponential(x, v):
+    return expm(v @ x.T - x @ v.T) @ x @ expm(-x.T @ v)
 
 
 def stiefel_qr(x, v):
@@ -78,6 +84,9 @@ DEFINITIONS = {
     "Stiefel polar": (Polar(Stiefel(4, 2)), stiefel_polar),
     "Stiefel QR": (QR(Stiefel(4, 2)), stiefel_qr),
     "Stiefel canonical": (StiefelCanonicalExponential(Stiefel(4, 2)), stiefel_canonical),
+    "exponential, St(3, 2)": (Exponential(Stiefel(3, 2)), stiefel_exponential),
+    "exponential, St(4, 2)": (Exponential(Stiefel(4, 2)), stiefel_exponential),
+    "exponential, St(5, 2)": (Exponential(Stiefel(5, 2)), stiefel_exponential),
     "Stiefel Cayley": (Cayley(Stiefel(4, 2)), stiefel_cayley),
     "Grassmann exponential": (Exponential(Grassmann(4, 2)), rotated(expm)),
     "Grassmann Cayley": (
@@ -95,6 +104,26 @@ def test_closed_forms_are_their_definitions(name, seed, length):
     retraction, definition = DEFINITIONS[name]
     x, v = draw(retraction.manifold, seed, length)
     np.testing.assert_allclose(round_trip(retraction, x, v)[0], definition(x, v), atol=2e-14)
+
+
+@compiled
+def two_turns(a, d, e):
+    """Exponentials of a skew matrix, and first and second derivatives along two others."""
+
+    def along(function):
+        return jax.jvp(lambda a: jax.jvp(function, (a,), (d,)), (a,), (e,))
+
+    return along(rotations.exponential), along(exponential)
+
+
+@given(seed=SEEDS, angles=st.tuples(*(st.sampled_from([0.0, 1e-9, 0.5, 1 - 1e-9, 1.0, 2.0, np.pi, 7.0]),) * 2))
+def test_the_exponential_in_four_dimensions_has_the_derivatives_of_the_general_one(seed, angles):
+    """With angles that are equal, opposite, zero and full turns, to where a series takes the place of a quotient."""
+    frame, *others = np.random.default_rng(seed).standard_normal((3, 4, 4))
+    turns = np.kron(np.diag(angles), [[0.0, -1.0], [1.0, 0.0]])
+    frame = np.linalg.qr(frame)[0]
+    closed, general = two_turns(frame @ turns @ frame.T, *(a - a.T for a in others))
+    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, atol=1e-12), closed, general)
 
 
 @given(seed=SEEDS, length=st.floats(0.0, 0.5))
