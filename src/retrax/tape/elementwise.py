@@ -15,7 +15,7 @@ Function = Callable[..., ca.SX]
 
 def select(condition: ca.SX, yes: ca.SX | float, no: ca.SX | float) -> ca.SX:
     """``yes`` where the condition holds, ``no`` elsewhere, entry by entry."""
-    yes, no = ca.SX(yes), ca.SX(no)
+    yes, no = (a if isinstance(a, ca.SX) else ca.SX(a) for a in (yes, no))
     over, under = _not_finite(yes), _not_finite(no)
     if not (over.any() or under.any()):
         return ca.if_else(condition, yes, no)

@@ -134,6 +134,7 @@ class _Reader:
     def __init__(self, found: list[Instruction]) -> None:
         self._found = found
         self._known: dict[tuple, int] = {}
+        self._truths = set[int]()
 
     def number(self, name: str, inputs: list[int], value: float = 0.0, divides: bool = False) -> int:
         """The number of an instruction, which is new or has been there before."""
@@ -142,6 +143,8 @@ class _Reader:
         k = self._known.setdefault(key, len(self._found))
         if k == len(self._found):
             self._found.append(Instruction(name, inputs, value, divides=divides))
+            if name in TRUTHS:
+                self._truths.add(k)
         return k
 
     def results(self, function: ca.Function, given: Callable[[int, int], int]) -> Iterator[tuple[int, int, int]]:
@@ -160,20 +163,12 @@ class _Reader:
                 made[outs[0]] = self.number(name, [], function.instruction_constant(k))
             elif name == "INPUT":
                 made[outs[0]] = given(ins[0], ins[1])
-            elif name == "MUL" and (choice := self._choice(*(made[i] for i in ins))):
-                made[outs[0]] = self.number("IF_ELSE_ZERO", choice)
+            elif name == "MUL" and not self._truths.isdisjoint(operands := [made[i] for i in ins]):
+                # Derivatives of a choice are such products, and the branch that is not taken may be NaN; XLA reads them
+                # so too.
+                made[outs[0]] = self.number("IF_ELSE_ZERO", sorted(operands, key=lambda k: k not in self._truths))
             elif name == "DIV" and self._found[made[ins[1]]].name != "CONST":
                 inverse = self.number("INV", [made[ins[1]]])
                 made[outs[0]] = self.number("MUL", [made[ins[0]], inverse], divides=True)
             else:
                 made[outs[0]] = self.number(name, [made[i] for i in ins])
-
-    def _choice(self, left: int, right: int) -> list[int]:
-        """The operands of a product of which one is true or false, that one first; none if neither is.
-
-        Derivatives of a choice are such products, and the branch that is not taken may be NaN. XLA reads them so too.
-        """
-        for truth, other in ((left, right), (right, left)):
-            if self._found[truth].name in TRUTHS:
-                return [truth, other]
-        return []

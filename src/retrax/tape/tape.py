@@ -17,7 +17,7 @@ from ..optional import numba_is_there
 from ..threads import in_threads, worth_threads
 from ..undisturbed import put_off
 from .arrays import Entries, column, is_complex, parts, scalars
-from .graph import Graph
+from .graph import Graph, Loop
 from .often import Often
 from .program import Program, assembled
 from .trace import Flat, flat, trace
@@ -94,7 +94,7 @@ class Tape(Often):
     def size(self) -> int:
         """Number of scalar operations in the graph, in which some are the same: the time in which its instructions are
         made grows with it."""
-        (outputs,), loops = self.graph.scheduled([self.outputs])
+        (outputs,), loops = self._scheduled
         return ca.n_nodes(ca.vertcat(outputs, *(part for loop in loops for part in (loop.first, loop.given))))
 
     @cached_property
@@ -108,9 +108,14 @@ class Tape(Often):
         return ca.vertcat(ca.SX(0, 1), *(column(half) for v in self._values for half in _halves(v)))
 
     @cached_property
+    def _scheduled(self) -> tuple[list[ca.SX], list[Loop]]:
+        """The outputs without marks, and the loops that they need."""
+        return self.graph.scheduled([self.outputs])
+
+    @cached_property
     def program(self) -> Program:
         """The instructions."""
-        (outputs,), loops = self.graph.scheduled([self.outputs])
+        (outputs,), loops = self._scheduled
         return assembled(self.inputs, outputs, loops)
 
     @property
