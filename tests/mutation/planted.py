@@ -485,6 +485,47 @@ PLANTED: dict[str, Planted] = {
         "return curvature, 2 * scalar_slope[0], *jax",
         (f"{PARTS}::test_evaluators_have_the_same_derivatives",),
     ),
+    "tapes are as large as they may be, but for one operation": Planted(
+        "integrators/tape_evaluator.py",
+        "tape if tape.size <= most else",
+        "tape if tape.size < most else",
+        (
+            "tests/integrators/test_evaluators.py::test_a_solver_runs_on_the_tape_as_far_as_its_graphs_are_not_too_large",
+        ),
+    ),
+    "products with truths multiply": Planted(
+        "src/retrax/tape/instructions.py",
+        "if name in TRUTHS:",
+        "if name in ():",
+        (f"{PRIMITIVES}::test_values_and_two_derivatives_are_those_of_xla[NaN in the branch that is not taken]",),
+    ),
+    "constants that are not finite are branches as others": Planted(
+        "src/retrax/tape/elementwise.py",
+        "if not (over.any() or under.any()):",
+        "if True:",
+        (f"{PRIMITIVES}::test_values_and_two_derivatives_are_those_of_xla[cube of what is known or NaN]",),
+    ),
+    "a skew matrix is half its own dual": Planted(
+        "retractions/groups/functions/rotations.py",
+        "return jnp.block([[jnp.zeros((1, 1), omega.dtype), -rest[None]], [rest[:, None], -hat(first)]])",
+        "return jnp.block([[jnp.zeros((1, 1), omega.dtype), rest[None]], [-rest[:, None], -hat(first)]])",
+        (
+            "tests/retractions/test_matrix_retractions.py::test_the_exponential_in_four_dimensions_has_the_derivatives_of_"
+            "the_general_one",
+        ),
+    ),
+    "the first column is the pivot": Planted(
+        "manifolds/numerics/frames.py",
+        "names == jnp.argmax(jnp.diagonal(a))",
+        "names == 0",
+        ("tests/manifolds/test_matrix_manifolds.py",),
+    ),
+    "vectors of NumPy keep what is not a number out": Planted(
+        f"{ENGINE}/numpy_vectors.py",
+        "return np.where((y > x) | np.isnan(y), y, x)",
+        "return np.where(y > x, y, x)",
+        (f"{TESTS}/engine/test_vectors.py",),
+    ),
     "shared arguments of tapes go on from point to point": Planted(
         "integrators/tape_evaluator.py",
         "size if length > 1 else 0) for k",
