@@ -84,6 +84,14 @@ def test_numbers_that_are_not_finite_come_where_they_are_asked_for(lost):
         np.testing.assert_array_equal(tape.hessian(1)(x, y), np.zeros((1, 1, 5)))
 
 
+@pytest.mark.parametrize("name", ["cube of what is known or NaN", "zero or infinite"])
+def test_casadi_derives_choices_of_what_is_not_finite(name):
+    """Its own machine multiplies by truth values, where ours chooses."""
+    function, x = SPECIAL[name]
+    slope = Tape.trace(weighted(function), x).gradient().to_casadi()(x)
+    np.testing.assert_allclose(np.ravel(slope), jax.grad(weighted(function))(x), rtol=1e-12)
+
+
 def primitives(jaxpr, found):
     for eqn in jaxpr.eqns:
         found.add(eqn.primitive.name)
