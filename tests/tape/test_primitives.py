@@ -84,7 +84,7 @@ def test_numbers_that_are_not_finite_come_where_they_are_asked_for(lost):
         np.testing.assert_array_equal(tape.hessian(1)(x, y), np.zeros((1, 1, 5)))
 
 
-@pytest.mark.parametrize("name", ["cube of what is known or NaN", "zero or infinite"])
+@pytest.mark.parametrize("name", ["NaN in the entries of what is known", "zero or infinite"])
 def test_casadi_derives_choices_of_what_is_not_finite(name):
     """Its own machine multiplies by truth values, where ours chooses."""
     function, x = SPECIAL[name]
