@@ -11,7 +11,7 @@ from jax.extend.core import ClosedJaxpr
 
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
-from ..optional import numba_is_there
+from ..optional import WITHOUT_NUMBA, numba_is_there
 from ..reading import traced
 from .compilation import in_chunks, of_rows
 from .evaluated import Arrays, Evaluated, Evaluator, Function
@@ -106,7 +106,7 @@ class Automatic(Evaluator):
         try:
             if numba_is_there():
                 return self._tape._made(function, sizes, first)
-            self._refusals.append("Numba is not available, which makes the machine for tapes")
+            self._refusals.append(WITHOUT_NUMBA)
         except (NotTraceableError, LargeTapeError) as error:
             self._refusals.append(str(error))
         return XlaEvaluator(self._refusals[-1])._made(function, sizes, first)

@@ -98,9 +98,9 @@ class OptimalControlProblem(eqx.Module):
         self.terminal_cost, self.initial_cost = terminal_cost, initial_cost
         self.controls = Euclidean(int(controls)) if isinstance(controls, int | np.integer) else controls
         self.abnormal, self.time_dependent = abnormal, time_dependent
-        for name, value in (("manifold", self.manifold), ("controls", self.controls)):
+        for name, value, example in (("manifold", manifold, "SO(3)"), ("controls", self.controls, "Euclidean(3)")):
             if not isinstance(value, Manifold):
-                raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try Euclidean(3)")
+                raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try {example}")
         for name, flag in (("abnormal", abnormal), ("time_dependent", time_dependent)):
             if not isinstance(flag, bool | np.bool_):
                 raise InvalidInputError(f"{name} must be True or False, got {flag!r}")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..tape.program import Program
 
 MOST_TAPES = 256
-MOST_OPERATIONS = 1_000_000  # of a graph: XLA compiles the function of a larger one in less time than a tape is made
+MOST_OPERATIONS = 500_000  # of a graph, expected: a tape of more takes ten seconds, and XLA less
 PLANS = 8  # of a tape, for as many shapes of its arrays
 ROOM = 2**17  # numbers that the small tapes of a thread share, in the near caches
 # As many times more operations are one thread's in a pass of several kernels, which spares what is between them.
@@ -33,19 +33,18 @@ class LargeTapeError(RetraxError, ValueError):
     """The graph of a tape is larger than was asked for."""
 
     def __init__(self, size: int, most: float) -> None:
-        super().__init__(f"its derivatives are {size} scalar operations, more than {most:.0f}: XLA takes less time")
+        super().__init__(f"it has about {size} scalar operations, more than {most:.0f}: XLA takes less time")
 
 
-# By what they compute, the last one that was asked for at the end.
-_tapes: dict[Hashable, "Tape | LargeTapeError"] = {}
+# By what they compute, the last one that was asked for at the end; of those that are too large the size.
+_tapes: dict[Hashable, "Tape | int"] = {}
 
 
 @final
 class TapeEvaluator(Evaluator):
     """Runs functions as tapes of scalar instructions, in double precision; nothing is compiled for a problem.
 
-    ``most``: scalar operations in the graph of a tape, of which some are one instruction; larger ones raise
-    ``LargeTapeError``.
+    ``most``: scalar operations in the graph of a tape, about; larger ones raise ``LargeTapeError``.
     """
 
     def __init__(self, most: float = math.inf) -> None:
@@ -83,14 +82,14 @@ def _tape(function: Function, examples: list[np.ndarray], expanded: bool, most: 
     tape = None if content is None else _tapes.pop(key, None)
     if tape is None:
         tape = Tape.read(program)
-        tape = tape.expansion() if expanded else tape
-        tape = tape if tape.size <= most else LargeTapeError(tape.size, most)
+        size = tape.expansion_size if expanded else tape.size
+        tape = size if size > most else tape.expansion() if expanded else tape
     if content is not None:
         _tapes[key] = tape
         if len(_tapes) > MOST_TAPES:
             _tapes.pop(next(iter(_tapes)), None)
-    if isinstance(tape, LargeTapeError):
-        raise tape
+    if isinstance(tape, int):
+        raise LargeTapeError(tape, most)
     return tape
 
 

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from ..reading import in_one_reading
 from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
@@ -82,6 +83,9 @@ class LevelSet(Manifold):
 
     def jacobian(self, x: Array) -> Float[Array, "m N"]:
         """Jacobian of the equations with respect to the entries of ``x``, one row an equation."""
+        return in_one_reading(LevelSet._jacobian, self)(x)
+
+    def _jacobian(self, x: Array) -> Float[Array, "m N"]:
         return jax.jacrev(self.equations)(x).reshape(-1, prod(self.shape))
 
     @property

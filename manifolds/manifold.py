@@ -49,8 +49,6 @@ class Manifold(eqx.Module):
     In symbols: ``P_x: E -> T_xM``, orthogonal, and ``sum_i <E_i, a> E_i = P_x a`` for the basis ``E_i`` of ``T_xM``.
     """
 
-    # Words on arrays that come in place of a point, by the shapes of the array that is expected and of the other.
-    _in_place_of: ClassVar[dict[tuple[tuple[int, ...], tuple[int, ...]], str]] = {}
     one_point: ClassVar[dict[str, tuple[str, ...]]] = {
         "projection": ("a point", "an ambient vector"),
         "basis": ("a point",),
@@ -177,12 +175,17 @@ class Manifold(eqx.Module):
                 else hint
             )
             return f"{self._named(role)} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
-        for shape, leaf in zip(expected, leaves, strict=True):
+        for k, (shape, leaf) in enumerate(zip(expected, leaves, strict=True)):
             if np.shape(leaf) != shape.shape:
-                known = self._in_place_of.get((shape.shape, np.shape(leaf)), "") if "point" in role else ""
+                known = self.hint_for_shape(k, np.shape(leaf), "point" in role)
                 hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else known
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
                 return f"{self._named(role)} has shape {shape.shape}, got {came}{hint}"
+        return ""
+
+    def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
+        """Words on an array of another shape in place of the k-th array of a point, or of a vector; none where it is
+        not known what it may be."""
         return ""
 
     def _describe_kinds(self, a: Ambient, role: str) -> str:

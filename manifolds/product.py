@@ -50,6 +50,14 @@ class Product(Manifold):
         pairs = enumerate(zip(self.factors, x, strict=True))
         return {f"factor {i}: {words}": value for i, (m, xi) in pairs for words, value in m.violations(xi).items()}
 
+    def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
+        for factor in self.factors:
+            count = len(jax.tree.leaves(factor.ambient))
+            if k < count:
+                return factor.hint_for_shape(k, shape, is_point)
+            k -= count
+        return ""
+
     def random_point(self, key: Array) -> tuple[Any, ...]:
         keys = jax.random.split(key, len(self.factors))
         return tuple(m.random_point(k) for m, k in zip(self.factors, keys, strict=True))

@@ -165,8 +165,9 @@ def check_singular(
     problem.require_treated("solve of a singular problem", *LIMITS)
     if not isinstance(method, DiscretizationMap):
         raise InvalidInputError(
-            f"the problem is singular, and solve takes a discretization map for it, got {method!r}; try "
-            "Midpoint(default_retraction(manifold))"
+            "the problem is singular, dH/du = 0 does not determine its controls, and solve takes a discretization map "
+            f"for it, got {type(method).__name__}; try Midpoint(default_retraction(manifold)), or, where it is not "
+            "meant to be singular, a cost of all controls, as u @ u"
         )
     if np.ptp(fractions) > SAME_TIME:
         raise InvalidInputError("the problem is singular, and solve takes equal steps for it; give their number")

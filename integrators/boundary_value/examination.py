@@ -63,9 +63,9 @@ class Examination:
             return _failed(solution, outside)
         unqualified = self._unqualified(solution)
         solution = _without_minimum(solution) if unqualified else solution
-        notes = [outside, unqualified, self.undetermined(solution) if solution.success else ""]
+        notes = [outside, solution.result, unqualified, self.undetermined(solution) if solution.success else ""]
         said = " ".join(filter(None, notes))
-        return replace(solution, result=f"{solution.result} {said}") if said else solution
+        return replace(solution, result=said) if said != solution.result else solution
 
     def _wrong(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""

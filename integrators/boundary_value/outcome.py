@@ -1,10 +1,14 @@
 """How an iteration ended, in words."""
 
 from dataclasses import replace
+from typing import Any
 
+import jax
 import numpy as np
 
 from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ..evaluation import at_each
 from ..kinks import kinks_near
 from ..problem import OptimalControlProblem
 from ..results import sentence
@@ -19,10 +23,40 @@ def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     if solution.success or solution.result == sentence("stopped"):
         return solution
     q, u = vec.taken((solution.stage_states, solution.controls), 0)
+    if solution.result.startswith(sentence("not_finite")):
+        where = _not_finite(problem, solution)
+        return replace(solution, result=f"{solution.result} {where}") if where else solution
     reason = problem.imprecise(q, u) or kinks_near(problem, solution)
     return (
         replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
     )
+
+
+def _not_finite(problem: OptimalControlProblem, solution: Solution) -> str:
+    """Which function is not finite, or has no finite derivative, at the first stage where one is not."""
+    parts = {"dynamics": problem.velocity, "running_cost": problem.cost_rate}
+
+    def at_stage(point: tuple[Ambient, Ambient]) -> Any:
+        return [(f(*point), *(jax.jacrev(f, k)(*point) for k in (0, 1))) for f in parts.values()]
+
+    points = solution.stage_states, solution.controls
+    with np.errstate(all="ignore"):
+        found = at_each(at_stage, points)
+    for k in range(len(solution.stage_times)):
+        (q, u), own = vec.taken((points, found), k)
+        for name, parts_of in zip(parts, own, strict=True):
+            lost = [not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(part)) for part in parts_of]
+            if any(lost):
+                what = (
+                    "is not finite"
+                    if lost[0]
+                    else f"has no finite derivative by the {'states' if lost[1] else 'controls'}"
+                )
+                return (
+                    f"{name} {what} at q = {q}, u = {u}; try a function that is smooth there, as sqrt(x @ x + 1e-6) in "
+                    "place of a norm."
+                )
+    return ""
 
 
 def compiled_longer(solution: Solution, seconds: float) -> Solution:

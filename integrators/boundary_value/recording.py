@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ...manifolds.numerics import ambient as vec
+from ..constraints import LOWER, UPPER
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .arguments import Options, require_tangent_dynamics
@@ -56,10 +57,13 @@ class Recording:
         }
         notes = found.notes or [""] * len(results)
         results = [words + _excesses(posed, found, k, options.tolerance) + notes[k] for k, words in enumerate(results)]
-        if self._constrained:  # constraints may break the symmetries
-            brackets = {name: np.full_like(rates, np.inf) for name, rates in diagnostics.brackets.items()}
+        active = _active(posed, found)
+        if self._constrained:  # constraints that hold a trajectory may break the symmetries
+            held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in active]
+            free = np.where(held, np.inf, 0.0)[:, None]
+            brackets = {name: rates + free for name, rates in diagnostics.brackets.items()}
             diagnostics = diagnostics._replace(brackets=brackets)
-        known = {**_known(found, success), "active": _active(posed, found)}
+        known = {**_known(found, success), "active": active}
 
         def member(k: int) -> Solution:
             own, arrays = vec.taken((diagnostics, fields), k)

@@ -182,7 +182,9 @@ class Solution:
     def require_success(self) -> "Solution":
         """This solution, or a ``ConvergenceError`` with its result if the conditions are not met."""
         if not self.success:
-            raise ConvergenceError(f"{self.result}\n{self}", self)
+            from .solution_report import report_text
+
+            raise ConvergenceError(f"{self.result}\n{report_text(self, result=False)}", self)
         return self
 
     @property

@@ -17,9 +17,10 @@ NO_MINIMUM = (
 )
 
 
-def report_text(solution: Solution) -> str:
-    """What a user checks, a line each."""
-    return table([*_optimality(solution), *_geometry(solution), *_effort(solution)])
+def report_text(solution: Solution, *, result: bool = True) -> str:
+    """What a user checks, a line each; the first says how it ended, unless that is said already."""
+    rows = [*_optimality(solution), *_geometry(solution), *_effort(solution)]
+    return table(rows if result else rows[1:])
 
 
 def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
@@ -96,7 +97,7 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
     )
     if solution.success and checks.too_coarse:
         yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
-    for name, momentum in solution.momenta.items():
+    for name, momentum in solution.momenta.items() if solution.success else ():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
         conserved, count = checks.conserved[name], momentum.shape[1]
         constant = f"constant along this extremal: {conserved or 'none'} of {count} components"

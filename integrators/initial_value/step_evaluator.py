@@ -7,6 +7,7 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import working_precision
+from ...optional import WITHOUT_NUMBA, numba_is_there
 from ...reading import one_reading
 from ...undisturbed import undisturbed
 from .integrator import Integrator
@@ -43,6 +44,8 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
     reason = _obstacle(system, integrator)
     if reason:
         return reason
+    if not numba_is_there():
+        return WITHOUT_NUMBA
     from ...tape import NotTraceableError
     from ...tape.instructions import UnknownInstructionError
 
@@ -52,8 +55,6 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
         return undisturbed(TracedSteps)(system, integrator)
     except (NotTraceableError, UnknownInstructionError) as error:
         return str(error)
-    except (ImportError, RuntimeError) as error:  # no Numba for this Python, or no folder for what it compiles
-        return f"Numba is not available: {error}"
 
 
 def _obstacle(system: Any, integrator: Integrator) -> str:

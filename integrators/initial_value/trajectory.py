@@ -220,8 +220,9 @@ def check_call(integrator: Any, steps: Any, save_every: Any, evaluator: Any) -> 
     """Raise for arguments of the wrong kind, and warn once if numbers are in single precision."""
     if not isinstance(integrator, Integrator):
         raise InvalidInputError(
-            f"integrate takes an integrator as its second argument, got {integrator!r}; try SymplecticIntegrator(lift) "
-            "or the first of what singular_integrator returns"
+            f"integrate takes an integrator as its second argument, got {integrator!r}; try "
+            "SymplecticIntegrator(Gauss(2, retraction)), SymplecticIntegrator(CotangentLift(discretization)), or the "
+            "first of what singular_integrator returns"
         )
     check_evaluator(evaluator)
     warn_about_precision()

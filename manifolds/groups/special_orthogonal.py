@@ -2,7 +2,7 @@
 
 from functools import cache
 from itertools import combinations
-from typing import ClassVar, final
+from typing import final
 
 import equinox as eqx
 import jax
@@ -57,13 +57,6 @@ class SO(MatrixLieGroup):
     action: for n = 3 the vectors ``mu`` with ``<p, x hat(w)> = mu . w`` and ``x mu``.
     """
 
-    _in_place_of: ClassVar[dict[tuple[tuple[int, ...], tuple[int, ...]], str]] = {
-        (
-            (3, 3),
-            (4,),
-        ): '; for a quaternion try retrax.interop.from_quaternions(q, "last"), or "first" for its scalar part',
-        ((3, 3), (3,)): "; for a rotation vector try scipy's Rotation.from_rotvec(v).as_matrix()",
-    }
     n: int = eqx.field(static=True, converter=plain)
 
     def __check_init__(self) -> None:
@@ -84,6 +77,17 @@ class SO(MatrixLieGroup):
 
     def violations(self, x: Array) -> dict[str, Array]:
         return rotation_violations("x", x)
+
+    def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
+        if self.n == 3 and shape == (3,):
+            return "; for a " + (
+                "rotation vector try scipy's Rotation.from_rotvec(v).as_matrix()"
+                if is_point
+                else "body rate w try R @ hat(w)"
+            )
+        if self.n == 3 and shape == (4,) and is_point:
+            return '; for a quaternion try retrax.interop.from_quaternions(q, "last"), or "first" for its scalar part'
+        return ""
 
     def random_point(self, key: Array) -> Array:
         return random_rotation(key, self.n)

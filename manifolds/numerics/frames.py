@@ -110,8 +110,9 @@ def adapted_frame(projector: Matrix, rank: int) -> Matrix:
     Columns of the projector, and of that on the kernel, made orthonormal; which ones is frozen, they move with it.
     """
     n = projector.shape[0]
-    parts = (projector, rank), (jnp.eye(n, dtype=projector.dtype) - projector, n - rank)
-    return jnp.concatenate([_spanned(part, count) for part, count in parts], axis=1)
+    image = _spanned(projector, rank)
+    kernel = _spanned(jnp.eye(n, dtype=projector.dtype) - image @ image.T, n - rank)
+    return jnp.concatenate([image, kernel], axis=1)
 
 
 def _spanned(projector: Matrix, rank: int) -> Frame:

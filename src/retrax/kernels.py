@@ -143,7 +143,8 @@ class _PartCompiler(_Compiler):
 
 _errors: list[Exception] = []  # of what could not be kept
 
-IMPORT = re.compile(r"^ *from (\.+[\w.]*) import (.*)$", re.MULTILINE)
+# Not those in functions, which may have run or not, but for a module's own where Numba is there.
+IMPORT = re.compile(r"^(?:if numba_is_there\(\):\n    )?from (\.+[\w.]*) import (.*)$", re.MULTILINE)
 
 
 @cache

@@ -26,6 +26,9 @@ def needed(name: str, what: str) -> Any:
         ) from error
 
 
+WITHOUT_NUMBA = "Numba is not available, which makes the machine for tapes"
+
+
 @cache
 def numba_is_there() -> bool:
     """Whether Numba is, as not yet for each new Python; a warning says, once, how all goes on without it."""

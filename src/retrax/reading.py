@@ -8,7 +8,7 @@ would be ignored.
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from functools import wraps
+from functools import partial, wraps
 from traceback import walk_tb
 from types import FrameType
 from typing import Any, ParamSpec, TypeVar, final
@@ -105,6 +105,17 @@ def one_reading() -> Iterator[Reading]:
 def is_reading() -> bool:
     """Whether a reading goes on."""
     return _current.get() is not None
+
+
+def in_one_reading(method: Callable[..., Any], own: Any) -> Callable[..., Any]:
+    """The method of an object as a function that JAX traces once in the reading that goes on, if one does.
+
+    Its derivatives are traced once too, in each mode.
+    """
+    reading = _current.get()
+    if reading is None:
+        return partial(method, own)
+    return reading.once((method, id(own)), lambda: (jax.jit(partial(method, own)), own))[0]
 
 
 def reads_once(function: Callable[P, R]) -> Callable[P, R]:

@@ -18,9 +18,9 @@ from retrax.integrators import (
 )
 from retrax.integrators.compilation import call_compiled
 from retrax.integrators.problem import is_same_problem
-from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.manifolds import Euclidean, InvalidInputError, LevelSet
 from retrax.reading import traced
-from retrax.retractions import CotangentLift, Exponential, Midpoint
+from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection
 from retrax.tape import Tape
 
 from tests.support.changing import WAYS, held
@@ -160,3 +160,26 @@ def test_what_was_read_is_released():
     before = alive()
     read(2100)  # JAX's other caches are bounded by 2048 entries
     assert read(2100) < before + 2 * 2100
+
+
+RADIUS = [1.0]
+
+
+class Circle(LevelSet):
+    shape = (2,)
+
+    def constraint(self, x):
+        RADIUS[1:] = [*RADIUS[1:], 0.0]
+        return x @ x - RADIUS[0] ** 2
+
+
+def test_a_manifold_that_changes_is_another_one_and_is_read_a_few_times_in_a_call():
+    """An arc of a quarter turn costs ``(pi r / 2)^2 / 2``; the same object, whose constraint reads the radius."""
+    circle = Circle()
+    problem = OptimalControlProblem(circle, lambda q, u: circle.projection(q, u), lambda q, u: u @ u / 2, 2)
+    for radius in (1.0, 2.0, 0.5):
+        RADIUS[:] = [radius]
+        start = np.array([radius, 0.0])
+        found = solve(problem, Midpoint(Projection(circle)), start, start[::-1], 1.0, 40)
+        assert found.cost == pytest.approx((np.pi * radius / 2) ** 2 / 2, rel=1e-3)
+        assert len(RADIUS) < 150  # it would be 600 times if each of its derivatives were traced wherever it is used

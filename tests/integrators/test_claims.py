@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Solution, Solver, solve
 from retrax.manifolds import ConvergenceError, Euclidean, Sphere
-from retrax.retractions import Exponential, Midpoint
+from retrax.retractions import Addition, Exponential, Midpoint
 
 from .problems import half_square
 
@@ -110,3 +110,26 @@ def test_the_error_holds_what_was_reached_with_gap_and_stationarity_in_their_pla
     assert f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e}" in str(reached)
     assert np.all(np.diff(reached.states[:, 0]) > 0)
     assert np.isfinite(reached.cost)
+
+
+@pytest.mark.parametrize(
+    ("part", "words"),
+    [
+        ("cost", "running_cost has no finite derivative by the states at q = "),
+        ("dynamics", "dynamics has no finite derivative by the states at q = "),
+    ],
+)
+def test_a_norm_at_rest_is_named_with_its_place(part, words):
+    """Its values are finite, and so are its derivatives by the controls, which are looked at before."""
+    plane = Euclidean(2)
+    size = {part: lambda q: jnp.linalg.norm(q)}
+    problem = OptimalControlProblem(
+        plane,
+        lambda q, u: u * (1 + size.get("dynamics", jnp.zeros_like)(q)),
+        lambda q, u: u @ u + size.get("cost", lambda q: 0.0)(q),
+        2,
+    )
+    found = solve(problem, Midpoint(Addition(plane)), np.zeros(2), np.zeros(2), 1.0, 4, throw=False)
+    assert not found.success
+    assert words in found.result
+    assert "as sqrt(x @ x + 1e-6) in place of a norm" in found.result

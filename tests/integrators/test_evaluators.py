@@ -51,8 +51,10 @@ def test_a_solver_runs_on_the_tape_as_far_as_linear_systems_are_written_out():
 
 def test_a_solver_runs_on_the_tape_as_far_as_its_graphs_are_not_too_large(monkeypatch):
     """Swept through the size of the largest graph, with the same solution on both sides."""
-    sizes, made = [], Tape.size.fget
-    monkeypatch.setattr(Tape, "size", property(lambda tape: sizes.append(made(tape)) or sizes[-1]))
+    sizes = []
+    for name in ("size", "expansion_size"):
+        count = vars(Tape)[name].fget
+        monkeypatch.setattr(Tape, name, property(lambda t, count=count: sizes.append(count(t)) or sizes[-1]))
     problem = OptimalControlProblem(LINE, lambda q, u: u - jnp.sin(q), lambda q, u: u @ u / 2, 1)
 
     def solver():

@@ -126,6 +126,20 @@ def test_a_path_that_begins_inside_a_forbidden_cone_goes_round_it(steps, method)
     assert solution.checks.conserved == dict.fromkeys(solution.checks.conserved, 0)
 
 
+@pytest.mark.parametrize("height", [0.45, 0.529, 0.531, 0.8])
+def test_momenta_are_those_of_symmetries_unless_a_constraint_of_the_states_holds_the_trajectory(height):
+    """A great circle that rises to 0.53, below a ceiling."""
+    sphere, ceiling = Sphere(2), {"ceiling": lambda q, u: q[2] - height}
+    problem = OptimalControlProblem(
+        sphere, lambda q, u: jnp.cross(u, q), lambda q, u: u @ u / 2, 3, constraints=ceiling
+    )
+    ends = (np.array(q) / np.linalg.norm(q) for q in ([1.0, 0.0, 0.4], [-0.2, 1.0, 0.4]))
+    checks = solve(problem, Gauss(2, default_retraction(sphere)), *ends, 1.0, 8).checks
+    assert (checks.active["ceiling"] > 0) == (height < 0.53)
+    assert [*checks.conserved.values()] == [0 if height < 0.53 else 3]
+    assert (max(checks.momentum_spreads.values()) < 1e-8) == (height > 0.53)
+
+
 def test_wide_bounds_change_nothing():
     free = solve(cart(), Gauss(2, default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
     for bound in (10.0, 1e3, 1e6):

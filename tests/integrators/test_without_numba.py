@@ -29,6 +29,9 @@ def problem(**limits):
 def solved():
     """Costs of problems with and without limits by methods with one point and with several, of one and of a batch; a
     sensitivity; the end of a trajectory; a tape. And the evaluators that computed them."""
+    # First, so that it is the one that warns.
+    method = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(BALL))))
+    path = integrate(lambda q, p: p @ p / 2 + q[2], method, (NORTH, EAST), 0.1, 5)
     free, held = (
         problem(),
         problem(control_bounds=([-2.0] * 2, [0.9] * 2), constraints={"east": lambda q, u: q[1] - 0.2}),
@@ -40,8 +43,6 @@ def solved():
         numbers += [found.cost, *solver.solve_many(NORTH, np.stack([EAST, LOW]), 2.0).cost]
         evaluators.add(solver.evaluator)
     numbers.append(solver.sensitivity(found).horizon.cost)
-    method = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(BALL))))
-    path = integrate(lambda q, p: p @ p / 2 + q[2], method, (NORTH, EAST), 0.1, 5)
     tape = Tape.trace(lambda x: jnp.sin(x) * x, 0.0)
     numbers += [*np.asarray(path.q[-1]), *tape(np.array([0.5, 1.0]))]
     return {"numbers": [*map(float, numbers)], "evaluators": [*evaluators, path.evaluator]}

@@ -137,7 +137,8 @@ def test_other_forms_of_attitudes_are_answered():
         (np.zeros(2), r"has shape \(3, 3\), got \(2,\)$"),
     ):
         assert re.search(words, SO(3).contains(form).reason)
-        assert SO(3).describe_mismatch(form, "a tangent vector").endswith(f", got {np.shape(form)}")
+        hint = "; for a body rate w try R @ hat(w)" if form.shape == (3,) else ""
+        assert SO(3).describe_mismatch(form, "a tangent vector").endswith(f", got {np.shape(form)}{hint}")
 
 
 def test_one_rotation_of_a_batch_is_orthogonal():

@@ -487,8 +487,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "tapes are as large as they may be, but for one operation": Planted(
         "integrators/tape_evaluator.py",
-        "tape if tape.size <= most else",
-        "tape if tape.size < most else",
+        "tape = size if size > most else",
+        "tape = size if size >= most else",
         (
             "tests/integrators/test_evaluators.py::test_a_solver_runs_on_the_tape_as_far_as_its_graphs_are_not_too_large",
         ),

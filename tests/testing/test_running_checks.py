@@ -190,6 +190,17 @@ class Doubled(LevelSet):
         return jnp.stack([x[0] - 0.5, (x @ x - 1.0) ** 2])
 
 
+class Vase(LevelSet):
+    """A surface of revolution with waists, so that Newton's method from afar goes here or there by rounding."""
+
+    def constraint(self, x):
+        return x[0] ** 2 + x[1] ** 2 - (1 + 0.3 * jnp.sin(2 * x[2])) ** 2
+
+
+def test_where_rounding_decides_what_is_reached_no_inverse_is_wrong():
+    assert not check_retraction(Projection(Vase(shape=(3,))), only="inverse_is_NaN_outside_the_image").failures
+
+
 def test_a_level_set_without_points_is_reported_as_one():
     report = check_manifold(Nowhere(shape=(3,)), throw=False)
     words = (

@@ -107,6 +107,21 @@ class Tape(Often):
         """The scalars of the values, one column."""
         return ca.vertcat(ca.SX(0, 1), *(column(half) for v in self._values for half in _halves(v)))
 
+    @property
+    def expansion_size(self) -> int:
+        """About as many scalar operations as ``expansion`` has: those of the gradient, for each direction.
+
+        Where every second derivative has all of them there are up to three times as many.
+        """
+        marks = [ca.vertcat(m.first, m.given) if isinstance(m, Loop) else m.value for m in self.graph.marks]
+        return self.graph.inputs[0].numel() * ca.n_nodes(ca.vertcat(self._slope, self.outputs, *marks))
+
+    @cached_property
+    def _slope(self) -> ca.SX:
+        """The gradient of the first value by the first argument."""
+        first = jax.tree.unflatten(self.structure, self._values)[0]
+        return self.graph.gradient(column(first), self.graph.inputs[0])
+
     @cached_property
     def _scheduled(self) -> tuple[list[ca.SX], list[Loop]]:
         """The outputs without marks, and the loops that they need."""
@@ -184,9 +199,9 @@ class Tape(Often):
         the tape has the Hessian and gradient of the scalar, the Jacobians of the vectors, the vectors and the others.
         It has derivatives of its own, but none through roots.
         """
-        d, (first, vectors, *others) = self.graph.inputs[0], jax.tree.unflatten(self.structure, self._values)
+        d, (_, vectors, *others) = self.graph.inputs[0], jax.tree.unflatten(self.structure, self._values)
         several, width = [column(v) for v in jax.tree.leaves(vectors)], d.numel()
-        slope, directions = self.graph.gradient(column(first), d), ca.DM.eye(width)
+        slope, directions = self._slope, ca.DM.eye(width)
         # Both along the same directions, in forward mode, so that they share what they compute; each second derivative
         # once.
         curvature, jacobian = (

@@ -22,6 +22,7 @@ LONGEST, MODERATE = 10.0, 1.0
 REACH = 0.1
 NEAR = 0.3
 BEYOND = (1.01, 1.5)  # multiples of a vector to the edge that lead where a point may have no inverse
+NEIGHBOURS = (-8, -4, -2, -1, 1, 2, 4, 8)  # of a vector, in roundings of it
 
 
 class RetractionFacts(Facts):
@@ -118,8 +119,15 @@ class RetractionFacts(Facts):
         if np.any(np.isnan(v)):
             return 0.0
         # As in Retraction.inverse: far out, the value from x has the rounding errors of both points' sizes.
-        gap = np.max(np.abs(self._edge.move(x, v) - y)) / ((1 + np.max(np.abs(x))) * (1 + np.max(np.abs(y))))
-        return float(np.nan_to_num(gap, nan=np.inf))
+        size = (1 + np.max(np.abs(x))) * (1 + np.max(np.abs(y)))
+
+        def gap(k: int) -> float:
+            there = self._edge.move(x, (1 + k * np.finfo(v.dtype).eps) * v)
+            return float(np.nan_to_num(np.max(np.abs(there - y)) / size, nan=np.inf))
+
+        # Far from x rounding may decide where an iteration ends: that a neighbour of v leads to y is enough.
+        here = gap(0)
+        return here if here <= precision().half else min(here, *map(gap, NEIGHBOURS))
 
     def inverses_nearby(self, *kinds: str) -> Batch:
         """The derivative of ``<c, R_x^-1(y)>`` along a curve of ``x`` and ``y = R(x, v)``, and values on the curve."""
