@@ -7,7 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from retrax import retractions
+from retrax import manifolds, retractions
+from retrax.retractions import families
 
 from tests.support.pages import Pages
 
@@ -49,9 +50,23 @@ def test_tests_and_files_that_a_page_names_exist(page):
         file = ROOT / path if not path.startswith("retrax/") else ROOT / "src" / path
         assert file.exists(), path
         assert not name or f"def {name}(" in file.read_text(), f"{path} has no {name}"
-    # api/: made with the site, which checks its own links.
-    for target in re.findall(r"\]\((?!https?:|api/)([^)#\s]+)", text):
+    for target in re.findall(r"\]\((?!https?:)([^)#\s]+)", text):
         assert (page.parent / target).exists(), target
+
+
+def test_the_page_of_manifolds_has_all_of_them_with_their_retractions():
+    rows = re.findall(r"^\| `(\w+\([^`]*\))`.*\|([^|]*)\|$", (ROOT / "docs" / "manifolds.md").read_text(), re.MULTILINE)
+    names = {**vars(manifolds), "M": manifolds.Sphere(2), "c": lambda x: x[:1]}
+    here = {name: eval(name, names) for name, _ in rows}
+    for name, words in rows:
+        known = [family.name for family in families.FAMILIES if family.knows(here[name])]
+        assert re.findall("Exponential|Projection|Cayley|Polar|QR", words) == known or "those of `M`" in words, name
+    given = {type(manifold).__name__ for manifold in here.values()}
+    public = [
+        kind for kind in vars(manifolds).values() if inspect.isclass(kind) and issubclass(kind, manifolds.Manifold)
+    ]
+    others = {"Product", *(kind.__name__ for kind in public if inspect.isabstract(kind))}  # in other words
+    assert given | others == {kind.__name__ for kind in public}
 
 
 def texts() -> str:
