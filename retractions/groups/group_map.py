@@ -11,7 +11,7 @@ from typing import final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Shaped
+from jaxtyping import Array, Bool, Shaped
 
 from ...manifolds import SE, SO, SU, InvalidInputError, MatrixLieGroup, U
 from ...manifolds.numerics import ambient as vec
@@ -73,9 +73,12 @@ def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
     Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as
     they are.
     """
-    if isinstance(group, SO | SE | U | SU):
-        return g
-    return nan_unless(vec.size(group.violations(jax.lax.stop_gradient(g))) <= default_tolerance(), g)
+    return g if isinstance(group, SO | SE | U | SU) else nan_unless(is_on_group(group, g, 1.0), g)
+
+
+def is_on_group(group: MatrixLieGroup, g: Matrix, share: float) -> Bool[Array, ""]:
+    """Whether ``g`` satisfies the group's equations to this share of half of the digits."""
+    return vec.size(group.violations(jax.lax.stop_gradient(g))) <= share * default_tolerance()
 
 
 class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):

@@ -14,11 +14,14 @@ from tests.support.cases import METRICS, QUICK, RETRACTIONS, order, reach
 from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent
 
 
+TOLERANCES = {"exponential-SL3": 1e-12}  # far out in the group, where det x = 1 is a sum of products of large numbers
+
+
 @pytest.mark.parametrize("name", RETRACTIONS)
 @pytest.mark.usual(*QUICK)
 def test_is_a_retraction(name, seeds):
     claims = {"order": order(name), "metric": METRICS.get(name), "reach": reach(name)}
-    check_retraction(RETRACTIONS[name], **claims, seeds=seeds, tolerance=1e-13)
+    check_retraction(RETRACTIONS[name], **claims, seeds=seeds, tolerance=TOLERANCES.get(name, 1e-13))
 
 
 @lru_cache
