@@ -13,7 +13,6 @@ from retrax.testing import check_retraction
 from tests.support.cases import METRICS, QUICK, RETRACTIONS, order, reach
 from tests.support.numerics import SEEDS, compiled, draw_point, draw_tangent
 
-
 TOLERANCES = {"exponential-SL3": 1e-12}  # far out in the group, where det x = 1 is a sum of products of large numbers
 
 
