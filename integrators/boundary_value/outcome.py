@@ -47,11 +47,8 @@ def _not_finite(problem: OptimalControlProblem, solution: Solution) -> str:
         for name, parts_of in zip(parts, own, strict=True):
             lost = [not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(part)) for part in parts_of]
             if any(lost):
-                what = (
-                    "is not finite"
-                    if lost[0]
-                    else f"has no finite derivative by the {'states' if lost[1] else 'controls'}"
-                )
+                by = "states" if lost[1] else "controls"
+                what = "is not finite" if lost[0] else f"has no finite derivative by the {by}"
                 return (
                     f"{name} {what} at q = {q}, u = {u}; try a function that is smooth there, as sqrt(x @ x + 1e-6) in "
                     "place of a norm."

@@ -34,7 +34,7 @@ def numba_is_there() -> bool:
     """Whether Numba is, as not yet for each new Python; a warning says, once, how all goes on without it."""
     try:
         import_module("numba")
-    except (ImportError, RuntimeError, SystemError) as error:
+    except (ImportError, OSError, RuntimeError, SystemError) as error:  # OSError: its library of LLVM cannot be loaded
         warnings.warn(
             f"Numba is not available: {error}. XLA compiles functions instead, tapes run on CasADi's machine, and "
             "Python solves the linear systems of solve, which takes some hundred times longer; try: pip install numba",
