@@ -8,45 +8,12 @@ from numba import extending, types
 from numba.core import cgutils
 
 from ....kernels import kernel, kernel_part
-from ....linked import view
+from ....linked import view as view
+from . import numpy_vectors
 from .arrays import LANES
 
-__all__ = [
-    "add",
-    "add_vector",
-    "compiled",
-    "entry",
-    "filled",
-    "higher",
-    "highest",
-    "inner",
-    "inverse",
-    "larger",
-    "look_at_one",
-    "look_at_three",
-    "look_at_two",
-    "magnitude",
-    "minus",
-    "one_by_one",
-    "over",
-    "part",
-    "plus",
-    "put",
-    "put_entry",
-    "put_part",
-    "root",
-    "scaled",
-    "sought",
-    "subtract",
-    "three_by_one",
-    "three_by_two",
-    "times",
-    "total",
-    "vector",
-    "view",
-    "within",
-    "without",
-]
+__all__: list[str] = []
+__all__ += numpy_vectors.__all__  # one list for both
 
 # Numba's own types do not know that it passes an intrinsic its first argument itself.
 intrinsic: Any = extending.intrinsic
