@@ -79,15 +79,15 @@ class SO(MatrixLieGroup):
         return rotation_violations("x", x)
 
     def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
-        if self.n == 3 and shape == (3,):
-            return "; for a " + (
-                "rotation vector try scipy's Rotation.from_rotvec(v).as_matrix()"
-                if is_point
-                else "body rate w try R @ hat(w)"
-            )
-        if self.n == 3 and shape == (4,) and is_point:
-            return '; for a quaternion try retrax.interop.from_quaternions(q, "last"), or "first" for its scalar part'
-        return ""
+        hints = {
+            ((3,), True): "; for a rotation vector try scipy's Rotation.from_rotvec(v).as_matrix()",
+            ((3,), False): "; for a body rate w try R @ hat(w)",
+            (
+                (4,),
+                True,
+            ): '; for a quaternion try retrax.interop.from_quaternions(q, "last"), or "first" for its scalar part',
+        }
+        return hints.get((shape, is_point), "") if self.n == 3 else ""
 
     def random_point(self, key: Array) -> Array:
         return random_rotation(key, self.n)
