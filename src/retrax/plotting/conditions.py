@@ -34,7 +34,7 @@ def conserved(solution: Solution, ax: Any = None) -> Any:
             axis.semilogy(found.times, np.maximum(change, EPS), label=f"momentum, {name}")
     for name, values in _violations(solution).items():
         axis.semilogy(found.times, np.maximum(values, EPS), label=name)
-    axis.set_ylabel("error, relative for the Hamiltonian and momenta")
+    axis.set_ylabel("error")
     time_axis(axis, found)
     axis.legend(fontsize="small")
     return axis
