@@ -79,15 +79,15 @@ class SO(MatrixLieGroup):
         return rotation_violations("x", x)
 
     def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
-        hints = {
-            ((3,), True): "; for a rotation vector try scipy's Rotation.from_rotvec(v).as_matrix()",
-            ((3,), False): "; for a body rate w try R @ hat(w)",
-            (
-                (4,),
-                True,
-            ): '; for a quaternion try retrax.interop.from_quaternions(q, "last"), or "first" for its scalar part',
-        }
-        return hints.get((shape, is_point), "") if self.n == 3 else ""
+        match self.n, shape, is_point:
+            case 3, (3,), True:
+                return "; for a rotation vector try scipy's Rotation.from_rotvec(v).as_matrix()"
+            case 3, (3,), False:
+                return "; for a body rate w try R @ hat(w)"
+            case 3, (4,), True:
+                reader = 'retrax.interop.from_quaternions(q, "last")'
+                return f'; for a quaternion try {reader}, or "first" for its scalar part'
+        return ""
 
     def random_point(self, key: Array) -> Array:
         return random_rotation(key, self.n)
