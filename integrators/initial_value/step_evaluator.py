@@ -40,6 +40,7 @@ def traced_steps(system: Any, integrator: Integrator) -> "TracedSteps | str":
         return reading.once(key, lambda: (_traced(system, integrator), system, integrator))[0]
 
 
+@undisturbed  # the imports too
 def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
     reason = _obstacle(system, integrator)
     if reason:
@@ -52,7 +53,7 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
     try:
         from .lanes import TracedSteps
 
-        return undisturbed(TracedSteps)(system, integrator)
+        return TracedSteps(system, integrator)
     except (NotTraceableError, UnknownInstructionError) as error:
         return str(error)
 

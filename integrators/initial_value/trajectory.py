@@ -166,8 +166,7 @@ def integrate(
     jump = ""
     if not transformed:
         trajectory, jump = _examined(system, integrator, trajectory, every)
-    if throw and not is_traced(trajectory) and trajectory.result != Result.successful:
-        failed = int(trajectory.failed_step)
+    if throw and not is_traced(trajectory) and (failed := int(trajectory.failed_step)) >= 0:
         first, last = (vec.taken((trajectory.q, trajectory.p), i) for i in (0, -1))
         reason = jump or f"{Result[trajectory.result]}{integrator.hint(system, first, last)}"
         raise ConvergenceError(f"step {failed}, from t = {failed * float(step_size):.6g}: {reason}")
@@ -313,13 +312,13 @@ def _recorded(
     count = jax.tree.leaves(nodes.q)[0].shape[step_size.ndim]
     times = _times(integrator, step_size, every, np.arange(count))
     unfailed = Result.interrupted if interrupt else Result.successful
+    if step_size.ndim:
+        result = jax.vmap(lambda solved: Result.where(solved, unfailed, Result.step_not_solved))(failed < 0)
+    else:
+        result = unfailed if failed < 0 else Result.step_not_solved
     # jnp.asarray would compile something for each shape.
-    (q, p, controls), (at_nodes, at_stages), stopped = jax.device_put((nodes, times, np.asarray(failed, int)))
-
-    def result_of(solved: Any) -> Result:
-        return Result.where(solved, unfailed, Result.step_not_solved)
-
-    result = jax.vmap(result_of)(failed < 0) if step_size.ndim else result_of(bool(failed < 0))
+    record = nodes, times, result, np.asarray(failed, int)
+    (q, p, controls), (at_nodes, at_stages), result, stopped = jax.device_put(record)
     trajectory = Trajectory(at_nodes, q, p, controls, at_stages, result, stopped, Remark(evaluator))
     if interrupt:
         # Not an exception of our own: only this very class ends a process, and the shell script around it, as Ctrl-C

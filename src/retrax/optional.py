@@ -6,6 +6,7 @@ from importlib import import_module
 from typing import Any
 
 from .errors import RetraxError
+from .undisturbed import put_off
 
 
 class MissingPackageError(RetraxError, ImportError):
@@ -33,7 +34,8 @@ WITHOUT_NUMBA = "Numba is not available, which makes the machine for tapes"
 def numba_is_there() -> bool:
     """Whether Numba is, as not yet for each new Python; a warning says, once, how all goes on without it."""
     try:
-        import_module("numba")
+        with put_off():
+            import_module("numba")
     except (ImportError, OSError, RuntimeError, SystemError) as error:  # OSError: its library of LLVM cannot be loaded
         warnings.warn(
             f"Numba is not available: {error}. XLA compiles functions instead, tapes run on CasADi's machine, and "

@@ -137,12 +137,17 @@ class _Reader:
         self._truths = set[int]()
 
     def number(self, name: str, inputs: list[int], value: float = 0.0, divides: bool = False) -> int:
-        """The number of an instruction, which is new or has been there before."""
-        operands = sorted(inputs) if name in COMMUTATIVE else inputs
-        key = name, *operands, value, math.copysign(1.0, value)  # zeros of both signs are two numbers
-        k = self._known.setdefault(key, len(self._found))
-        if k == len(self._found):
-            self._found.append(Instruction(name, inputs, value, divides=divides))
+        """The number of an instruction, which is new or has been there before; ``value``: of one without operands."""
+        if not inputs:
+            key = name, value, math.copysign(1.0, value)  # zeros of both signs are two numbers
+        elif name in COMMUTATIVE and inputs[0] > inputs[1]:
+            key = name, inputs[1], inputs[0]
+        else:
+            key = name, *inputs
+        new = len(self._found)
+        k = self._known.setdefault(key, new)
+        if k == new:
+            self._found.append(Instruction(name, inputs, value, 0, divides))
             if name in TRUTHS:
                 self._truths.add(k)
         return k
@@ -153,10 +158,9 @@ class _Reader:
         made: dict[int, int] = {}
         read, written, code_of = function.instruction_input, function.instruction_output, function.instruction_id
         for k in range(function.n_instructions()):
-            code, ins, outs = code_of(k), read(k), written(k)
-            if code not in _OF_CASADI:
-                raise UnknownInstructionError(f"instruction {code} of CasADi has no counterpart in the machine")
-            name = _OF_CASADI[code]
+            name, ins, outs = _OF_CASADI.get(code_of(k)), read(k), written(k)
+            if name is None:
+                raise UnknownInstructionError(f"instruction {code_of(k)} of CasADi has no counterpart in the machine")
             if name == "OUTPUT":
                 yield outs[0], outs[1], made[ins[0]]
             elif name == "CONST":

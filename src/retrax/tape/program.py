@@ -60,12 +60,15 @@ def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, wind
     """
     instructions, parts = read(inputs, ca.densify(outputs), loops)
     _count(instructions)
-    for k, instruction in enumerate(instructions):
-        _select(instructions, instruction)
-        _divide(instructions, instruction)
-        _immediate(instructions, instruction)
-        _multiplied(instructions, k)
-        _summed(instructions, instruction)
+    for instruction in instructions:
+        if instruction.name in ("ADD", "SUB"):
+            _select(instructions, instruction)
+            _immediate(instructions, instruction)
+            _multiplied(instructions, instruction)
+            _summed(instructions, instruction)
+        elif instruction.name in ("MUL", "DIV"):
+            _divide(instructions, instruction)
+            _immediate(instructions, instruction)
     order = list[int]()
     for part in parts:
         kept = [k for k in part if instructions[k].uses or instructions[k].name in ALWAYS]
@@ -173,9 +176,8 @@ def _immediate(instructions: list[Instruction], instruction: Instruction) -> Non
         _replace(instructions, instruction, name, [instruction.inputs[0]], value)
 
 
-def _multiplied(instructions: list[Instruction], k: int) -> None:
+def _multiplied(instructions: list[Instruction], instruction: Instruction) -> None:
     """A product that only this sum needs is formed in it."""
-    instruction = instructions[k]
     if instruction.name not in ("ADD", "SUB"):
         return
     for place, other in ((0, 1), (1, 0)):
