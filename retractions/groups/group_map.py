@@ -11,6 +11,7 @@ from typing import final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool, Shaped
 
 from ...manifolds import SE, SO, SU, InvalidInputError, MatrixLieGroup, U
@@ -22,6 +23,7 @@ from ..retraction import MidpointRetraction, Retraction, nan_unless, newton_prei
 Matrix = Shaped[Array, "n n"]
 GroupMap = Callable[[Matrix], Matrix]
 
+ROUNDINGS = 64  # units in the last place: how far two computations of an element are apart
 OFF_ZERO = 0.1  # coordinates of the element of the algebra at which a group map is tried
 
 
@@ -73,10 +75,21 @@ def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
     Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as
     they are.
     """
-    return g if isinstance(group, SO | SE | U | SU) else nan_unless(is_on_group(group, g, 1.0), g)
+    return g if isinstance(group, SO | SE | U | SU) else nan_unless(_is_on_group(group, g), g)
 
 
-def is_on_group(group: MatrixLieGroup, g: Matrix, share: float) -> Bool[Array, ""]:
+def stays_on_group(group: MatrixLieGroup, g: Matrix) -> Bool[Array, ""]:
+    """Whether ``g`` satisfies the group's equations wherever it is computed: its rounding is another one there.
+
+    Elements that differ from it by ``ROUNDINGS`` satisfy them to a quarter of what is asked for: they are a sample.
+    """
+    places = np.arange(1, 1 + g.size).reshape(g.shape)
+    ways = [np.sign(np.sin(k * places)) for k in (1, 2, 3, 4)]
+    moved = jnp.stack([g * (1 + ROUNDINGS * jnp.finfo(g.dtype).eps * way) for way in ways])
+    return jnp.all(jax.vmap(lambda near: _is_on_group(group, near, 1 / 4))(moved))
+
+
+def _is_on_group(group: MatrixLieGroup, g: Matrix, share: float = 1.0) -> Bool[Array, ""]:
     """Whether ``g`` satisfies the group's equations to this share of half of the digits."""
     return vec.size(group.violations(jax.lax.stop_gradient(g))) <= share * default_tolerance()
 

@@ -11,7 +11,7 @@ from ...manifolds import SE, SO, SU, MatrixLieGroup, U, UnknownRetractionError
 from ..retraction import comes_back, nan_unless
 from ..rounding import EDGE
 from .functions import general, rigid_motions, rotations, unitary
-from .group_map import SymmetricGroupRetraction, is_on_group, on_group
+from .group_map import SymmetricGroupRetraction, on_group, stays_on_group
 
 Matrix = Shaped[Array, "n n"]
 
@@ -88,8 +88,7 @@ class GroupExponential(SymmetricGroupRetraction):
         inside = _functions(self.manifold).injective(a)
         if type(self.manifold) in _CLOSED_FORMS:
             return inside
-        # Rounding of the element is another one wherever it is computed.
-        return inside & is_on_group(self.manifold, self.group_map(a), 1 / 16) & comes_back(self, x, v)
+        return inside & stays_on_group(self.manifold, self.group_map(a)) & comes_back(self, x, v)
 
     def square_root(self, b: Matrix) -> Matrix:
         return _functions(self.manifold).square_root(b)
