@@ -6,6 +6,7 @@ from typing import Any, Self, final
 
 import numpy as np
 
+from ...manifolds import ConvergenceError
 from ..text import table
 from .interpolation import Sample, checked_times
 from .solution import Solution, Statistics
@@ -79,6 +80,16 @@ class PhasedSolution:
         )
 
     def __str__(self) -> str:
+        return self._text()
+
+    def require_success(self) -> "PhasedSolution":
+        """This solution, or a ``ConvergenceError`` with its result if the conditions are not met."""
+        if not self.success:
+            raise ConvergenceError(f"{self.result}\n{self._text(result=False)}", self)
+        return self
+
+    def _text(self, *, result: bool = True) -> str:
+        """What a user checks, of all phases and of each; first how it ended, unless that is said already."""
         kind = "strict local minimum" if self.strict_minimum else "not shown to be a strict local minimum"
         rows = [
             ("result", self.result),
@@ -91,7 +102,7 @@ class PhasedSolution:
             ),
         ]
         parts = (f"phase {k}\n{phase}" for k, phase in enumerate(self.phases))
-        return "\n\n".join([table(rows), *parts])
+        return "\n\n".join([table(rows if result else rows[1:]), *parts])
 
 
 def _told(phases: Sequence[Solution], success: bool) -> str:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, final
 import jax.numpy as jnp
 import numpy as np
 
-from ...manifolds import ConvergenceError, InvalidInputError
+from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
 from ...reading import reads_once
 from ..boundary_conditions import BoundaryConditions, boundary_values, boundary_words, linked
@@ -97,9 +97,7 @@ def solve_phases(
     between = _checked_links(links, given), _checked_constraints(boundary_constraints, len(given))
     task = _Task(*between, horizon, options)
     solution = task.settled(guessed_phases(given, task.links))
-    if throw and not solution.success:
-        raise ConvergenceError(f"{solution.result}\n{solution}", solution)
-    return solution
+    return solution.require_success() if throw else solution
 
 
 class _Task:

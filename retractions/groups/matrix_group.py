@@ -81,14 +81,15 @@ class GroupExponential(SymmetricGroupRetraction):
         return on_group(self.manifold, _functions(self.manifold).exponential(a))
 
     def group_map_inverse(self, b: Matrix) -> Matrix:
-        return self.manifold.algebra_part(_functions(self.manifold).logarithm(b))
+        a = self.manifold.algebra_part(_functions(self.manifold).logarithm(b))
+        return nan_unless(stays_on_group(self.manifold, b, 1.0), a)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         a = self.manifold.left_trivialise(x, v)
         inside = _functions(self.manifold).injective(a)
         if type(self.manifold) in _CLOSED_FORMS:
             return inside
-        return inside & stays_on_group(self.manifold, self.group_map(a)) & comes_back(self, x, v)
+        return inside & stays_on_group(self.manifold, self.group_map(a), 1 / 4) & comes_back(self, x, v)
 
     def square_root(self, b: Matrix) -> Matrix:
         return _functions(self.manifold).square_root(b)
