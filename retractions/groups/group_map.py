@@ -11,7 +11,6 @@ from typing import final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Shaped
 
 from ...manifolds import SE, SO, SU, InvalidInputError, MatrixLieGroup, U
@@ -23,7 +22,6 @@ from ..retraction import MidpointRetraction, Retraction, nan_unless, newton_prei
 Matrix = Shaped[Array, "n n"]
 GroupMap = Callable[[Matrix], Matrix]
 
-ROUNDINGS = 64  # units in the last place: how far two computations of an element are apart
 OFF_ZERO = 0.1  # coordinates of the element of the algebra at which a group map is tried
 
 
@@ -71,30 +69,14 @@ class GroupRetraction(Retraction):
 def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
     """``g`` where it satisfies the group's equations to half of the digits, NaN elsewhere: on SL(n) far out, where det
     is lost.
+
+    Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as
+    they are.
     """
-    return g if _keeps_to_itself(group) else nan_unless(_is_on_group(group, g, 1.0), g)
+    return g if isinstance(group, SO | SE | U | SU) else nan_unless(is_on_group(group, g), g)
 
 
-def stays_on_group(group: MatrixLieGroup, g: Matrix, share: float) -> Bool[Array, ""]:
-    """Whether ``g`` satisfies the group's equations wherever it is computed: its rounding is another one there.
-
-    Elements that differ from it by ``ROUNDINGS`` satisfy them to this share of half of the digits: they are a sample.
-    """
-    if _keeps_to_itself(group):
-        return jnp.array(True)
-    places = np.arange(1, 1 + g.size).reshape(g.shape)
-    ways = [np.sign(np.sin(k * places)) for k in (1, 2, 3, 4)]
-    moved = jnp.stack([g * (1 + ROUNDINGS * jnp.finfo(g.dtype).eps * way) for way in ways])
-    return jnp.all(jax.vmap(lambda near: _is_on_group(group, near, share))(moved))
-
-
-def _keeps_to_itself(group: MatrixLieGroup) -> bool:
-    """Whether the functions of a group lead to elements of it by their form: those of rotations and of rigid
-    motions."""
-    return isinstance(group, SO | SE | U | SU)
-
-
-def _is_on_group(group: MatrixLieGroup, g: Matrix, share: float) -> Bool[Array, ""]:
+def is_on_group(group: MatrixLieGroup, g: Matrix, share: float = 1.0) -> Bool[Array, ""]:
     """Whether ``g`` satisfies the group's equations to this share of half of the digits."""
     return vec.size(group.violations(jax.lax.stop_gradient(g))) <= share * default_tolerance()
 
