@@ -318,10 +318,11 @@ class OptimalControlProblem(eqx.Module):
                 )
         return ""
 
-    def digest(self) -> bytes | None:
-        """A digest of what the functions compute, with the values that they read now; None where that cannot be
-        told."""
-        return digest(self._values, self.manifold.ambient, self.controls.ambient)
+    def digest(self, parameters: Any = None) -> bytes | None:
+        """A digest of what the functions compute of parameters of this structure, with the values that they read now;
+        None where that cannot be told."""
+        examples = self.manifold.ambient, self.controls.ambient, parameters, np.zeros(())
+        return digest(lambda q, u, p, t: self.with_parameters(p).at_time(t)._values(q, u), *examples)
 
     def _values(self, q: Ambient, u: Ambient) -> tuple[Any, ...]:
         """What all functions return."""

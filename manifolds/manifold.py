@@ -177,15 +177,15 @@ class Manifold(eqx.Module):
             return f"{self._named(role)} has the structure {_outline(self.ambient)}, got {_outline(a)}{hint}"
         for k, (shape, leaf) in enumerate(zip(expected, leaves, strict=True)):
             if np.shape(leaf) != shape.shape:
-                known = self.hint_for_shape(k, np.shape(leaf), "point" in role)
+                known = self.hint_for_shape(k, np.shape(leaf), role)
                 hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else known
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
                 return f"{self._named(role)} has shape {shape.shape}, got {came}{hint}"
         return ""
 
-    def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
-        """Words on an array of another shape in place of the k-th array of a point, or of a vector; none where it is
-        not known what it may be."""
+    def hint_for_shape(self, k: int, shape: tuple[int, ...], role: str) -> str:
+        """Words on an array of another shape in place of the k-th array of what ``role`` says, a point, a tangent
+        vector or a covector; none where it is not known what it may be."""
         return ""
 
     def _describe_kinds(self, a: Ambient, role: str) -> str:

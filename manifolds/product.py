@@ -50,11 +50,11 @@ class Product(Manifold):
         pairs = enumerate(zip(self.factors, x, strict=True))
         return {f"factor {i}: {words}": value for i, (m, xi) in pairs for words, value in m.violations(xi).items()}
 
-    def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
+    def hint_for_shape(self, k: int, shape: tuple[int, ...], role: str) -> str:
         for factor in self.factors:
             count = len(jax.tree.leaves(factor.ambient))
             if k < count:
-                return factor.hint_for_shape(k, shape, is_point)
+                return factor.hint_for_shape(k, shape, role)
             k -= count
         return ""
 

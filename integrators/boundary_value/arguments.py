@@ -88,9 +88,14 @@ def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
             f"parameters are given, {parameters!r:.80}, and no function of the problem takes them; expected functions "
             "of (q, u, parameters)"
         )
-    for leaf in jax.tree.leaves(parameters):
-        if np.asarray(leaf).dtype.kind not in "fiub" or not np.all(np.isfinite(np.asarray(leaf, float))):
-            raise InvalidInputError(f"parameters must be finite real numbers and arrays of them, got {leaf!r:.80}")
+    for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
+        array, where = np.asarray(leaf), f"parameters{jax.tree_util.keystr(path)}"
+        got = f"{leaf!r:.80} as {where}" if array.dtype.kind not in "fiub" else ""
+        if not got and not np.isfinite(array).all():
+            place = np.argwhere(~np.isfinite(array))[0].tolist()
+            got = f"{array[tuple(place)]} as {where}{place if place else ''}"
+        if got:
+            raise InvalidInputError(f"parameters must be finite real numbers and arrays of them, got {got}")
 
 
 def fractions_of(steps: Any) -> np.ndarray:

@@ -167,10 +167,13 @@ class EndReader:
             return given
         return given.member(k) if isinstance(given, Free) else vec.taken(given, k)
 
-    def require_on_manifold(self, start: Any, end: Any) -> None:
-        """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold."""
+    def require_on_manifold(self, start: Any, end: Any, whose: str = "") -> None:
+        """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold; ``whose``: which member's it
+        is, in a batch."""
         parts = [given for name, at in (("start", start), ("end", end)) for given in self._parts(at, name)]
-        _require_membership([(name, reader.manifold, point) for name, reader, point in parts if _is_prescribed(point)])
+        _require_membership(
+            [(f"{name}{whose}", reader.manifold, point) for name, reader, point in parts if _is_prescribed(point)]
+        )
 
     def condition(self, row: np.ndarray, parts: tuple[Part, ...]) -> NodeCondition:
         """The condition on a node from a flat point."""
@@ -222,10 +225,11 @@ class EndReader:
         rows = self.layout.held(given, axes)
         if rows is None:
             hint = "; give one entry for each factor, None where it is free" if self.factors else ""
-            for k in range(len(jax.tree.leaves(given)[0]) if axes else 1):
+            count = len(jax.tree.leaves(given)[0]) if axes else 1
+            for k in range(count):
                 wrong = self.manifold.describe_mismatch(self.member(given, k) if axes else given, "a point")
                 if wrong:
-                    raise NotOnManifoldError(f"{name}: {wrong}{hint}")
+                    raise NotOnManifoldError(f"{name}{f', member {k}' if count > 1 else ''}: {wrong}{hint}")
             rows = self.layout.rows(given, axes)
         return rows if axes else rows[None]
 

@@ -11,9 +11,11 @@ from ...retractions import Gauss
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER
 from ..free import is_free
 from ..problem import OptimalControlProblem
+from ..results import sentence
 from .arcs import DURATIONS, Arcs
 from .arguments import Given, Method
 from .checks import RegularChecks
+from .engine.found import Iteration, stops
 from .guess import Guess
 from .request import Request
 from .resampling import Mesh
@@ -45,6 +47,10 @@ class _Found(NamedTuple):
         return None if self.arcs is None else np.flatnonzero(np.diff(self.arcs)) + 1
 
 
+class _StoppedError(Exception):
+    """Another mesh is asked for after the iteration was stopped."""
+
+
 @final
 @dataclass(eq=False)
 class Refinement:
@@ -65,7 +71,16 @@ class Refinement:
         self._arcs: dict[tuple[bytes, float | None], Arcs] = {}
         self._estimator: Estimator | None = None
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
-        self._most = MOST_STAGES
+        self._most, self._stopped = MOST_STAGES, False
+        options = self.request.options
+        if options.callback is not None:
+            self._callback = options.callback
+            self.request = replace(self.request, options=options._replace(callback=self._told))
+
+    def _told(self, iteration: Iteration) -> bool:
+        """What the callback returns, of which the meshes that would follow know too."""
+        self._stopped |= stops(self._callback(iteration))
+        return self._stopped
 
     def solve(self) -> Solution:
         """The solution on the last mesh, with what its conditions do not tell."""
@@ -79,28 +94,32 @@ class Refinement:
             raise InvalidInputError(
                 "the problem is singular, and accuracy is for regular ones, whose steps may be unequal; leave it out"
             )
-        best = self._switched(self._judged(solution))
+        best = self._judged(solution)
         slow, why = 0, f"of the limit of {ROUNDS} refinements"
-        for _ in range(ROUNDS):
-            if self.error(best) <= self.accuracy:
-                return self._recorded(best, "")
-            found = self._refined(best)
-            if isinstance(found, str):
-                why = found
-                break
-            found = self._switched(found)
-            slow = slow + 1 if self.error(found) > SLOW * self.error(best) else 0
-            best = found
-            if slow == PATIENCE:
-                why = "it no longer shrinks as the steps do"
-                break
-        return self._recorded(best, why)
+        try:
+            best = self._switched(best)
+            for _ in range(ROUNDS):
+                if self.error(best) <= self.accuracy:
+                    break
+                found = self._refined(best)
+                if isinstance(found, str):
+                    why = found
+                    break
+                found = self._switched(found)
+                slow = slow + 1 if self.error(found) > SLOW * self.error(best) else 0
+                best = found
+                if slow == PATIENCE:
+                    why = "it no longer shrinks as the steps do"
+                    break
+        except _StoppedError:
+            why = "the iteration was stopped"
+        return self._recorded(best, "" if self.error(best) <= self.accuracy else why)
 
     def _first(self) -> Solution:
         """The solution to begin with: on the mesh that is given or, where there is none, a strict minimum on a coarser
         one, or on a finer one."""
         first, fractions = self._counted(self.solver, self.request), self.solver.fractions
-        if first.success or isinstance(self.request.guess, Guess):  # which belongs to its mesh
+        if first.success or self._stopped or isinstance(self.request.guess, Guess):  # which belongs to its mesh
             return first
         meshes, coarse = list[np.ndarray](), fractions
         while len(coarse) >= 2 * FEWEST:
@@ -108,7 +127,7 @@ class Refinement:
             meshes.append(coarse)
         for mesh in [*meshes, *(np.repeat(fractions / parts, parts) for parts in (2, PARTS))]:
             found = self._on(self.problem, mesh, self.given, self.request.guess)
-            if found.success and found.checks.strict_minimum:
+            if self._stopped or (found.success and found.checks.strict_minimum):
                 return found
         return first
 
@@ -129,9 +148,12 @@ class Refinement:
         return self._counted(solver, self.request.again(solver.reader, given, guess))
 
     def _counted(self, solver: Solver, request: Request) -> Solution:
-        """The solution, with its effort added to that of all."""
+        """The solution, with its effort added to that of all; none follows one that was stopped."""
+        if self._stopped:
+            raise _StoppedError
         solution = solver.found(request)
         iterations, compiling, running = self._effort
+        self._stopped |= solution.result == sentence("stopped")
         spent = solution.statistics
         self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
         return solution

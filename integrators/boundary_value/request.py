@@ -153,8 +153,8 @@ class Request:
         """A batch: what is not for all has one more leading axis."""
         known = _known(reader.problem, given)
         count = _count(reader.ends, known, guesses)
-        for horizon in np.asarray(known.horizon).tolist() if np.ndim(known.horizon) else [known.horizon]:
-            _require_horizon(horizon)
+        for k, horizon in enumerate(np.atleast_1d(np.asarray(known.horizon)).tolist()):
+            _require_horizon(horizon, "horizon" + (f", member {k}," if np.ndim(known.horizon) and count > 1 else ""))
         check_parameters(reader.problem, known.parameters)
         request = cls._read(reader, given, known, guesses, options, None, 1, count)
         if request.formulated and len({Kind.of(own.horizon, own.parameters) for own in request.each}) > 1:
@@ -201,7 +201,7 @@ class Request:
         if not near.all():
             for k in np.flatnonzero(~np.all(near.reshape(2, -1), axis=0)):
                 own = self.each[int(k)]
-                reader.ends.require_on_manifold(own.start, own.end)
+                reader.ends.require_on_manifold(own.start, own.end, f", member {k}" if len(self) > 1 else "")
         off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
         if not off.any():
             return self
@@ -296,15 +296,15 @@ def _known(problem: OptimalControlProblem, given: Given) -> Given:
     return given._replace(horizon=guessed(given.horizon), parameters=all_guessed(given.parameters))
 
 
-def _require_horizon(horizon: Any) -> None:
+def _require_horizon(horizon: Any, name: str = "horizon") -> None:
     if is_free(horizon):
         if np.ndim(horizon.guess) or not horizon.guess > 0:
             raise InvalidInputError(
-                f"horizon must be free around a positive finite time, got {horizon!r}; try Free(10.0)"
+                f"{name} must be free around a positive finite time, got {horizon!r}; try Free(10.0)"
             )
     elif not (is_finite_number(horizon) and horizon > 0):
         hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
-        raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
+        raise InvalidInputError(f"{name} must be a positive finite time, got {horizon!r}{hint}")
 
 
 def _are_several(guesses: Any) -> bool:
@@ -313,16 +313,32 @@ def _are_several(guesses: Any) -> bool:
 
 def _count(ends: EndReader, known: Given, guesses: Any) -> int:
     """The number of members of a batch."""
-    lengths = [*ends.lengths(known.start), *ends.lengths(known.end)]
-    lengths += [np.shape(known.horizon)] if np.ndim(known.horizon) else []
-    lengths += [np.shape(leaf)[:1] for leaf in jax.tree.leaves(known.parameters)]
-    lengths += [(len(guesses),)] if _are_several(guesses) else []
-    if len(set(lengths)) != 1 or len(lengths[0]) != 1 or not lengths[0][0]:
-        raise InvalidInputError(
-            f"starts, ends, horizons, parameters and guesses have leading axes of lengths {sorted(set(lengths))}, "
-            "expected one length B, wherever there is such an axis; for a single trajectory call solve"
-        )
-    return lengths[0][0]
+    given = {
+        "starts": ends.lengths(known.start),
+        "ends": ends.lengths(known.end),
+        "horizons": [np.shape(known.horizon)] if np.ndim(known.horizon) else [],
+        "parameters": [np.shape(leaf)[:1] for leaf in jax.tree.leaves(known.parameters)],
+        "guesses": [(len(guesses),)] if _are_several(guesses) else [],
+    }
+    lengths = {length for found in given.values() for length in found}
+    if len(lengths) != 1 or lengths & {(), (0,)}:
+        raise InvalidInputError(_words_on_lengths(given))
+    ((count,),) = lengths
+    return count
+
+
+def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
+    """Words on what has which leading axis, where a batch has none or several lengths."""
+    found = [
+        f"{name} {' and '.join(str(*length) if length else 'none' for length in sorted(set(lengths)))}"
+        for name, lengths in given.items()
+        if lengths
+    ]
+    hint = "for a single trajectory call solve"
+    if given["parameters"]:
+        hint = "parameters have one too: try np.broadcast_to for those that are the same for all"
+    got = ", ".join(found) or "none"
+    return f"a batch has one more axis in front, of one length B, wherever something varies, got {got}; {hint}"
 
 
 def _member(ends: EndReader, given: Given, k: int) -> Given:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from copy import copy
 from typing import Any, NamedTuple, final
 from weakref import WeakKeyDictionary
@@ -17,6 +18,7 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
+from ..unchanged import Unchanged
 from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
 from .differentiable import INSTEAD, Extremal, extremal_of
 from .engine.derivatives import Sensitivities
@@ -39,6 +41,8 @@ from .shooting import solve_on_final_manifold
 from .solution import Solution
 from .solutions import Solutions
 
+HELD = ", or give what changes as parameters"
+
 
 class _Kept(NamedTuple):
     """The KKT system of a solution, one place of those of a batch."""
@@ -57,7 +61,8 @@ class Solver:
     that count relative to their sum. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``,
     the tape where the functions can be traced to one; ``solver.evaluator`` says which it is, and ``solver.reason`` why.
 
-    What the functions read when the solver is made stays as it was. What changes from call to call is an argument:
+    What the functions read when the solver is made stays as it was; a call that needs something traced anew after they
+    have changed raises ``InvalidInputError``. What changes from call to call is an argument:
     ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at
     the first call, and again for parameters of another structure. Without Numba XLA is the evaluator, Python solves the
     linear systems, and one warning says that this takes long.
@@ -80,16 +85,18 @@ class Solver:
         self._regularity, self._examination = Regularity(self._posing), Examination(problem)
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
-        if not problem.takes_parameters and not is_reading():
-            self._read()
+        # Of a solver that is made where functions are read, whoever made it looks after that.
+        self._unchanged = None if is_reading() else Unchanged("Solver", problem.digest, HELD)
+        if self._unchanged is not None and not problem.takes_parameters:
+            with self._unchanged.required(None):
+                self._read()
 
     def _read(self) -> None:
         """Trace the functions as they are now."""
-        with one_reading():
-            if self.problem.time_dependent:
-                self._formulated.of(1.0, None)[1]._read()
-            else:
-                self._posing.traced(None)
+        if self.problem.time_dependent:
+            self._formulated.of(1.0, None)[1]._read()
+        else:
+            self._posing.traced(None)
 
     def _inner(self, formulation: Formulation) -> "Solver":
         """A solver of the problem in another formulation."""
@@ -171,15 +178,20 @@ class Solver:
         share.
 
         ``callback``: called with an ``Iteration`` after each evaluation; the iteration ends where it returns something
-        true. ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it too. Either way the record has the best
-        iterate.
+        true, or an array that is true throughout. ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it
+        too. Either way the record has the best iterate.
         """
         require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = Given(start, end, horizon, parameters)
         request = Request.of(self.reader, given, guess, options, classification, integrator)
-        solution = self.solved(request)
+        with self._required(request.parameters_of(0)):
+            solution = self.solved(request)
         return solution.require_success() if throw else solution
+
+    def _required(self, parameters: Any) -> AbstractContextManager[Any]:
+        """A time in which what is traced is what the solver has traced before."""
+        return one_reading() if self._unchanged is None else self._unchanged.required(parameters)
 
     def solved(self, request: Request) -> Solution:
         """The extremal, examined."""
@@ -239,7 +251,8 @@ class Solver:
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = Given(starts, ends, horizons, parameters)
         request = Request.of_many(self.reader, given, guesses, options)
-        return self._all_examined(self.all_found(request), request)
+        with self._required(request.parameters_of(0)):
+            return self._all_examined(self.all_found(request), request)
 
     def all_found(self, request: Request) -> Solutions:
         """The extremals of a batch, of which the conditions alone are looked at."""
@@ -275,7 +288,7 @@ class Solver:
             )
         kept = self._kept[solution]
         key, place = structure_of(kept.parameters), np.array([kept.place])
-        with one_reading(), np.errstate(all="ignore"):
+        with self._required(kept.parameters), np.errstate(all="ignore"):
             if key not in self._derivatives:
                 traced = kept.posed.traced
                 self._derivatives[key] = Sensitivities(traced.steps, traced.nodes, self._evaluator)

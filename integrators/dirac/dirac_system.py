@@ -12,6 +12,7 @@ from ...manifolds import ConvergenceError, InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame, is_traced
 from ...manifolds.numerics.root import find_root
+from ..compilation import digest
 from ..controls import resting_control
 from ..extremal_controls import find_control
 from ..functions import real_number
@@ -66,6 +67,12 @@ class DiracSystem(eqx.Module):
             if not (callable(value) or (name == "rates" and value is None)):
                 of = "(q, p)" if name == "hamiltonian" else "q"
                 raise InvalidInputError(f"{name} must be a function of {of}, got {value!r}")
+
+    def digest(self) -> bytes | None:
+        """A digest of what the functions compute, with the values that they read now; None where that cannot be
+        told."""
+        ambient = self.manifold.ambient
+        return digest(lambda q, p: (self.hamiltonian(q, p), self.constraint(q, p)), ambient, ambient)
 
     def velocity(self, q: Ambient, p: Ambient) -> Ambient:
         """``dH/dp``, a tangent vector at ``q``."""

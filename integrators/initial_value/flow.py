@@ -7,7 +7,9 @@ from jaxtyping import ArrayLike
 
 from ...manifolds.numerics.ambient import Ambient
 from ...reading import Reading, resumed
+from ..compilation import digest
 from ..functions import require_concrete
+from ..unchanged import Unchanged
 from .integrator import Integrator
 from .many import integrate_many
 from .trajectory import Trajectory, check_call, integrate
@@ -21,7 +23,8 @@ class Flow:
     the flow are equal. The first call traces the functions, and what they read then stays as it was: for other values
     make another flow.
 
-    Raises ``InvalidInputError`` for what cannot be integrated, and where JAX transforms the call.
+    Raises ``InvalidInputError`` for what cannot be integrated, where JAX transforms the call, and where a call needs
+    something traced anew after the functions have changed.
 
     >>> flow = Flow(lambda q, p: (p @ p + q @ q) / 2, SymplecticIntegrator(Gauss(2, Exponential(Euclidean(1)))))
     >>> [float(flow.integrate((np.ones(1), np.zeros(1)), h, 10).q[-1, 0].round(4)) for h in (0.1, 0.2)]
@@ -32,8 +35,16 @@ class Flow:
         check_call(integrator, 1, 1, evaluator)
         require_concrete("Flow", system, integrator)
         self.system, self.integrator = system, integrator
+        self._unchanged = Unchanged("Flow", self._digest)
         self._evaluator, self._reading = evaluator, Reading()
         finalize(self, self._reading.end)
+
+    def _digest(self) -> bytes | None:
+        """A digest of what the functions of the system compute now."""
+        if hasattr(self.system, "digest"):
+            return self.system.digest()
+        ambient = self.integrator.manifold.ambient
+        return digest(self.system, ambient, ambient)
 
     def __repr__(self) -> str:
         return f"Flow({type(self.integrator).__name__} on {self.integrator.manifold})"
@@ -53,7 +64,7 @@ class Flow:
         'Flow(SymplecticIntegrator on SO(3))'
         """
         require_concrete("Flow.integrate", start, step_size)
-        with resumed(self._reading):
+        with resumed(self._reading), self._unchanged.required():
             return integrate(
                 self.system, self.integrator, start, step_size, steps, save_every, throw, self._evaluator, verbose
             )
@@ -71,7 +82,7 @@ class Flow:
         >>> Flow.integrate_many.__name__
         'integrate_many'
         """
-        with resumed(self._reading):
+        with resumed(self._reading), self._unchanged.required():
             return integrate_many(
                 self.system, self.integrator, starts, step_sizes, steps, save_every, self._evaluator, verbose
             )

@@ -78,13 +78,16 @@ class SO(MatrixLieGroup):
     def violations(self, x: Array) -> dict[str, Array]:
         return rotation_violations("x", x)
 
-    def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
-        match self.n, shape, is_point:
-            case 3, (3,), True:
+    def hint_for_shape(self, k: int, shape: tuple[int, ...], role: str) -> str:
+        kind = next((word for word in ("covector", "vector") if word in role), "point")
+        match self.n, shape, kind:
+            case 3, (3,), "point":
                 return "; for a rotation vector try scipy's Rotation.from_rotvec(v).as_matrix()"
-            case 3, (3,), False:
+            case 3, (3,), "vector":
                 return "; for a body rate w try R @ hat(w)"
-            case 3, (4,), True:
+            case 3, (3,), "covector":
+                return "; for a body momentum m try SO(3).covector(R, m)"
+            case 3, (4,), "point":
                 reader = 'retrax.interop.from_quaternions(q, "last")'
                 return f'; for a quaternion try {reader}, or "first" for its scalar part'
         return ""

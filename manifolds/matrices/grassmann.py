@@ -78,7 +78,7 @@ class Grassmann(HomogeneousSpace):
         e = jnp.asarray(skew_basis(self.n), x.dtype)
         return e @ x - x @ e
 
-    def hint_for_shape(self, k: int, shape: tuple[int, ...], is_point: bool) -> str:
+    def hint_for_shape(self, k: int, shape: tuple[int, ...], role: str) -> str:
         return "; a point is a projector, of a frame try frame @ frame.T" if shape == (self.n, self.p) else ""
 
     def random_point(self, key: Array) -> Array:

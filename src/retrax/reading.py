@@ -43,15 +43,16 @@ _context = jax.make_user_context(None)  # a part of the keys of JAX's caches, of
 
 @final
 class Reading:
-    """A time in which the functions of a user do not change; ``known`` is for what was found out during it."""
+    """A time in which the functions of a user do not change; ``known`` is for what was found out during it, ``traces``
+    how many programs were traced."""
 
     def __init__(self) -> None:
         self.known: dict[Hashable, Any] = {}
-        self._mark, self._traces = object(), False  # JAX keeps the mark
+        self._mark, self.traces = object(), 0  # JAX keeps the mark
 
     def traced(self, function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
         """``jax.make_jaxpr`` of a function: arrays, or their shapes, as arguments."""
-        self._traces = True
+        self.traces += 1
         with _context(self._mark):
             return jax.make_jaxpr(lambda *arguments: function(*arguments))(*examples)
 
@@ -67,7 +68,7 @@ class Reading:
         There is no public way to. Versions of JAX in which that cache is another one bound it.
         """
         cache: Any = getattr(partial_eval, "trace_to_jaxpr", None)
-        if self._traces and hasattr(cache, "evict_weakref"):
+        if self.traces and hasattr(cache, "evict_weakref"):
             functions = {key[0] for key in cache.cache_keys() if any(part is self._mark for part in key[1])}
             for function in (reference() for reference in functions):
                 if function is not None:

@@ -5,7 +5,9 @@ from pathlib import Path
 import pytest
 
 HERE = Path(__file__).parent
-READ_ANEW = {HERE / f"test_{name}.py" for name in ("changed_functions", "flow", "functions", "pieces", "solver")}
+READ_ANEW = {
+    HERE / f"test_{name}.py" for name in ("changed_functions", "flow", "functions", "pieces", "solver", "unchanged")
+}
 
 
 @pytest.fixture(autouse=True, scope="module")

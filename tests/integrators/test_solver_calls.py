@@ -80,7 +80,7 @@ def test_unequal_steps_reach_the_same_optimum(ratio):
 
 
 def test_a_batch_without_one_length_is_refused(solver):
-    with pytest.raises(InvalidInputError, match=r"lengths \[\(2,\), \(3,\)\]"):
+    with pytest.raises(InvalidInputError, match="got starts 2, ends 3, parameters 2; parameters have"):
         solver.solve_many(np.zeros((2, 4)), np.zeros((3, 4)), 1.0, parameters=tuple(np.array(RIGS[:2]).T))
 
 

@@ -175,7 +175,7 @@ def test_guesses_of_a_batch_are_one_for_each():
         with pytest.raises(InvalidInputError, match=words):
             solver.solve_many(np.zeros(1), ends, 1.0, wrong)
     for wrong in (np.array([1.0, -1.0]), np.array([1.0, np.nan]), -1.0):
-        with pytest.raises(InvalidInputError, match="horizon must be a positive finite time, got "):
+        with pytest.raises(InvalidInputError, match=r"horizon(, member 1,)? must be a positive finite time, got "):
             solver.solve_many(np.zeros(1), ends, wrong)
     with pytest.raises(InvalidInputError, match="one length B"):
         solver.solve_many(np.zeros((0, 1)), np.zeros(1), 1.0)

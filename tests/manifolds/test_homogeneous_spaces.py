@@ -137,8 +137,12 @@ def test_other_forms_of_attitudes_are_answered():
         (np.zeros(2), r"has shape \(3, 3\), got \(2,\)$"),
     ):
         assert re.search(words, SO(3).contains(form).reason)
-        hint = "; for a body rate w try R @ hat(w)" if form.shape == (3,) else ""
-        assert SO(3).describe_mismatch(form, "a tangent vector").endswith(f", got {np.shape(form)}{hint}")
+        for role, said in (
+            ("a tangent vector", "; for a body rate w try R @ hat(w)"),
+            ("a covector", "; for a body momentum m try SO(3).covector(R, m)"),
+        ):
+            hint = said if form.shape == (3,) else ""
+            assert SO(3).describe_mismatch(form, role).endswith(f", got {np.shape(form)}{hint}")
 
 
 def test_one_rotation_of_a_batch_is_orthogonal():

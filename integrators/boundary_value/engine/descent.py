@@ -27,7 +27,7 @@ from .conditions import Conditions
 from .extent import ends_meet
 from .falling import Fall
 from .first_multipliers import has_flat_controls, with_first_multipliers
-from .found import Found, Iteration
+from .found import Found, Iteration, stops
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals, Step
 from .pursuit import CURVATURE, EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
@@ -348,14 +348,14 @@ class Descent:
         return conditions.is_infeasible(state.iterate, state.assembled, state.residuals, self.tolerance)
 
     def report(self, state: State, accepted: np.ndarray) -> None:
-        """Show the state to the callback; where that returns something true, stop."""
+        """Show the state to the callback; where that returns something true, of a batch for all members, stop."""
         if self.callback is None:
             return
         residuals, length = state.residuals, state.fraction * state.step.reach
         barrier = self.conditions.of(state.member).barriers(state.iterate)
         violation = np.maximum(residuals.violation, residuals.excess)
         seen = residuals.gap, residuals.stationarity, state.shift, length, accepted, violation, barrier
-        self.stopped = bool(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
+        self.stopped = stops(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
 
     def leave(self, state: State, finished: np.ndarray) -> State | None:
         """What remains when members leave that have finished."""

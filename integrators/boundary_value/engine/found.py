@@ -1,6 +1,6 @@
 """What Newton's method tells on its way, and what it has found."""
 
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -48,3 +48,8 @@ class Found(NamedTuple):
     falling: np.ndarray  # without success: the cost, as if it had no lower bound
     boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
     notes: list[str] | None = None  # what is to be said of each member beside its result
+
+
+def stops(told: Any) -> bool:
+    """Whether a callback that returned this asks to stop: by something true, or by an array that is true throughout."""
+    return bool(np.all(told) if isinstance(told, np.ndarray) else told)

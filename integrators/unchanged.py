@@ -1,0 +1,49 @@
+"""Functions that somebody holds traced are those that they were: else what is traced later would be of others."""
+
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import contextmanager
+from typing import Any, final
+
+import jax
+import numpy as np
+
+from ..manifolds import InvalidInputError
+from ..reading import one_reading
+
+
+@final
+class Unchanged:
+    """The functions of a ``holder`` as they were first read; ``digest``: of what they compute now, or None where that
+    cannot be told, for arguments of one structure; ``hint``: what else to try than a new holder."""
+
+    def __init__(self, holder: str, digest: Callable[..., bytes | None], hint: str = "") -> None:
+        self._holder, self._digest, self._hint = holder, digest, hint
+        self._first: dict[Hashable, bytes | None] = {}
+        self._changed = False
+
+    @contextmanager
+    def required(self, *given: Any) -> Iterator[None]:
+        """A time in which functions may be traced: ``InvalidInputError`` if some are, and they are not those that were
+        traced before; then ever after, as the holder keeps both."""
+        with one_reading() as reading:
+            self._require()
+            before = reading.traces
+            try:
+                yield
+            finally:
+                if reading.traces > before:
+                    self._read(given)
+                    self._require()
+
+    def _read(self, given: tuple[Any, ...]) -> None:
+        leaves, structure = jax.tree.flatten(given)
+        now = self._digest(*jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), given))
+        self._changed = self._first.setdefault((structure, *map(np.shape, leaves)), now) != now
+
+    def _require(self) -> None:
+        if self._changed:
+            raise InvalidInputError(
+                f"the functions compute other values than when the {self._holder.lower()} was made, and this call, or "
+                f"one before, needs something that was not traced then; make a new {self._holder} after a change"
+                f"{self._hint}"
+            )
