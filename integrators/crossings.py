@@ -136,6 +136,7 @@ class Crossings:
         rows = points.states, points.controls, points.times[:, None], self._given.rows(given, 0)[None]
         return self._by_states.of_any(1, *rows)[0]
 
+    @np.errstate(all="ignore")  # along lines on which nothing is finite nothing changes
     def located(
         self, given: Given, lines: Lines, seen: Seen, of_step: np.ndarray | None = None
     ) -> tuple[Located | None, np.ndarray]:

@@ -15,7 +15,7 @@ from ..manifolds.numerics.errors import TRACEABLE
 from ..manifolds.numerics.precision import working_precision
 from ..manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from .evaluator import Automatic
-from .functions import failing_line
+from .functions import Bound, failing_line
 from .layout import Layout
 
 # Of functions that are given something else than expected.
@@ -268,7 +268,11 @@ def failure_words(problem: "OptimalControlProblem", error: Exception, q: Ambient
     """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
     shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
     reason = str(error).rstrip(".")
+    given = next((own.value for own in problem.functions.values() if isinstance(own, Bound)), None)
     other = "try another number of controls, or index what is there"
+    if given is not None:
+        expected = jax.tree.map(np.shape, given)
+        other = f"parameters have the shapes {expected}, try other ones, another number of controls, or index them"
     hint = next((words for part, words in HINTS.items() if part in reason), other)
     if isinstance(error, jax.errors.JAXTypeError):
         reason, hint = f"JAX cannot trace them ({type(error).__name__})", TRACEABLE

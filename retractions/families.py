@@ -108,6 +108,9 @@ class RetractionFamily:
     def __call__(self, manifold: Manifold | None = None) -> Retraction:
         if manifold is None:
             raise InvalidInputError(f"{self.name} takes a manifold, got none; try {self.name}(problem.manifold)")
+        if isinstance(manifold, type):
+            own = manifold.__name__
+            raise InvalidInputError(f"{self.name} takes a manifold, got the class {own}; try {self.name}({own}(...))")
         if isinstance(manifold, Product):
             return ProductRetraction(*(self(factor) for factor in manifold.factors))
         if isinstance(manifold, Power):

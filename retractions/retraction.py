@@ -58,6 +58,8 @@ class Retraction(eqx.Module):
     def __call__(self, x: Ambient, v: Ambient) -> Ambient:
         """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``, by ``retract``.
 
+        Whether ``v`` is tangent is not looked at, as this runs in compiled functions: ``manifold.is_tangent(x, v)``
+        says.
         Raises ``InvalidInputError`` for arrays of other shapes, as those of a batch without ``jax.vmap``, which would
         broadcast.
         """

@@ -11,7 +11,7 @@ import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array
 
-from ...manifolds import SE, SO, DomainError, Manifold, Power, Product, Sphere
+from ...manifolds import SE, SO, DomainError, InvalidInputError, Manifold, Power, Product, Sphere
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.tolerances import EPS, HALF, ROUNDING
@@ -73,8 +73,11 @@ def discretization_error(
     The control of a step is the polynomial through its stages. It is propagated from the first state in charts of the
     ``retraction`` by DOP853 [Hairer, Norsett, Wanner 1993], in steps so fine that its own error is a hundredth of what
     is found. ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one
-    chart of their manifold, and ``InvalidInputError`` if parameters are missing.
+    chart of their manifold, and ``InvalidInputError`` for anything but a retraction, or if parameters are missing.
     """
+    if not isinstance(retraction, Retraction):
+        got = type(retraction).__name__
+        raise InvalidInputError(f"discretization_error takes a retraction, got one of {got}; try method.retraction")
     problem.require_treated("discretization_error", *ALONG, *BETWEEN)
     check_parameters(problem, parameters)
     found = solution.times, solution.states, solution.stage_times, solution.controls

@@ -91,6 +91,11 @@ def _checked_starts(manifold: Manifold, starts: Any) -> tuple[Ambient, Ambient]:
             "starts must have arrays with one more axis, of one length, in front; got shapes "
             f"{jax.tree.map(np.shape, starts)}"
         )
+    if not any(manifold.describe_shapes(part, "") for part in starts):
+        raise InvalidInputError(
+            "starts is a single one, expected one more axis in front of its arrays; try integrate, or "
+            "np.asarray(q0)[None]"
+        )
     for part, role in zip(starts, ("a point", "a covector"), strict=True):
         wrong = manifold.describe_shapes(vec.taken(part, 0), role)
         wrong = wrong or manifold.describe_mismatch(jax.tree.map(lambda a: _worst(np.asarray(a)), part), role)

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from ..manifold import HomogeneousSpace
 from ..numerics import ambient as vec
 from ..numerics.attribute import attribute
-from ..numerics.errors import shapes_of
+from ..numerics.errors import InvalidInputError, shapes_of
 from ..numerics.matrices import exponential
 from ..numerics.precision import complex_entries, real
 from ..numerics.tolerances import HALF, tolerance
@@ -90,7 +90,13 @@ class MatrixLieGroup(HomogeneousSpace):
         return vec.combine(e, vec.components(e, a))
 
     def hat(self, c: Coordinates) -> Array:
-        """Element ``sum_i c_i A_i`` of the algebra with coordinates ``c``, shape ``(d,)``."""
+        """Element ``sum_i c_i A_i`` of the algebra with coordinates ``c``, shape ``(d,)``.
+
+        Raises ``InvalidInputError`` for another number of them.
+        """
+        if np.shape(c)[-1:] != (self.dimension,):
+            got = f"an array of shape {np.shape(c)}"
+            raise InvalidInputError(f"hat of {self} takes {self.dimension} coordinates, got {got}")
         return vec.combine(_constant(self.algebra, c), c)
 
     def vee(self, a: Array) -> Coordinates:

@@ -366,3 +366,9 @@ def test_a_momentum_that_is_zero_along_the_extremal_is_not_ascribed_to_a_symmetr
     valley = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: u @ u / 2 + q[1] ** 2, 2)
     solution = solve(valley, Midpoint(Addition(plane)), np.zeros(2), np.array([1.0, 0.0]), 1.0, 4)
     assert "constant along this extremal: 2 of 2 components" in " ".join(str(solution).split())
+
+
+def test_parameters_that_do_not_fit_are_named():
+    words = r"incompatible shapes.*; parameters have the shapes \(2,\), try other ones, another number of controls, or"
+    with pytest.raises(InvalidInputError, match=words):
+        slew(problem(cost=lambda q, u, k: u @ (k * u)), parameters=np.ones(2))

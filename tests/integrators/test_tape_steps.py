@@ -280,6 +280,8 @@ def test_starts_and_step_sizes_of_many_are_checked():
         integrate_many(pendulum_energy, method, (off, p), 0.1, 2)
     with pytest.raises(NotOnManifoldError, match=r"starts: a covector .*NaN"):
         integrate_many(pendulum_energy, method, (q, np.where(np.arange(4)[:, None] == 2, np.nan, p)), 0.1, 2)
+    with pytest.raises(InvalidInputError, match=r"starts is a single one, expected one more axis .*; try integrate"):
+        integrate_many(pendulum_energy, method, (q[0], p[0]), 0.1, 2)
     with pytest.raises(InvalidInputError, match=r"one more axis, of one length, in front; got shapes"):
         integrate_many(pendulum_energy, method, (q, p[:3]), 0.1, 2)
     with pytest.raises(

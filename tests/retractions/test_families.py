@@ -78,6 +78,10 @@ def test_a_product_with_an_unknown_factor_is_unknown():
 
 
 def test_a_family_without_a_manifold_is_no_retraction():
+    with pytest.raises(
+        InvalidInputError, match=r"Cayley takes a manifold, got the class SO; try Cayley\(SO\(\.\.\.\)\)"
+    ):
+        Cayley(SO)
     with pytest.raises(InvalidInputError, match=r"Cayley takes a manifold, got none; try Cayley\(problem\.manifold\)"):
         Cayley()
 
