@@ -60,7 +60,14 @@ class Guess(NamedTuple):
         Controls rest, costates are zero. Raises ``InvalidInputError`` or ``NotOnManifoldError`` for other arguments,
         and ``DomainError`` if no curve arrives.
         """
-        return through(problem, method, points, steps, times)
+        check_problem(problem, method)
+        given = list(points)
+        if len(given) < 2:
+            raise InvalidInputError(
+                f"a guess goes through at least two points, got {len(given)}; give the start, the end and more"
+            )
+        rows, shares = np.stack([*map(EndReader(problem.manifold).point, given)]), _shares(times, len(given))
+        return through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
 
     def __repr__(self) -> str:
         return (
@@ -77,30 +84,22 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
     walk sets out in a direction that is random but always the same: there are several ways round, and this is one of
     them. Controls rest, costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
-    fractions, ends = fractions_of(steps), EndReader(problem.manifold).ends(start, end, batched=False)
+    ends = EndReader(problem.manifold).ends(start, end, batched=False)
     ends.require_known(start)
-    places = stage_places(method, fractions)
-    states = Start(problem.manifold, method.retraction).states(ends.start, ends.end, places)[0]
-    return Guess(
-        Layout.of(problem.manifold).points(states), _rest(problem, len(places)), _zero(problem, len(fractions))
-    )
+    rows, shares = np.concatenate([ends.start, ends.end]), np.array([0.0, 1.0])
+    return through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
 
 
-def through(problem: OptimalControlProblem, method: Method, points: Sequence[Ambient], steps: Any, times: Any) -> Guess:
-    """The guess through points."""
-    check_problem(problem, method)
-    given, fractions, layout = list(points), fractions_of(steps), Layout.of(problem.manifold)
-    if len(given) < 2:
-        raise InvalidInputError(
-            f"a guess goes through at least two points, got {len(given)}; give the start, the end and more"
-        )
-    rows = np.stack([*map(EndReader(problem.manifold).point, given)])
-    passed = _shares(times, len(given))
+def through(
+    problem: OptimalControlProblem, method: Method, rows: np.ndarray, shares: np.ndarray, steps: Any, start: Start
+) -> Guess:
+    """The guess through flat points at these shares of the horizon; ``start`` knows the ways between them."""
+    fractions, layout = fractions_of(steps), Layout.of(problem.manifold)
     places = stage_places(method, fractions)
-    own = np.clip(np.searchsorted(passed, places, side="right") - 1, 0, len(given) - 2)
-    start, states = Start(problem.manifold, method.retraction), np.empty((len(places), layout.size))
+    own = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, len(rows) - 2)
+    states = np.empty((len(places), layout.size))
     for k in np.unique(own):
-        inside = (places[own == k] - passed[k]) / (passed[k + 1] - passed[k])
+        inside = (places[own == k] - shares[k]) / (shares[k + 1] - shares[k])
         states[own == k] = start.states(rows[k][None], rows[k + 1][None], inside)[0]
     return Guess(layout.points(states), _rest(problem, len(places)), _zero(problem, len(fractions)))
 

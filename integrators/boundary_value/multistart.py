@@ -13,7 +13,8 @@ from ..functions import require_concrete
 from ..layout import Layout
 from ..options import known_options
 from .end_points import EndReader
-from .guess import Guess, default_guess
+from .engine.start import Start
+from .guess import Guess, through
 from .solutions import Solutions
 from .solver import Solver
 
@@ -51,7 +52,7 @@ def multistart(
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InvalidInputError(f"{name} must be a whole number of at least {least}, got {value!r}")
     given = jax.tree.map(partial(_repeated, count), parameters, is_leaf=is_free)
-    guesses = [_guess(solver, start, end, k, np.random.default_rng([seed, k])) for k in range(count)]
+    guesses = _guesses(solver, start, end, count, seed)
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
     found = solver.solve_many(start, end, horizon, guesses, given, **options)
     return Solutions.of(sorted(found, key=lambda one: (not one.success, one.cost)))
@@ -63,16 +64,19 @@ def _repeated(count: int, leaf: Any) -> Any:
     return np.broadcast_to(leaf, (count, *np.shape(leaf)))
 
 
-def _guess(solver: Solver, start: Any, end: Any, k: int, draw: np.random.Generator) -> Guess:
-    """Guess number ``k``."""
+def _guesses(solver: Solver, start: Any, end: Any, count: int, seed: int) -> list[Guess]:
+    """The guesses."""
     problem, method, steps = solver.problem, solver.method, solver.fractions
-    if k == 0:
-        return default_guess(problem, method, start, end, steps)
     ends, layout = EndReader(problem.manifold).ends(start, end, batched=False), Layout.of(problem.manifold)
     ends.require_known(start)
     first, last = layout.points(ends.start[0]), layout.points(ends.end[0])
-    between = [_point(problem.manifold, first, last, draw) for _ in range(1 + (k - 1) % WAYPOINTS)]
-    return Guess.from_waypoints(problem, method, [first, *between, last], steps)
+    ways, guesses = Start(problem.manifold, method.retraction), list[Guess]()
+    for k in range(count):
+        draw = np.random.default_rng([seed, k])
+        between = [_point(problem.manifold, first, last, draw) for _ in range(1 + (k - 1) % WAYPOINTS if k else 0)]
+        rows = np.concatenate([ends.start, *(layout.rows(point, 0)[None] for point in between), ends.end])
+        guesses.append(through(problem, method, rows, np.linspace(0.0, 1.0, len(rows)), steps, ways))
+    return guesses
 
 
 def _point(manifold: Manifold, first: Any, last: Any, draw: np.random.Generator) -> Ambient:
