@@ -9,6 +9,7 @@ import numpy as np
 
 from ..manifolds import InvalidInputError
 from ..reading import one_reading
+from .probing import FAILURES
 
 
 @final
@@ -37,7 +38,10 @@ class Unchanged:
 
     def _read(self, given: tuple[Any, ...]) -> None:
         leaves, structure = jax.tree.flatten(given)
-        now = self._digest(*jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), given))
+        try:
+            now = self._digest(*jax.tree.map(lambda leaf: np.zeros(np.shape(leaf)), given))
+        except FAILURES:  # of functions that fail, of which the call has told
+            return
         self._changed = self._first.setdefault((structure, *map(np.shape, leaves)), now) != now
 
     def _require(self) -> None:

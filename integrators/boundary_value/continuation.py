@@ -88,8 +88,8 @@ def continuation(
     strict minimum.
 
     Where a step of ``smallest_step`` fails, as at a fold, the record has the last solution, and says why. ``callback``:
-    called with each place and solution; the way ends where it returns something true. Regular problems only. Raises
-    what ``solver.solve`` raises at the beginning of the path.
+    called with each place and solution; the way ends where it returns something true, and at Ctrl-C. Regular problems
+    only. Raises what ``solver.solve`` raises at the beginning of the path.
     """
     if not (isinstance(solver, Solver) and callable(path)):
         raise InvalidInputError(
@@ -101,22 +101,25 @@ def continuation(
     first = solver.solve(**problem_at(path, 0.0)._asdict(), guess=guess, tolerance=tolerance)
     predictor, places, found = Predictor(solver), [0.0], [first]
     step, refusal = FIRST, ""
-    stopped = callback is not None and callback(0.0, first)
-    while not (stopped or refusal) and places[-1] < 1:
-        place = min(places[-1] + step, 1.0)
-        trial = _tried(predictor, (problem_at(path, places[-1]), problem_at(path, place)), found[-1], options)
-        if not trial.refusal:
-            places.append(place)
-            found.append(trial.solution)
-            factor = max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))
-            step = max(step * factor, smallest_step)
-            stopped = callback is not None and callback(place, trial.solution)
-        elif trial.solution.result == Result[Result.stopped]:
-            stopped = True
-        elif step <= smallest_step:
-            refusal = trial.refusal
-        else:
-            step = max(SHORTER * min(step, place - places[-1]), smallest_step)
+    try:
+        stopped = callback is not None and callback(0.0, first)
+        while not (stopped or refusal) and places[-1] < 1:
+            place = min(places[-1] + step, 1.0)
+            trial = _tried(predictor, (problem_at(path, places[-1]), problem_at(path, place)), found[-1], options)
+            if not trial.refusal:
+                places.append(place)
+                found.append(trial.solution)
+                factor = max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))
+                step = max(step * factor, smallest_step)
+                stopped = callback is not None and callback(place, trial.solution)
+            elif trial.solution.result == Result[Result.stopped]:
+                stopped = True
+            elif step <= smallest_step:
+                refusal = trial.refusal
+            else:
+                step = max(SHORTER * min(step, place - places[-1]), smallest_step)
+    except KeyboardInterrupt:  # the part that was found is there
+        places, found = places[: len(found)], found[: len(places)]
     reached, last = places[-1] == 1, f"{places[-1]:.6g} of the path"
     words = f"No step beyond {last} succeeds: {refusal}" if refusal else f"The way was stopped at {last}."
     words = "The end of the path was reached." if reached else words

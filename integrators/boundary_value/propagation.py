@@ -77,7 +77,7 @@ def discretization_error(
     """
     if not isinstance(retraction, Retraction):
         got = type(retraction).__name__
-        raise InvalidInputError(f"discretization_error takes a retraction, got one of {got}; try method.retraction")
+        raise InvalidInputError(f"discretization_error takes a retraction, got {got}; try method.retraction")
     problem.require_treated("discretization_error", *ALONG, *BETWEEN)
     check_parameters(problem, parameters)
     found = solution.times, solution.states, solution.stage_times, solution.controls

@@ -330,7 +330,7 @@ def _count(ends: EndReader, known: Given, guesses: Any) -> int:
 def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
     """Words on what has which leading axis, where a batch has none or several lengths."""
     found = [
-        f"{name} {' and '.join(str(*length) if length else 'none' for length in sorted(set(lengths)))}"
+        f"{name} {' and '.join(str(length[0]) if length else 'none' for length in sorted(set(lengths)))}"
         for name, lengths in given.items()
         if lengths
     ]

@@ -126,6 +126,25 @@ def test_it_stops_where_it_is_told_to_and_says_where(sphere):
     assert "reached 0.1 of the path by 1 steps" in repr(found)
 
 
+@pytest.mark.parametrize("steps", range(4))
+def test_an_interrupt_ends_the_way_where_it_is(sphere, monkeypatch, steps):
+    """Ctrl-C while the next step is predicted."""
+    predict, whole, calls = Predictor.__call__, continuation(sphere, arc(3.0)), []
+
+    def interrupted(*arguments):
+        calls.append(arguments)
+        if len(calls) > steps:
+            raise KeyboardInterrupt
+        return predict(*arguments)
+
+    monkeypatch.setattr(Predictor, "__call__", interrupted)
+    found = continuation(sphere, arc(3.0))
+    assert not found.success
+    np.testing.assert_array_equal(found.places, whole.places[: steps + 1])
+    assert len(found.solutions) == steps + 1
+    assert found.result == f"The way was stopped at {found.places[-1]:.6g} of the path."
+
+
 def test_an_end_that_is_not_there_is_not_reached(sphere):
     """The path breaks in its middle: with any step the next extremal is far from the prediction."""
 

@@ -127,3 +127,13 @@ def test_a_solver_of_a_singular_problem_is_held_too():
     k[0] = 3.0
     with changed("solver"):
         solver.solve(*ends[0], ends[1], throw=False)
+
+
+def test_functions_that_fail_are_told_as_ever():
+    solver = Solver(line(lambda q, u, a: u @ (a * u)), METHOD, 4)
+    for _ in range(2):
+        with pytest.raises(
+            InvalidInputError, match=r"the problem's functions fail .* parameters have the shapes \(2,\)"
+        ):
+            solver.solve(ZERO, ONE, 1.0, parameters=np.ones(2))
+    assert solver.solve(ZERO, ONE, 1.0, parameters=2.0).success
