@@ -288,6 +288,18 @@ PLANTED: dict[str, Planted] = {
         "reached = converged | same_point(",
         ("tests/retractions/test_newtons_inverse.py", "tests/retractions/test_domains.py"),
     ),
+    "nobody looks whether functions have changed": Planted(
+        "integrators/unchanged.py",
+        "if reading.traces > before:",
+        "if not reading.traces:",
+        ("tests/integrators/test_unchanged.py",),
+    ),
+    "a mesh follows the one that was stopped": Planted(
+        "integrators/boundary_value/refinement.py",
+        "self._stopped |= stops(self._callback(iteration))",
+        "self._stopped = stops(self._callback(iteration))",
+        ("tests/integrators/test_stops.py",),
+    ),
     "exponentials far out are computed once": Planted(
         "retractions/groups/matrix_group.py",
         "for k in (-2, -1, 0, 1, 2)])",
