@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..tape.program import Program
 
 MOST_TAPES = 256
-MOST_OPERATIONS = 500_000  # of a graph, expected: a tape of more takes ten seconds, and XLA less
+MOST_OPERATIONS = 2_500_000  # of a graph, expected: a tape of more takes half a minute to make, and XLA a tenth of it
 PLANS = 8  # of a tape, for as many shapes of its arrays
 ROOM = 2**17  # numbers that the small tapes of a thread share, in the near caches
 # As many times more operations are one thread's in a pass of several kernels, which spares what is between them.
