@@ -1,6 +1,7 @@
 """From an easy problem to a hard one: the extremals along a path of parameters, ends and horizons."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, NamedTuple, final
 
@@ -99,16 +100,15 @@ def continuation(
         raise InvalidInputError(f"smallest_step must be a number in (0, 1], got {smallest_step!r}")
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
     first = solver.solve(**problem_at(path, 0.0)._asdict(), guess=guess, tolerance=tolerance)
-    predictor, places, found = Predictor(solver), [0.0], [first]
-    step, refusal = FIRST, ""
-    try:
+    predictor, way, step, refusal = Predictor(solver), [(0.0, first)], FIRST, ""
+    with suppress(KeyboardInterrupt):  # what was found until then is there
         stopped = callback is not None and callback(0.0, first)
-        while not (stopped or refusal) and places[-1] < 1:
-            place = min(places[-1] + step, 1.0)
-            trial = _tried(predictor, (problem_at(path, places[-1]), problem_at(path, place)), found[-1], options)
+        while not (stopped or refusal) and way[-1][0] < 1:
+            before, last = way[-1]
+            place = min(before + step, 1.0)
+            trial = _tried(predictor, (problem_at(path, before), problem_at(path, place)), last, options)
             if not trial.refusal:
-                places.append(place)
-                found.append(trial.solution)
+                way.append((place, trial.solution))
                 factor = max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))
                 step = max(step * factor, smallest_step)
                 stopped = callback is not None and callback(place, trial.solution)
@@ -117,11 +117,10 @@ def continuation(
             elif step <= smallest_step:
                 refusal = trial.refusal
             else:
-                step = max(SHORTER * min(step, place - places[-1]), smallest_step)
-    except KeyboardInterrupt:  # the part that was found is there
-        places, found = places[: len(found)], found[: len(places)]
-    reached, last = places[-1] == 1, f"{places[-1]:.6g} of the path"
-    words = f"No step beyond {last} succeeds: {refusal}" if refusal else f"The way was stopped at {last}."
+                step = max(SHORTER * min(step, place - before), smallest_step)
+    places, found = map(list, zip(*way, strict=True))
+    reached, until = places[-1] == 1, f"{places[-1]:.6g} of the path"
+    words = f"No step beyond {until} succeeds: {refusal}" if refusal else f"The way was stopped at {until}."
     words = "The end of the path was reached." if reached else words
     return Continuation(np.array(places), Solutions.of(found), reached, words)
 
