@@ -14,8 +14,8 @@ from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Produc
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance
-from ..compilation import call_compiled
 from ..controls import resting_control
+from ..evaluation import violations_at
 from ..free import Free, guessed, is_free
 from ..layout import Layout
 
@@ -239,14 +239,9 @@ def _is_prescribed(given: Any) -> bool:
 
 
 def _require_membership(parts: list[tuple[str, Manifold, Ambient]]) -> None:
-    """Raise for a part that is off its manifold; all are looked at in one compiled function."""
-    points = [jax.tree.map(np.asarray, point) for _, _, point in parts]
-    found, *_ = call_compiled(_violations, [manifold for _, manifold, _ in parts], points)
-    for (name, manifold, _), violations in zip(parts, jax.tree.map(np.asarray, found), strict=True):
-        verdict = manifold.judge(violations, default_tolerance())
+    """Raise for a part that is off its manifold."""
+    for name, manifold, point in parts:
+        violations = violations_at(manifold, jax.tree.map(lambda a: np.asarray(a)[None], point))
+        verdict = manifold.judge(vec.taken(violations, 0), default_tolerance())
         if not verdict:
             raise NotOnManifoldError(f"{name}: {verdict.reason}")
-
-
-def _violations(manifolds: list[Manifold], points: list[Ambient]) -> list[dict[str, Array]]:
-    return [manifold.violations(point) for manifold, point in zip(manifolds, points, strict=True)]

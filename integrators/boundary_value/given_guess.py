@@ -9,7 +9,7 @@ import numpy as np
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics.precision import default_tolerance
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER
-from ..evaluation import at_each
+from ..evaluation import violations_at
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .guess import Guess, check_arrays
@@ -124,7 +124,7 @@ class GuessReader:
             far = ~(violations[begin : begin + len(points)] <= default_tolerance())
             begin += len(points)
             if np.any(far):
-                found = at_each(manifold.violations, self._parts[0].layout.points(points[far]))
+                found = violations_at(manifold, self._parts[0].layout.points(points[far]))
                 for equation, values in found.items():
                     if not np.max(values) <= default_tolerance():
                         worst = f"{equation} reaches {np.max(values):.3g}"

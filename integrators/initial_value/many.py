@@ -12,7 +12,8 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance
 from ...reading import reads_once
-from ..compilation import call_compiled, call_optimized
+from ..compilation import call_optimized
+from ..evaluation import violations_at
 from ..functions import require_concrete
 from .integrator import Integrator
 from .step_evaluator import tape_steps
@@ -102,17 +103,12 @@ def _checked_starts(manifold: Manifold, starts: Any) -> tuple[Ambient, Ambient]:
         if wrong:
             raise NotOnManifoldError(f"starts: {wrong}")
     q0, p0 = (jax.tree.map(lambda s, a: np.asarray(a, s.dtype), manifold.ambient, part) for part in starts)
-    violations = jax.device_get(call_compiled(_violations, manifold, q0)[0])
-    for words, values in violations.items():
+    for words, values in violations_at(manifold, q0).items():
         worst = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
         verdict = manifold.judge({words: values[worst]}, default_tolerance())
         if not verdict:
             raise NotOnManifoldError(f"start {worst}: {verdict.reason}")
     return q0, p0
-
-
-def _violations(manifold: Manifold, points: Ambient) -> dict[str, Array]:
-    return jax.vmap(manifold.violations)(points)
 
 
 def _worst(a: np.ndarray) -> np.ndarray:

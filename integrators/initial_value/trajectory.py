@@ -12,8 +12,10 @@ from jaxtyping import Array, Float, Int
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
+from ...manifolds.numerics.precision import default_tolerance, working_precision
 from ...reading import reads_once
 from ..compilation import compiled
+from ..evaluation import violations_at
 from ..evaluator import check_evaluator
 from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes
@@ -157,7 +159,8 @@ def integrate(
         require_finite_step("step_size", step_size)
     q0, p0 = _checked_start(integrator.manifold, start)
     count, every = int(steps) // int(save_every), int(save_every)
-    arguments = system, integrator, (q0, p0), jnp.asarray(step_size, float), count, every
+    size = step_size if is_traced(step_size) else np.asarray(step_size, working_precision())  # nothing is compiled
+    arguments = system, integrator, (q0, p0), jnp.asarray(size, float), count, every
     transformed = is_transformed(arguments)
     if not transformed:
         integrator.check(system, q0, p0)
@@ -209,7 +212,8 @@ def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
         raise NotOnManifoldError(f"start: {wrong}")
     q0, p0 = (jax.tree.map(lambda s, a: jnp.asarray(a, s.dtype), manifold.ambient, part) for part in start)
     if not (is_traced(q0, p0) or is_jitting()):
-        verdict = manifold.contains(q0)
+        violations = violations_at(manifold, jax.tree.map(lambda a: np.asarray(a)[None], q0))
+        verdict = manifold.judge(vec.taken(violations, 0), default_tolerance())
         if not verdict:
             raise NotOnManifoldError(f"start: {verdict.reason}")
     return q0, p0

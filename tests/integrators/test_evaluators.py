@@ -91,7 +91,7 @@ FRAMES = {
 
 
 @pytest.mark.parametrize(
-    "name", ["frames", *(pytest.param(name, marks=pytest.mark.slow) for name in ("lines", "planes"))]
+    "name", ["lines", *(pytest.param(name, marks=pytest.mark.slow) for name in ("frames", "planes"))]
 )
 def test_frames_and_subspaces_run_on_the_tape_and_have_the_optimum_of_xla(name):
     manifold, family, velocity = FRAMES[name]

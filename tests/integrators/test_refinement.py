@@ -106,6 +106,7 @@ def test_a_switch_is_found_wherever_it_is(speeds):
             assert found.checks.active == counts
 
 
+@pytest.mark.usual("2-20-False")
 @pytest.mark.parametrize(("stages", "steps", "at_nodes"), [(2, 20, False), (3, 10, True)])
 def test_a_coast_between_two_switches_comes_with_a_limit_of_the_speed(stages, steps, at_nodes):
     """Least time is ``v + 1 / v`` with a limit ``v < 1`` of the speed. Along a coast the control is not at a bound, and
@@ -370,6 +371,7 @@ def test_constraints_with_an_explicit_time_are_looked_at_between_the_points(kind
     assert found.checks.between == {"tube": 0.0}
 
 
+@pytest.mark.long("horizon3-constraints3-0-1e-06")
 @pytest.mark.parametrize("accuracy", [None, 1e-6])
 @pytest.mark.parametrize(
     ("horizon", "constraints", "count"),

@@ -52,6 +52,7 @@ def test_the_exponential_is_defined_wherever_its_domain_says_so_however_it_is_ro
     assert LENGTHS[claimed][-1] > 0.6 * LENGTHS[~defined][0]  # not much is given away
 
 
+@pytest.mark.long("1", "3")
 @pytest.mark.parametrize("seed", range(4))
 def test_where_there_is_a_logarithm_the_exponential_leads_back(seed):
     ys = np.stack([scipy.linalg.expm(length * direction(seed)) for length in LENGTHS])

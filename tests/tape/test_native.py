@@ -87,7 +87,7 @@ def test_any_number_of_points(count):
     equal(*both(tape, draw((4, 4, count)), draw((4, 4, count)), draw(count)))
 
 
-@pytest.mark.long("1", "2")
+@pytest.mark.long("1", "2", "3")
 @pytest.mark.parametrize("size", [1, 2, 3, 10, 33, 100, 10_000])
 def test_pieces_of_any_length(size, monkeypatch):
     """From an instruction to all of them: what one piece leaves to others stands where these look for it."""
@@ -201,6 +201,7 @@ def spun(scale):
     return OptimalControlProblem(space, dynamics, lambda q, u: u @ u / 2, controls=3), Cayley(space)
 
 
+@pytest.mark.usual("None-1", "4.0-3")
 @pytest.mark.parametrize("stages", [1, 3])
 @pytest.mark.parametrize("limit", [None, 4.0])
 def test_solutions_are_the_same_numbers(stages, limit, made, monkeypatch):

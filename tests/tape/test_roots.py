@@ -48,9 +48,10 @@ FUNCTIONS = {
 
 
 def each(function, axis):
-    return lambda a, b: np.moveaxis(np.asarray(jax.vmap(function, (1, 0))(a, b)), 0, axis)
+    return lambda a, b: np.moveaxis(np.asarray(jax.jit(jax.vmap(function, (1, 0)))(a, b)), 0, axis)
 
 
+@pytest.mark.long("nested", "vmap twice")
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_roots_have_the_values_and_derivatives_of_xla(name):
     function = FUNCTIONS[name]

@@ -40,6 +40,7 @@ def test_factors_of_triangular_matrices_have_their_derivatives(name):
     np.testing.assert_allclose(found, curvature, rtol=1e-11, atol=1e-11)
 
 
+@pytest.mark.long("4-2")
 @pytest.mark.parametrize(("n", "p"), [(3, 1), (4, 2)])
 def test_a_way_on_a_stiefel_manifold_by_the_cayley_map(n, p):
     """The guess rests at the centres of its steps."""

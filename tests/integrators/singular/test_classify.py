@@ -364,12 +364,14 @@ def test_an_interrupted_classification_has_its_levels(finished, monkeypatch, cap
     assert ("20 of 20 points" in caplog.text) == (finished >= count)
 
 
+@pytest.mark.usual("softplus")
 @pytest.mark.parametrize(
     ("function", "written"),
     [
         (jax.nn.softplus, lambda x: jnp.log1p(jnp.exp(x))),
         (lambda x: jnp.logaddexp(x, 0.5), lambda x: jnp.log(jnp.exp(x) + jnp.exp(0.5))),
     ],
+    ids=["softplus", "logaddexp"],
 )
 def test_functions_with_derivatives_of_their_own_are_expanded_too(function, written):
     """Taylor arithmetic has no rule for them: nested derivatives have those that they say."""
