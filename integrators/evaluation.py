@@ -5,11 +5,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
-from ..manifolds import Manifold
+from ..manifolds import Manifold, Verdict
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import default_tolerance
 from ..reading import one_reading
 from ..undisturbed import undisturbed
 from .compilation import call_compiled
@@ -31,18 +33,31 @@ def at_each(function: Callable[..., Any], points: Any, *arguments: Any) -> Any:
 
 
 def violations_at(manifold: Manifold, points: Ambient) -> dict[str, np.ndarray]:
-    """``manifold.violations`` of points, arrays with one leading axis; it is traced once in a reading."""
-    points = jax.tree.map(lambda s, a: np.asarray(a, s.dtype), manifold.ambient, points)
-    key = "violations", id(manifold)
-    with one_reading() as reading:  # which keeps the manifold, so that no other object gets its number
-        tape, _ = reading.once(key, lambda: (_tape(manifold.violations, vec.taken(points, 0)), manifold))
+    """``manifold.violations`` of points, arrays of the manifold's kinds with one leading axis, which the values have
+    too; in one reading those of a manifold, or of others with the same data, are traced once."""
+    leaves, structure = jax.tree.flatten(manifold)
+    try:
+        hash(structure)
+    except TypeError:  # a static field that cannot be hashed
+        structure = id(manifold)
+    key = "violations", structure, *map(id, leaves)
+    with one_reading() as reading:  # which keeps what is in the key, so that no other objects get these numbers
+        tape, *_ = reading.once(key, lambda: (_tape(manifold.violations, vec.taken(points, 0)), manifold, leaves))
         return _evaluated(tape, manifold.violations, points)
 
 
+def verdict_at(manifold: Manifold, point: Ambient) -> Verdict:
+    """Whether an array, or arrays, of the ambient shapes are a point of the manifold, to half of the digits."""
+    points = jax.tree.map(lambda s, a: np.asarray(a, s.dtype)[None], manifold.ambient, point)
+    return manifold.judge(vec.taken(violations_at(manifold, points), 0), default_tolerance())
+
+
 def _evaluated(tape: "Tape | None", function: Callable[..., Any], points: Any, *arguments: Any) -> Any:
-    if tape is None:
-        return jax.tree.map(np.asarray, call_compiled(_each, function, points, arguments)[0])
+    """Values of a function at each of some points, along the leading axis, by its tape if there is one."""
     count = len(jax.tree.leaves(points)[0])
+    if tape is None:
+        of = _alone if count == 1 else _each
+        return jax.tree.map(np.asarray, call_compiled(of, function, points, arguments)[0])
     fixed = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[..., None], count, axis=-1), arguments)
     values = tape(jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), points), *fixed)
     return jax.tree.map(lambda leaf: np.moveaxis(leaf, -1, 0), values)
@@ -59,6 +74,12 @@ def _tape(function: Callable[..., Any], *examples: Any) -> "Tape | None":
         return Tape.trace(function, *examples)
     except NotTraceableError:
         return None
+
+
+def _alone(function: Callable[..., Any], points: Any, arguments: Any) -> Any:
+    """Where there is one point; ``vmap`` refuses some functions, as callbacks that do not say how they are mapped."""
+    value = function(jax.tree.map(lambda leaf: leaf[0], points), *arguments)
+    return jax.tree.map(lambda leaf: jnp.asarray(leaf)[None], value)
 
 
 def _each(function: Callable[..., Any], points: Any, arguments: Any) -> Any:

@@ -13,9 +13,8 @@ from jaxtyping import Array
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ...manifolds.numerics.precision import default_tolerance
 from ..controls import resting_control
-from ..evaluation import violations_at
+from ..evaluation import verdict_at
 from ..free import Free, guessed, is_free
 from ..layout import Layout
 
@@ -241,7 +240,6 @@ def _is_prescribed(given: Any) -> bool:
 def _require_membership(parts: list[tuple[str, Manifold, Ambient]]) -> None:
     """Raise for a part that is off its manifold."""
     for name, manifold, point in parts:
-        violations = violations_at(manifold, jax.tree.map(lambda a: np.asarray(a)[None], point))
-        verdict = manifold.judge(vec.taken(violations, 0), default_tolerance())
+        verdict = verdict_at(manifold, point)
         if not verdict:
             raise NotOnManifoldError(f"{name}: {verdict.reason}")

@@ -97,18 +97,27 @@ def _checked_starts(manifold: Manifold, starts: Any) -> tuple[Ambient, Ambient]:
             "starts is a single one, expected one more axis in front of its arrays; try integrate, or "
             "np.asarray(q0)[None]"
         )
+    found: list[Ambient] = []
     for part, role in zip(starts, ("a point", "a covector"), strict=True):
-        wrong = manifold.describe_shapes(vec.taken(part, 0), role)
-        wrong = wrong or manifold.describe_mismatch(jax.tree.map(lambda a: _worst(np.asarray(a)), part), role)
+        wrong = manifold.describe_shapes(vec.taken(part, 0), role) or _wrong(manifold, part, role)
+        if not wrong:
+            with np.errstate(over="ignore"):  # in single precision numbers may become infinite
+                found.append(jax.tree.map(lambda s, a: np.asarray(a, s.dtype), manifold.ambient, part))
+            wrong = _wrong(manifold, found[-1], role)
         if wrong:
             raise NotOnManifoldError(f"starts: {wrong}")
-    q0, p0 = (jax.tree.map(lambda s, a: np.asarray(a, s.dtype), manifold.ambient, part) for part in starts)
+    q0, p0 = found
     for words, values in violations_at(manifold, q0).items():
         worst = int(np.argmax(np.where(np.isnan(values), np.inf, values)))
         verdict = manifold.judge({words: values[worst]}, default_tolerance())
         if not verdict:
             raise NotOnManifoldError(f"start {worst}: {verdict.reason}")
     return q0, p0
+
+
+def _wrong(manifold: Manifold, points: Ambient, role: str) -> str:
+    """Words on what is wrong with arrays along a leading axis; empty if nothing is."""
+    return manifold.describe_mismatch(jax.tree.map(lambda a: _worst(np.asarray(a)), points), role)
 
 
 def _worst(a: np.ndarray) -> np.ndarray:

@@ -9,13 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError
+from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError, Verdict
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
-from ...manifolds.numerics.precision import default_tolerance, working_precision
+from ...manifolds.numerics.precision import working_precision
 from ...reading import reads_once
 from ..compilation import compiled
-from ..evaluation import violations_at
+from ..evaluation import verdict_at
 from ..evaluator import check_evaluator
 from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes
@@ -159,7 +159,8 @@ def integrate(
         require_finite_step("step_size", step_size)
     q0, p0 = _checked_start(integrator.manifold, start)
     count, every = int(steps) // int(save_every), int(save_every)
-    size = step_size if is_traced(step_size) else np.asarray(step_size, working_precision())  # nothing is compiled
+    # As an array of its kind first: for a number of Python XLA would compile the conversion.
+    size = step_size if is_traced(step_size) else np.asarray(step_size, working_precision())
     arguments = system, integrator, (q0, p0), jnp.asarray(size, float), count, every
     transformed = is_transformed(arguments)
     if not transformed:
@@ -211,9 +212,10 @@ def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
     if wrong:
         raise NotOnManifoldError(f"start: {wrong}")
     q0, p0 = (jax.tree.map(lambda s, a: jnp.asarray(a, s.dtype), manifold.ambient, part) for part in start)
-    if not (is_traced(q0, p0) or is_jitting()):
-        violations = violations_at(manifold, jax.tree.map(lambda a: np.asarray(a)[None], q0))
-        verdict = manifold.judge(vec.taken(violations, 0), default_tolerance())
+    if not (is_traced(manifold, q0, p0) or is_jitting()):
+        # Once more: in single precision numbers may have become infinite.
+        wrong = manifold.describe_mismatch(q0, "a point") or manifold.describe_mismatch(p0, "a covector")
+        verdict = Verdict(False, wrong) if wrong else verdict_at(manifold, q0)
         if not verdict:
             raise NotOnManifoldError(f"start: {verdict.reason}")
     return q0, p0

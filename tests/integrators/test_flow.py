@@ -30,9 +30,8 @@ CASES = {
 }
 
 
-@pytest.mark.long("a lift, by XLA")
+@pytest.mark.usual("optimal control")
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.long("Gauss")
 def test_a_flow_has_the_trajectories_of_integrate(name):
     """From any start, with any step size, one or many."""
     system, method, evaluator = CASES[name]

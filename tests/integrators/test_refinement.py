@@ -106,12 +106,13 @@ def test_a_switch_is_found_wherever_it_is(speeds):
             assert found.checks.active == counts
 
 
-@pytest.mark.usual("2-20-False")
+@pytest.mark.usual("2-20-False-near")
+@pytest.mark.parametrize("limits", [(1.01, 1.0, 0.99, 0.9), (1.5, 0.95, 0.8, 0.5)], ids=["near", "far"])
 @pytest.mark.parametrize(("stages", "steps", "at_nodes"), [(2, 20, False), (3, 10, True)])
-def test_a_coast_between_two_switches_comes_with_a_limit_of_the_speed(stages, steps, at_nodes):
+def test_a_coast_between_two_switches_comes_with_a_limit_of_the_speed(stages, steps, at_nodes, limits):
     """Least time is ``v + 1 / v`` with a limit ``v < 1`` of the speed. Along a coast the control is not at a bound, and
     an arc without one could be at a bound as well: where it ends nothing says."""
-    for limit in (1.5, 1.01, 1.0, 0.99, 0.95, 0.9, 0.8, 0.5):
+    for limit in limits:
 
         def speed(q, *_, limit=limit):
             return q[1] - limit

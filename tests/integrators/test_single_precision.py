@@ -26,6 +26,17 @@ with warnings.catch_warnings(record=True) as caught:
     lift = CotangentLift(Midpoint(Projection(Sphere(2))))
     start = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.3])
     path = integrate(lambda q, p: p @ p / 2 + q[2], SymplecticIntegrator(lift), start, 0.1, 50)
+from retrax.integrators import integrate_many
+from retrax.manifolds import Euclidean, NotOnManifoldError
+line = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(Euclidean(1)))))
+for run, shape in ((integrate, 1), (integrate_many, (2, 1))):  # infinite in single precision
+    for start in ((np.full(shape, 1e200), np.ones(shape)), (np.ones(shape), np.full(shape, 1e200))):
+        try:
+            with np.errstate(over="ignore"):
+                run(lambda q, p: p @ p / 2, line, start, 0.1, 2)
+            raise SystemExit(f"{start} is taken")
+        except NotOnManifoldError as error:
+            assert "NaN or infinite" in str(error), error
 lift_z = path.q[:, 0] * path.p[:, 1] - path.q[:, 1] * path.p[:, 0]
 print(path.q.dtype, costs[0], float(np.ptp(lift_z)), float(np.ptp(np.linalg.norm(path.q, axis=1))))
 print(*[str(w.message) for w in caught if "precision" in str(w.message)], sep="\\n")

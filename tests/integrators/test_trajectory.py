@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from retrax.integrators import Result, SymplecticIntegrator, integrate
-from retrax.manifolds import ConvergenceError, CotangentBundle
+from retrax.manifolds import ConvergenceError, CotangentBundle, Euclidean, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import CotangentLift, Midpoint, Projection
+from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint, Projection
 
 from tests.support.numerics import NODES as DIFFERENCE_NODES
 from tests.support.numerics import SEEDS, differences, norm
@@ -101,3 +101,38 @@ def test_a_trajectory_that_fails_midway_is_constant_from_there():
     moving = norm(np.diff(trajectory.q[: failed + 1], axis=0))
     assert moving > 0.05
     assert norm(trajectory.q[failed:] - trajectory.q[failed]) == 0.0
+
+
+class Measured(Sphere):
+    """A sphere whose equation is a function of Python."""
+
+    def violations(self, x):
+        return {"off": jax.pure_callback(lambda x: np.abs(x @ x - 1), jax.ShapeDtypeStruct((), x.dtype), x)}
+
+
+def test_equations_of_a_manifold_may_call_python():
+    """JAX maps no such callback over several points, and knows no tape of it."""
+    integrator = SymplecticIntegrator(CotangentLift(Midpoint(Projection(Measured(2)))))
+    assert np.array_equal(integrate(pendulum_energy, integrator, START, 0.1, 2).q, swing().q[:3])
+    with pytest.raises(NotOnManifoldError, match=r"start: not on .* off is 3"):
+        integrate(pendulum_energy, integrator, (2 * START[0], START[1]), 0.1, 2)
+
+
+class Weighed(Euclidean):
+    """A line with a mass of its own."""
+
+    mass: jax.Array
+
+    def __init__(self, mass):
+        super().__init__(1)
+        self.mass = mass
+
+
+def test_derivatives_by_an_array_of_the_manifold_need_no_traced_start():
+    def end(mass):
+        flow = SymplecticIntegrator(Gauss(1, Addition(Weighed(mass))))
+        return integrate(lambda q, p: p @ p / mass / 2, flow, (np.ones(1), np.ones(1)), 0.1, 10).q[-1, 0]
+
+    value, slope = jax.value_and_grad(end)(jnp.asarray(2.0))
+    assert value == pytest.approx(1.5, rel=1e-14)
+    assert slope == pytest.approx(-0.25, rel=1e-13)

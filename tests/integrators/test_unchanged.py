@@ -1,5 +1,6 @@
 """A solver or a flow answers with the functions that it was made of, or says that they have changed."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from retrax.integrators import (
     SymplecticIntegrator,
 )
 from retrax.manifolds import Euclidean, InvalidInputError
-from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint
+from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint, PowerRetraction, ProductRetraction
 
 LINE = Euclidean(1)
 ZERO, ONE = np.zeros(1), np.ones(1)
@@ -48,6 +49,25 @@ def test_a_flow_has_one_value_of_what_its_function_reads(evaluator, call):
         k[0] = value
         with changed("flow"):
             flow.integrate_many(starts(call[0]), 0.1, call[1])
+
+
+@pytest.mark.parametrize(
+    "retraction", [ProductRetraction(Addition(LINE), Addition(LINE)), PowerRetraction(Addition(LINE), 2)]
+)
+def test_a_flow_on_a_product_traces_nothing_for_what_it_has_done_before(retraction):
+    """Such a retraction makes its manifold anew whenever it is asked for it."""
+    k = [1.0]
+
+    def energy(q, p):
+        return sum(jnp.sum(k[0] * p**2 + q**2) / 2 for q, p in zip(*map(jax.tree.leaves, (q, p)), strict=True))
+
+    flow = Flow(energy, SymplecticIntegrator(Gauss(2, retraction)))
+    start = jax.tree.map(lambda a: np.ones(a.shape), 2 * (retraction.manifold.ambient,))
+    first = jax.tree.leaves(flow.integrate(start, 0.1, 10).q)
+    k[0] = 4.0
+    for _ in range(2):
+        again = jax.tree.leaves(flow.integrate(start, 0.1, 10).q)
+        assert all(np.array_equal(a, b) for a, b in zip(first, again, strict=True))
 
 
 @pytest.mark.parametrize("evaluator", ["tape", "xla"])

@@ -294,6 +294,12 @@ PLANTED: dict[str, Planted] = {
         "if not reading.traces:",
         ("tests/integrators/test_unchanged.py",),
     ),
+    "equations of a manifold are traced for every object": Planted(
+        "integrators/evaluation.py",
+        'key = "violations", structure, *map(id, leaves)',
+        'key = "violations", id(manifold)',
+        ("tests/integrators/test_unchanged.py",),
+    ),
     "a mesh follows the one that was stopped": Planted(
         "integrators/boundary_value/refinement.py",
         "raise _StoppedError",
