@@ -90,9 +90,8 @@ FRAMES = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", ["lines", *(pytest.param(name, marks=pytest.mark.slow) for name in ("frames", "planes"))]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FRAMES)
 def test_frames_and_subspaces_run_on_the_tape_and_have_the_optimum_of_xla(name):
     manifold, family, velocity = FRAMES[name]
     problem = OptimalControlProblem(manifold, lambda x, u: velocity(u, x), lambda x, u: u @ u / 2, 3)

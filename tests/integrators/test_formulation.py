@@ -79,6 +79,7 @@ def test_a_free_horizon_does_not_depend_on_the_unit_of_time(unit):
     assert found.horizon == pytest.approx(unit * T_BEST, rel=1e-10)
 
 
+@pytest.mark.usual("3")
 @pytest.mark.parametrize("stages", [2, 3, 4])
 def test_a_free_horizon_does_not_depend_on_the_unit_of_length(stages):
     """A lander from the solution over a horizon that is too long: whatever it is written in, the horizon rests in the

@@ -8,6 +8,7 @@ import warnings
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from retrax.integrators import OptimalControlProblem, Solver, SymplecticIntegrator, integrate
 from retrax.manifolds import Euclidean, Sphere
 from retrax.retractions import CotangentLift, Exponential, Gauss, Midpoint
@@ -48,6 +49,7 @@ def solved():
     return {"numbers": [*map(float, numbers)], "evaluators": [*evaluators, path.evaluator]}
 
 
+@pytest.mark.slow
 def test_all_is_found_with_one_warning():
     command, environment = [sys.executable, __file__], {**os.environ, "JAX_ENABLE_X64": "1"}
     child = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)

@@ -171,9 +171,8 @@ NOWHERE = {
 }
 
 
-@pytest.mark.long("SO4, two planes")
 @pytest.mark.parametrize("name", NOWHERE)
-@pytest.mark.usual("SE3", "SO4, two planes", "SL2")
+@pytest.mark.usual("SE3")
 def test_what_has_no_logarithm_is_refused(name):
     group, y = NOWHERE[name][0], jnp.asarray(NOWHERE[name][1])
     assert group.contains(y)

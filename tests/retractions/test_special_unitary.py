@@ -100,6 +100,7 @@ def test_the_inverse_reaches_angles_beyond_a_half_turn(angles):
 ROOTS = {"centre of SU(3)": np.exp(2j * np.pi / 3) * np.eye(3), "centre of SU(4)": -np.eye(4, dtype=complex)}
 
 
+@pytest.mark.usual("centre of SU(3)")
 @pytest.mark.parametrize("name", ROOTS)
 def test_two_angles_a_full_turn_apart_have_no_inverse(name):
     y = jnp.asarray(ROOTS[name])

@@ -346,6 +346,7 @@ print(np.array_equal(before, tape(x)))
 """
 
 
+@pytest.mark.usual("ends while it is made", "forks while it is made")
 @pytest.mark.parametrize(
     ("script", "says", "environment"),
     [
