@@ -48,7 +48,7 @@ def test_no_mesh_follows_the_one_that_is_stopped(name):
     whole, count = solved(-1)
     assert whole.success
     assert count > 8
-    for at in range(0, count - 1, max(count // 10, 1)):
+    for at in range(0, count - 1, max(count // 20, 1)):
         found, calls = solved(at)
         assert calls == at + 1
         assert not found.success or found.checks.error <= accuracy

@@ -28,7 +28,7 @@ def problem(**limits):
 
 
 def solved():
-    """Costs of problems with and without limits, by methods with several points and with one, of a batch with limits; a
+    """Costs of problems with and without limits by methods with one point and with several, of one and of a batch; a
     sensitivity; the end of a trajectory; a tape. And the evaluators that computed them."""
     # First, so that it is the one that warns.
     method = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(BALL))))
@@ -41,9 +41,9 @@ def solved():
     for of, method in ((free, Midpoint(Exponential(BALL))), (held, Gauss(2, Exponential(BALL)))):
         solver = Solver(of, method, 6)
         found = solver.solve(NORTH, EAST, 2.0)
-        numbers.append(found.cost)
+        numbers += [found.cost, *solver.solve_many(NORTH, np.stack([EAST, LOW]), 2.0).cost]
         evaluators.add(solver.evaluator)
-    numbers += [*solver.solve_many(NORTH, np.stack([EAST, LOW]), 2.0).cost, solver.sensitivity(found).horizon.cost]
+    numbers.append(solver.sensitivity(found).horizon.cost)
     tape = Tape.trace(lambda x: jnp.sin(x) * x, 0.0)
     numbers += [*np.asarray(path.q[-1]), *tape(np.array([0.5, 1.0]))]
     return {"numbers": [*map(float, numbers)], "evaluators": [*evaluators, path.evaluator]}
