@@ -24,7 +24,7 @@ UNUSED = {
 }
 # How the inputs and outputs of a loop are parted in JAX 0.11 and later, objects of its own; `scan_parts` reads them.
 PARTED = {"ft_in", "ft_out"}
-PLAIN = bool | int | float | complex | str | bytes | None
+PLAIN = {bool, int, float, complex, str, bytes, type(None)}
 # No device is asked for.
 NOWHERE = "UnspecifiedValue", "Mesh(axis_sizes=(), axis_names=())", "AbstractMesh((), axis_types=())"
 _serial = itertools.count()
@@ -101,24 +101,25 @@ class _Writer:
         return self._kind(literal.aval), _content(literal.val)
 
     def _kind(self, kind: Any) -> str:
-        """Words on what is equal where its words are: the kind of an array, the settings of an equation."""
+        """A digest of words on what is equal where its words are: the kind of an array, the settings of an equation."""
         if kind not in self.kinds:
             shape, dtype = getattr(kind, "shape", None), getattr(kind, "dtype", None)
-            self.kinds[kind] = f"{type(kind).__name__} {shape} {dtype} {getattr(kind, 'weak_type', '')} {kind!r}"
+            words = f"{type(kind).__name__} {shape} {dtype} {getattr(kind, 'weak_type', '')} {kind!r}"
+            self.kinds[kind] = blake2b(words.encode(), digest_size=16).hexdigest()
         return self.kinds[kind]
 
     def value(self, value: Any) -> Any:
         """A parameter of an equation."""
+        if type(value) in PLAIN:
+            return type(value).__name__, value
+        if isinstance(value, tuple | list):
+            return type(value).__qualname__, [self.value(item) for item in value]
         if isinstance(value, ClosedJaxpr):
             return "closed", self.jaxpr(value.jaxpr), [_content(c) for c in value.consts]
         if isinstance(value, Jaxpr):
             return "open", self.jaxpr(value)
         if isinstance(value, Enum | type | np.dtype):
             return type(value).__name__, repr(value)
-        if isinstance(value, PLAIN):
-            return type(value).__name__, repr(value)
-        if isinstance(value, tuple | list):
-            return type(value).__qualname__, [self.value(item) for item in value]
         if isinstance(value, dict):
             return "dict", [(self.value(k), self.value(v)) for k, v in value.items()]
         if isinstance(value, frozenset):

@@ -101,8 +101,11 @@ def taken(a: Entries, places: np.ndarray) -> Any:
         return Complex(taken(a.real, places), taken(a.imag, places))
     if isinstance(a, np.ndarray):
         return np.asarray(np.reshape(a, -1)[places])
-    values = a.values[places.reshape(-1).tolist()]  # a row if there is one scalar to take from
-    return Scalars(ca.reshape(values, places.size, 1), places.shape)
+    order = places.reshape(-1)
+    if order.size == a.size and (order == np.arange(order.size)).all():  # only the shape is another one, in half of all
+        return Scalars(a.values, places.shape)
+    values = a.values[order.tolist()]
+    return Scalars(values if a.size > 1 else ca.reshape(values, order.size, 1), places.shape)  # a row is taken from one
 
 
 def moved(a: Entries, move: Callable[[np.ndarray], Any]) -> Any:

@@ -29,7 +29,7 @@ def _operand(
 
 def _matrix(a: Entries, k: int) -> ca.SX:
     """The k-th matrix of a batch."""
-    return ca.reshape(column(moved(a, lambda b: b[k].T)), a.shape[1], a.shape[2])
+    return ca.reshape(column(moved(a, lambda b: b[k])), a.shape[2], a.shape[1]).T  # CasADi's are column by column
 
 
 def _dot_general(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
@@ -40,18 +40,18 @@ def _dot_general(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
     (left, right), (batch_left, batch_right) = params["dimension_numbers"]
     a, rows = _operand(x, batch_left, left, True)
     b, columns = _operand(y, batch_right, right, False)
-    products = [ca.densify(ca.mtimes(_matrix(a, k), _matrix(b, k))) for k in range(a.shape[0])]
+    products = [ca.vec(ca.mtimes(_matrix(a, k), _matrix(b, k)).T) for k in range(a.shape[0])]
     outer = tuple(x.shape[axis] for axis in batch_left)
-    return scalars(ca.vertcat(*(ca.vec(p.T) for p in products)), (*outer, *rows, *columns))
+    return scalars(products[0] if len(products) == 1 else ca.vertcat(*products), (*outer, *rows, *columns))
 
 
 def _reduced(function: Callable[[ca.SX, ca.SX], ca.SX], x: Entries, axes: tuple[int, ...], start: float) -> Scalars:
     kept = [axis for axis in range(len(x.shape)) if axis not in axes]
     shape = tuple(x.shape[axis] for axis in kept)
-    count = math.prod(x.shape[axis] for axis in axes)
-    flat: Any = moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, math.prod(shape)))
-    rows = [column(moved(flat, lambda a, k=k: a[k])) for k in range(count)]
-    return scalars(reduce(function, rows) if rows else ca.SX.ones(math.prod(shape)) * start, shape)
+    count, size = math.prod(x.shape[axis] for axis in axes), math.prod(shape)
+    flat: Any = moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, size))
+    rows = ca.vertsplit(column(flat), size) if count and size else []
+    return scalars(reduce(function, rows) if rows else ca.SX.ones(size) * start, shape)
 
 
 def _reduction(function: Callable[[ca.SX, ca.SX], ca.SX], start: float) -> Callable[..., Entries]:
