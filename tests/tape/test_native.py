@@ -5,6 +5,7 @@ import gc
 import os
 import subprocess
 import sys
+import weakref
 from concurrent.futures import ThreadPoolExecutor
 
 import casadi as ca
@@ -129,8 +130,10 @@ def test_code_lives_as_long_as_what_calls_it():
     before, after = both(tape, x)
     code = tape.code
     assert code is not tape.program
+    gone = weakref.ref(tape)
     del tape
-    gc.collect()
+    gc.collect(0)  # what is new
+    assert gone() is None
     equal(before, after)
     assert code.engine is not None
 

@@ -19,7 +19,6 @@ from retrax.integrators import (
     solve,
 )
 from retrax.integrators.boundary_value.shooting.legendre import second_order
-from retrax.integrators.controls import resting_control
 from retrax.integrators.singular import Classification, RattleIntegrator, singular_integrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
@@ -332,29 +331,6 @@ def test_an_integrator_is_for_singular_problems_and_their_discretization():
         solve(regular, Midpoint(Exponential(LINE)), ZERO, ONE, 1.0, 4, classification=classified(ALY_CHAN))
 
 
-@pytest.mark.parametrize("name", ["academic", "aly-chan", "sphere", "free actuator", "brown", "dummy control"])
-def test_singular_problems_are_recognised(name):
-    problem = SINGULAR[name]().problem
-    assert not problem.is_regular_at(
-        problem.manifold.random_point(jax.random.key(1)), resting_control(problem.controls)
-    )
-
-
-@pytest.mark.parametrize(
-    "cost",
-    [
-        lambda u: 1e-9 * u @ u,
-        lambda u: 1e9 * u[0] ** 2 + u[1] ** 2,
-        lambda u: jnp.sum(u**4),
-        lambda u: jnp.sum(jnp.cosh(u)),
-    ],
-    ids=["weak", "unequal", "quartic", "not quadratic"],
-)
-def test_regular_problems_are_recognised_at_every_scale(cost):
-    problem = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: q @ q + cost(u), 2)
-    assert problem.is_regular_at(jnp.ones(2), jnp.zeros(2))
-
-
 def test_kelley_and_goh_tell_a_minimum_from_what_is_none():
     """Of ``(a x2^2 - x1^2)/2`` the arc minimises for ``a > 0`` only; ``p = A(q)`` in a magnetic field never does."""
     z, u = ((jnp.ones((2, 1)), jnp.ones((2, 1))), (jnp.ones((2, 1)), jnp.zeros((2, 1)))), jnp.ones((2, 1))
@@ -386,6 +362,25 @@ def test_an_iterate_that_overflows_leaves_no_warning():
     )
     ends = np.zeros(2), np.array([1.0, 0.0])
     assert not solve(problem, Midpoint(Exponential(plane)), *ends, 1.0, 6, throw=False).success
+
+
+@pytest.mark.parametrize("last", [0, 1, 100])
+def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last):
+    seen = []
+
+    def stop(iteration):
+        seen.append(iteration)
+        return iteration.number == last
+
+    given = (ZERO, None), (ONE, None), np.pi / 2, 8
+    known = {"classification": classified(ALY_CHAN), "throw": False}
+    found = solve(ALY_CHAN, MIDPOINT, *given, callback=stop, **known)
+    assert [iteration.number for iteration in seen] == list(range(len(seen)))
+    assert all(np.isfinite(iteration.gap).all() and np.isnan(iteration.cost).all() for iteration in seen)
+    assert found.success == (last == 100)
+    assert len(seen) == (found.statistics.iterations + 1 if found.success else last + 1)
+    if not found.success:
+        assert found.result == Result[Result.stopped]
 
 
 @pytest.mark.parametrize("verbose", [False, True])
