@@ -24,6 +24,7 @@ COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
 TRUTHS = frozenset({"LT", "LE", "EQ", "NE", "AND", "OR", "NOT"})  # what is true or false
 OPERANDS = 7  # at most
 CODES = {name: code for code, name in enumerate(NAMES)}
+ENDS = frozenset({"INPUT", "OUTPUT", "CONST"})  # what is read from elsewhere, or given there
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
 
 
@@ -73,6 +74,8 @@ def read(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = ()) -> tuple[lis
             looped[which - 1].given[place] = made
         else:
             found.append(Instruction("OUTPUT", [made], place))
+    if not loops:
+        return found, [list(range(len(found)))]
     # The turn in which each runs, so many loops before it: behind the last one whose state it needs.
     after = {k: turn for turn, loop in enumerate(looped, 1) for k in loop.states.values()}
     turns: list[list[int]] = [[] for _ in range(len(loops) + 1)]
@@ -161,18 +164,19 @@ class _Reader:
             name, ins, outs = _OF_CASADI.get(code_of(k)), read(k), written(k)
             if name is None:
                 raise UnknownInstructionError(f"instruction {code_of(k)} of CasADi has no counterpart in the machine")
-            if name == "OUTPUT":
+            if name not in ENDS:
+                operands = [made[i] for i in ins]
+                if name == "MUL" and not self._truths.isdisjoint(operands):
+                    # Derivatives of a choice are such products, and the branch that is not taken may be NaN; XLA reads
+                    # them so too.
+                    name, operands = "IF_ELSE_ZERO", sorted(operands, key=lambda i: i not in self._truths)
+                divides = name == "DIV" and self._found[operands[1]].name != "CONST"
+                if divides:
+                    name, operands = "MUL", [operands[0], self.number("INV", operands[1:])]
+                made[outs[0]] = self.number(name, operands, 0.0, divides)
+            elif name == "OUTPUT":
                 yield outs[0], outs[1], made[ins[0]]
             elif name == "CONST":
                 made[outs[0]] = self.number(name, [], function.instruction_constant(k))
-            elif name == "INPUT":
-                made[outs[0]] = given(ins[0], ins[1])
-            elif name == "MUL" and not self._truths.isdisjoint(operands := [made[i] for i in ins]):
-                # Derivatives of a choice are such products, and the branch that is not taken may be NaN; XLA reads them
-                # so too.
-                made[outs[0]] = self.number("IF_ELSE_ZERO", sorted(operands, key=lambda k: k not in self._truths))
-            elif name == "DIV" and self._found[made[ins[1]]].name != "CONST":
-                inverse = self.number("INV", [made[ins[1]]])
-                made[outs[0]] = self.number("MUL", [made[ins[0]], inverse], divides=True)
             else:
-                made[outs[0]] = self.number(name, [made[i] for i in ins])
+                made[outs[0]] = given(ins[0], ins[1])
