@@ -97,7 +97,7 @@ def _is_data(leaf: Any) -> bool:
 def _read(function: Callable[..., Any], structure: Any, leaves: list, data: list) -> _Program:
     """The program of a function of ``data``, traced if that was not done in this reading."""
     # What is held in the reading keeps its identity.
-    fixed = tuple("data" if _is_data(leaf) else repr(leaf) if type(leaf) in PLAIN else id(leaf) for leaf in leaves)
+    fixed = tuple("data" if _is_data(leaf) else repr(leaf) if isinstance(leaf, PLAIN) else id(leaf) for leaf in leaves)
     key = id(function), fixed, tuple(jax.typeof(leaf) for leaf in data), structure
     with one_reading() as reading:
         try:

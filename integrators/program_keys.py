@@ -24,7 +24,7 @@ UNUSED = {
 }
 # How the inputs and outputs of a loop are parted in JAX 0.11 and later, objects of its own; `scan_parts` reads them.
 PARTED = {"ft_in", "ft_out"}
-PLAIN = {bool, int, float, complex, str, bytes, type(None)}
+PLAIN = bool, int, float, complex, str, bytes, type(None)
 # No device is asked for.
 NOWHERE = "UnspecifiedValue", "Mesh(axis_sizes=(), axis_names=())", "AbstractMesh((), axis_types=())"
 _serial = itertools.count()
@@ -119,6 +119,8 @@ class _Writer:
         if isinstance(value, Jaxpr):
             return "open", self.jaxpr(value)
         if isinstance(value, Enum | type | np.dtype):
+            return type(value).__name__, repr(value)
+        if isinstance(value, PLAIN):
             return type(value).__name__, repr(value)
         if isinstance(value, dict):
             return "dict", [(self.value(k), self.value(v)) for k, v in value.items()]

@@ -125,6 +125,7 @@ def test_a_first_guess_that_is_interrupted_is_traced_again(monkeypatch):
     assert solver.solve(START, END, 60.0).success
 
 
+@pytest.mark.slow
 def test_first_guesses_of_several_threads():
     for _ in range(5):
         solver, barrier = Solver(SLEW, METHOD, 10), threading.Barrier(6)

@@ -338,6 +338,7 @@ def test_a_cone_whose_slopes_pass_through_zero_is_solved_to_any_accuracy(slope, 
     assert solution.cost == pytest.approx({1.4: 6.88101245, 2.0: 5.343992}[slope], rel=max(10 * accuracy, 1e-7))
 
 
+@pytest.mark.long("15.0-0.0001", "15.0-1e-05", "20.0-0.0001", "20.0-1e-05")
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-5, 1e-7])
 @pytest.mark.parametrize("degrees", [15.0, 16.0, 18.0, 20.0])
 def test_a_minimum_that_touches_a_cone_is_shown_with_any_accuracy(degrees, accuracy):

@@ -35,6 +35,7 @@ class Stop:
         return self.calls - 1 == self.at
 
 
+@pytest.mark.long("arcs")
 @pytest.mark.parametrize("name", CASES)
 def test_no_mesh_follows_the_one_that_is_stopped(name):
     problem, start, end, horizon, steps, accuracy = CASES[name]

@@ -185,6 +185,7 @@ def test_in_euclidean_space_the_midpoint_map_gives_the_implicit_midpoint_rule(se
     assert norm(plane_step()(q, p, h)) < 1e-14
 
 
+@pytest.mark.slow
 def test_the_form_after_steps_of_several_lengths():
     bundle, method = CotangentBundle(SPHERE), SymplecticIntegrator(CotangentLift(Midpoint(Projection(SPHERE))))
     space, z = PresymplecticManifold(bundle, bundle.two_form), (np.array([0.6, 0.0, 0.8]), np.array([0.8, 1.0, -0.6]))

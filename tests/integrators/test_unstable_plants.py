@@ -27,8 +27,15 @@ def cost(q, u):
     return q @ q + 0.01 * u @ u
 
 
+METHODS = [
+    pytest.param(Midpoint, id="midpoint"),
+    pytest.param(partial(Gauss, 2), id="two", marks=pytest.mark.slow),
+    pytest.param(partial(Gauss, 3), id="three"),
+]
+
+
 @pytest.mark.parametrize("horizon", [3.0, 6.0, 8.0, 12.0, 20.0, 25.0, 30.0, 60.0, 120.0])
-@pytest.mark.parametrize("method", [Midpoint, partial(Gauss, 2), partial(Gauss, 3)], ids=["midpoint", "two", "three"])
+@pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["to rest", "free end", "bounded"])
 def test_a_pendulum_is_held_upright(kind, method, horizon):
     bounds = {"control_bounds": (-3.0, 3.0)} if kind == "bounded" else {}

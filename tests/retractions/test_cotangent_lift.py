@@ -30,7 +30,7 @@ def test_is_a_cotangent_lift(name, seeds):
 
 @pytest.mark.parametrize("name", RETRACTIONS)
 @pytest.mark.usual(*REPRESENTATIVES)
-@pytest.mark.long("exponential-(SO3*R3)*S2", "nearest-ellipsoid")
+@pytest.mark.long("exponential-(SO3*R3)*S2", "nearest-ellipsoid", "cayley-SO2", "cayley-SO4", "projection-S4")
 def test_the_theta_maps_of_every_retraction_and_their_lifts(name, seeds):
     """The axioms of both at the zero vector, and symplecticity there and at two others, by one compiled function of
     theta."""

@@ -99,6 +99,7 @@ DEFINITIONS = {
 
 
 @pytest.mark.parametrize("name", DEFINITIONS)
+@pytest.mark.long("exponential, St(3, 2)", "exponential, St(5, 2)")
 @given(seed=SEEDS, length=st.floats(0.0, 1.0))
 def test_closed_forms_are_their_definitions(name, seed, length):
     retraction, definition = DEFINITIONS[name]

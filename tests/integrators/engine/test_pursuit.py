@@ -133,6 +133,7 @@ def test_what_is_refused_is_left_to_the_rest_of_the_iteration(method, stiffness,
         alike(short, alone)
 
 
+@pytest.mark.long("midpoint-12.0", "midpoint-3.0", "collocation-12.0", "collocation-3.0", "collocation-10000.0")
 @pytest.mark.parametrize("limit", [1e4, 12.0, 8.0, 7.5, 7.0, 3.0, 1.0])
 def test_limits_of_a_pass(method, limit, pursuits, monkeypatch):
     """From those that hold nothing to those that no slew meets."""
