@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ..equations import called, scan_parts
+from ..reading import traced
 from .program_keys import outputs_of, value_of
 
 WHOLE = "a whole number"
@@ -38,7 +39,7 @@ def steps_in(function: Callable[..., Any], *arguments: Any) -> list[str]:
 def dependent(function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
     """The equations of the program of a function that compute something from its arguments, inner programs included."""
     with np.errstate(all="ignore"):  # what else it reads may be zeros of NumPy
-        program = jax.make_jaxpr(function)(*arguments)
+        program = traced(function, *arguments)
     yield from _dependent(program.jaxpr)
 
 

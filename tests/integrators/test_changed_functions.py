@@ -17,6 +17,7 @@ from retrax.integrators import (
     solve,
 )
 from retrax.integrators.compilation import call_compiled
+from retrax.integrators.jumps import steps_in
 from retrax.integrators.problem import is_same_problem
 from retrax.manifolds import Euclidean, InvalidInputError, LevelSet
 from retrax.reading import traced
@@ -26,7 +27,7 @@ from retrax.tape import Tape
 from tests.support.changing import WAYS, held
 
 LINE = Euclidean(1)
-FEW = "attribute of a class", "slots", "jitted helper"  # the others are traced in the same way
+FEW = "attribute of a class", "slots", "jitted helper", "jitted helper of a derivative"  # others are traced as these
 SOME = [way if way in FEW else pytest.param(way, marks=pytest.mark.slow) for way in WAYS]
 
 
@@ -49,7 +50,24 @@ def test_a_changed_value_changes_the_tape(way):
     product, change = held(way, 1.0)
     for k in (1.0, 2.0, -3.0):
         change(k)
-        np.testing.assert_array_equal(Tape.trace(product, np.zeros(3))(np.eye(3)), k * np.eye(3))
+        tape = Tape.trace(product, np.zeros(3))
+        np.testing.assert_array_equal(tape(np.eye(3)), k * np.eye(3))
+        np.testing.assert_array_equal(tape.jacobian()(np.eye(3))[..., 0], k * np.eye(3))
+
+
+@jax.jit
+def stepped(x):
+    return jnp.round(x) if STEPS["there"] else x
+
+
+STEPS = {"there": False}
+
+
+def test_a_step_that_a_jitted_helper_has_later_is_seen():
+    found = []
+    for STEPS["there"] in (False, True, False):
+        found.append(steps_in(stepped, 1.0))
+    assert found == [[], ["jnp.round"], []]
 
 
 @pytest.mark.parametrize("way", WAYS)

@@ -17,7 +17,7 @@ from .problems import INERTIA, REST, RIGID, rotation
 PLANE = Euclidean(2)
 START, END, HORIZON, STEPS = np.zeros(2), np.array([1.0, 0.0]), 1.5, 5
 GIVEN = {"mass": 2.0, "drag": (np.array([0.3, 0.1]),)}
-FEW = "attribute of a class", "slots", "jitted helper"  # the others are traced in the same way
+FEW = "attribute of a class", "slots", "jitted helper", "jitted helper of a derivative"  # others are traced as these
 DEFAULT = np.finfo(float).eps ** 0.7
 
 
@@ -203,7 +203,7 @@ def test_verbose_prints_a_line_for_each_iteration(bound, capsys):
 
 @pytest.mark.parametrize("way", [way if way in FEW else pytest.param(way, marks=pytest.mark.slow) for way in WAYS])
 def test_a_value_that_is_held_and_changes_is_never_ignored(way):
-    """``q' = u`` at the cost ``k u^2``: the optimum costs ``k``."""
+    """``q' = u`` at the cost ``k u^2``: the optimum costs ``k``, its costate is ``2 k``."""
     product, change = held(way, 1.0)
     line = Euclidean(1)
     for k in (1.0, 10.0, 1.0):
@@ -211,6 +211,7 @@ def test_a_value_that_is_held_and_changes_is_never_ignored(way):
         problem = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ product(u), 1)
         found = solve(problem, Midpoint(Exponential(line)), np.zeros(1), np.ones(1), 1.0, 2)
         assert found.cost == pytest.approx(k, rel=1e-12)
+        np.testing.assert_allclose(found.costates, 2 * k, rtol=1e-12)
 
 
 @pytest.mark.parametrize("factor", [2.0**k for k in range(-3, 4)])

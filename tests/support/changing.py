@@ -44,6 +44,14 @@ def _jitted(x: Any) -> Any:
     return HELD["k"] * x
 
 
+@jax.custom_jvp
+def _ruled(x: Any) -> Any:
+    return HELD["k"] * x
+
+
+_ruled.defjvp(lambda at, along: (_ruled(*at), _jitted(*along)))
+
+
 def _body(carry: Any, _: Any) -> Any:
     return HELD["k"] * carry, None
 
@@ -109,6 +117,7 @@ WAYS: dict[str, Callable[[Any], Held]] = {
     "default argument": _default,
     "helper that reads a global": partial(_in_a_global, lambda x: scaled(x)),
     "jitted helper": partial(_in_a_global, lambda x: _jitted(x)),
+    "jitted helper of a derivative": partial(_in_a_global, _ruled),
     "jitted function": partial(_in_a_global, _jitted),
     "body of a loop": partial(_in_a_global, _looped),
     "branch": partial(_in_a_global, _chosen),

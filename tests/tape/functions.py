@@ -169,6 +169,15 @@ SPECIAL = {
     "kinks": (lambda x: jnp.abs(x) + jnp.maximum(x, -x) + jnp.minimum(x, 1.0) + jax.nn.relu(x), TIES),
     "zero of a complex size": (lambda x: jnp.abs(_complex(x)) ** 3 + x, ZERO),
     "zero powers": (lambda x: x**2 + x**3 + x**0 + x**2.0, ZERO),
+    "zero to a power that varies": (lambda x: x ** (2.5 + x[::-1]) + 0.0 ** (1 + x) + (1 + x) ** x, ZERO),
+    "several that are equal": (
+        lambda x: x * jnp.max(x) + jnp.linalg.norm(x, jnp.inf) + jnp.min(jnp.stack([x, 1 + x, x * x, x, x]), axis=0),
+        0.1 + 0 * ZERO,
+    ),
+    "between limits that are equal": (
+        lambda x: jax.lax.clamp(-1.0, x, 1.0) + x * jax.lax.clamp(x[::-1], x**2, 2 * x) + jax.lax.clamp(3.0, x, -x),
+        TIES,
+    ),
     "guarded": (lambda x: jnp.where(x == 0, 1.0, jnp.sin(jnp.where(x == 0, 1.0, x)) / jnp.where(x == 0, 1.0, x)), ZERO),
     "guarded norm": (lambda x: x * jnp.where(x @ x == 0, 0.0, jnp.sqrt(jnp.where(x @ x == 0, 1.0, x @ x))), ZERO),
     "pivots": (lambda x: jnp.linalg.solve(jnp.array([[0.0, 1.0, 0.0], [1.0, 0, 0], [0, 0, 1]]) + x[0], 1 + x), ZERO),

@@ -9,6 +9,7 @@ from retrax.tape import Tape
 from retrax.tape.elementwise import KINDS
 from retrax.tape.linear import LINEAR
 from retrax.tape.moves import MOVES
+from retrax.tape.trace import BY_MARKS
 
 from .functions import SMOOTH, SPECIAL
 
@@ -108,4 +109,4 @@ NEWER = {"log2", "one_minus_square", "polynomial"}  # since JAX 0.11
 
 def test_every_rule_is_used_by_one_of_these_functions():
     used = set().union(*(primitives(jax.make_jaxpr(f)(POINTS[:, 0]).jaxpr, set()) for f, _ in CASES.values()))
-    assert {*MOVES, *LINEAR, *KINDS} - used == (NEWER if jax.__version_info__ < (0, 11) else set())
+    assert {*MOVES, *LINEAR, *KINDS, *BY_MARKS} - used == (NEWER if jax.__version_info__ < (0, 11) else set())

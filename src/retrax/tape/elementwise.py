@@ -118,7 +118,6 @@ REAL: dict[str, Function] = {
     "neg": lambda x: -x,
     "one_minus_square": lambda x: (1 + x) * (1 - x),
     "polynomial": lambda x, *c: reduce(lambda value, a: value * x + a, c[-2::-1], c[-1]),
-    "pow": lambda x, y: x**y,
     "real": lambda x: x,
     "rem": ca.fmod,
     "rsqrt": lambda x: 1 / ca.sqrt(x),
@@ -282,21 +281,11 @@ def _round(params: dict[str, Any], x: Entries) -> Entries:
     return _mapped(away if int(params["rounding_method"]) == 0 else even, x)
 
 
-def _clamp(params: dict[str, Any], low: Entries, x: Entries, high: Entries) -> Entries:
-    return _mapped(lambda a, b, c: smaller(larger(b, a), c), low, x, high)
-
-
 def _divided(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
     if is_complex(x) or is_complex(y):
         return _complex("div", [parts(x), parts(y)])
     whole = params.get("whole", False)
     return _mapped(lambda a, b: truncated(a / b) if whole else a / b, x, y)
-
-
-def _powered(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
-    if is_complex(x) or is_complex(y):
-        raise NotTraceableError("pow", "here of complex numbers")
-    return _mapped(REAL["pow"], x, y)
 
 
 def _logic(params: dict[str, Any], name: str, *arrays: Entries) -> Entries:
@@ -308,7 +297,6 @@ def _logic(params: dict[str, Any], name: str, *arrays: Entries) -> Entries:
 
 _OTHERS: dict[str, Callable[..., Entries]] = {
     "and": lambda params, *a: _logic(params, "and", *a),
-    "clamp": _clamp,
     "complex": lambda params, a, b: _paired(a, b),
     "convert_element_type": _convert,
     "div": _divided,
@@ -316,7 +304,6 @@ _OTHERS: dict[str, Callable[..., Entries]] = {
     "integer_pow": _integer_pow,
     "not": lambda params, *a: _logic(params, "not", *a),
     "or": lambda params, *a: _logic(params, "or", *a),
-    "pow": _powered,
     "reduce_precision": lambda params, a: a,
     "round": _round,
     "select_n": select_n,
