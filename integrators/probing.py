@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..errors import TRACEABLE
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.errors import TRACEABLE
 from ..manifolds.numerics.precision import working_precision
 from ..manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from .evaluator import Automatic

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from ...errors import TRACEABLE
 from ...manifolds import InvalidInputError, Manifold, RetraxError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
-from ...manifolds.numerics.errors import TRACEABLE
 from ...manifolds.numerics.rank import is_regular, pivotal_values
 from ...reading import one_reading
 from ...retractions import CotangentLift, DiscretizationMap, Gauss, Retraction, default_retraction

@@ -5,19 +5,7 @@ from typing import Any
 
 import jax
 
-from ...errors import RetraxError
-
-TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp.where in place of if"
-
-
-class InvalidInputError(RetraxError, ValueError):
-    """An argument has the wrong value, shape or structure.
-
-    >>> Stiefel(2, 3)
-    Traceback (most recent call last):
-        ...
-    retrax.manifolds.numerics.errors.InvalidInputError: ...
-    """
+from ...errors import TRACEABLE, InvalidInputError, RetraxError
 
 
 class NotOnManifoldError(InvalidInputError):

@@ -1,4 +1,6 @@
-"""The base of all errors, below tape and layers."""
+"""Errors below tape and layers."""
+
+TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp.where in place of if"
 
 
 class RetraxError(Exception):
@@ -6,6 +8,16 @@ class RetraxError(Exception):
 
     >>> issubclass(InvalidInputError, RetraxError), issubclass(ConvergenceError, RetraxError)
     (True, True)
+    """
+
+
+class InvalidInputError(RetraxError, ValueError):
+    """An argument has the wrong value, shape or structure.
+
+    >>> Stiefel(2, 3)
+    Traceback (most recent call last):
+        ...
+    retrax.errors.InvalidInputError: ...
     """
 
 

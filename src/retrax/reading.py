@@ -161,12 +161,18 @@ def _undifferentiable(error: Exception) -> str:
     hint = next((hint for part, hint in WITHOUT.items() if part in said), "")
     if not hint:
         return ""
-    frames = [(frame.f_code.co_filename, line) for frame, line in walk_tb(error.__traceback__) if _is_users(frame)]
-    where = f", called in line {frames[-1][1]} of {frames[-1][0]}," if frames else ""
+    line = users_line(error)
+    where = line and f", called in {line},"
     return (
         f"JAX cannot differentiate, or map, a function{where} and says: {said.rstrip('.')}; expected one with "
         f"derivatives, forward and backward, because costates and Newton's method need them; try {hint}"
     )
+
+
+def users_line(error: Exception) -> str:
+    """The line of a user that led to an error, and its file; empty if there is none."""
+    frames = [(frame.f_code.co_filename, line) for frame, line in walk_tb(error.__traceback__) if _is_users(frame)]
+    return f"line {frames[-1][1]} of {frames[-1][0]}" if frames else ""
 
 
 def _is_users(frame: FrameType) -> bool:

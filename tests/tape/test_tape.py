@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax import threads
-from retrax.manifolds import SE, SO, SU, Hyperbolic, Oblique, Sphere, Stiefel
+from retrax.manifolds import SE, SO, SU, Hyperbolic, InvalidInputError, Oblique, Sphere, Stiefel
 from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module
@@ -306,7 +306,7 @@ def test_complex_numbers_stay_complex():
     for found, expected in zip(tape(points), jax.vmap(values, -1, -1)(points), strict=True):
         assert np.iscomplexobj(found)
         np.testing.assert_array_equal(found, expected)
-    with pytest.raises(TypeError, match="of a real array, got a complex one"):
+    with pytest.raises(InvalidInputError, match="of a real array, got a complex one"):
         tape(points + 1j)
     with pytest.raises(TypeError, match="expected a real array, got a complex one"):
         column(np.array([1.0, 1j]))
@@ -329,16 +329,51 @@ def test_a_loop_is_written_out_as_long_as_its_length_is_known():
 
 def test_arguments_of_other_shapes_are_refused():
     tape = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))
-    with pytest.raises(ValueError, match="points"):
+    with pytest.raises(InvalidInputError, match="points"):
         tape((ROTOR, (ROTOR, 0.1)))
-    with pytest.raises(ValueError, match="of one length"):
+    with pytest.raises(InvalidInputError, match="of one length"):
         tape((np.ones((3, 2)), (np.ones((3, 2)), np.ones(3))))
-    with pytest.raises(TypeError, match="arguments"):
+    with pytest.raises(InvalidInputError, match=r"got arguments of shapes \(\(3, 2\),\)"):
         tape(np.ones((3, 2)))
-    with pytest.raises(ValueError, match="jacobian"):
+    with pytest.raises(InvalidInputError, match="arrays of numbers as arguments, got one of object"):
+        tape((np.ones((3, 2)), (np.ones((3, 2)), np.array([None, None]))))
+    with pytest.raises(InvalidInputError, match="jacobian"):
         tape.gradient()
-    with pytest.raises(ValueError, match="argument 0 has 3 arrays"):
+    with pytest.raises(InvalidInputError, match="argument 0 has 3 arrays"):
         tape.push(0)
+
+
+def test_places_of_arguments_are_those_of_jax():
+    def power(x, y):
+        return y * (x @ x)
+
+    tape, at = Tape.trace(power, np.zeros(3), 0.0), (np.ones((3, 1)), np.array([2.0]))
+    for places in (0, 1, -1, -2, np.int64(1), [-1], (0, 1), (1, -2)):
+        sides = sorted({np.arange(2)[k] for k in np.ravel(places)})
+        expected = jax.grad(power, sides)(np.ones(3), 2.0)
+        np.testing.assert_array_equal(tape.gradient(places)(*at)[:, 0], np.hstack(expected))
+    np.testing.assert_array_equal(tape.push(-1)(*at, at[1]), [[6.0]])
+    for wrong in (2, -3, (0, 7), "x", 0.5, [None]):
+        with pytest.raises(InvalidInputError, match="argnums must be the place of one of 2 arguments"):
+            tape.jacobian(wrong)
+
+
+@pytest.mark.parametrize(
+    ("function", "example", "words"),
+    [
+        (
+            lambda x: np.sin(x),
+            1.0,
+            r"in line \d+ of .*test_tape.py \(TracerArrayConversionError\); try functions written",
+        ),
+        (lambda x: x if x > 0 else -x, 1.0, "jnp.where in place of if"),
+        (3, 1.0, "of a function, got 3"),
+        (lambda x: x, "a", "arrays of numbers as arguments"),
+    ],
+)
+def test_what_jax_cannot_trace_is_refused_in_words(function, example, words):
+    with pytest.raises(InvalidInputError, match=words):
+        Tape.trace(function, example)
 
 
 @pytest.mark.slow

@@ -13,8 +13,8 @@ import numpy as np
 import sympy
 
 from ....equations import called
+from ....errors import TRACEABLE
 from ....manifolds import InvalidInputError
-from ....manifolds.numerics.errors import TRACEABLE
 from ....reading import traced
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.

@@ -6,6 +6,8 @@ from functools import cached_property
 
 import casadi as ca
 
+from ..errors import InvalidInputError
+
 
 def _none() -> ca.SX:
     return ca.SX(0, 0)
@@ -58,8 +60,8 @@ class Loop:
 
     @property
     def slope(self) -> ca.SX:
-        """Raises ``ValueError``: it is not known."""
-        raise ValueError("an expansion has no derivatives through roots; try those of the function before it")
+        """Raises ``InvalidInputError``: it is not known."""
+        raise InvalidInputError("an expansion has no derivatives through roots; try those of the function before it")
 
 
 @dataclass(eq=False)

@@ -2,7 +2,8 @@
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+import operator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from types import ModuleType
@@ -13,7 +14,9 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
+from ..errors import TRACEABLE, InvalidInputError
 from ..optional import numba_is_there
+from ..reading import users_line
 from ..threads import in_threads, worth_threads
 from ..undisturbed import put_off
 from .arrays import Entries, column, is_complex, parts, scalars
@@ -22,7 +25,8 @@ from .often import Often
 from .program import Program, assembled
 from .trace import Flat, flat, trace
 
-Argnums = int | Sequence[int] | None  # places of arguments, as jax.grad has them; None: all
+Argnums = int | Iterable[int] | None  # places of arguments, as jax.grad has them; None: all
+NUMBERS = "biufc"  # kinds of arrays of numbers
 
 
 @final
@@ -63,9 +67,19 @@ class Tape(Often):
         """The tape of a JAX function of pytrees of arrays, whose result is a pytree of arrays.
 
         Raises ``NotTraceableError`` where the function calls what cannot be written as scalar operations, as LAPACK's
-        decompositions or a loop whose length depends on the input.
+        decompositions or a loop whose length depends on the input, and ``InvalidInputError`` where JAX cannot trace it.
         """
-        return cls.read(flat(function, *examples))
+        if not callable(function):
+            raise InvalidInputError(f"a tape is of a function, got {function!r}")
+        for leaf in jax.tree.leaves(examples):
+            _require_numbers(np.asarray(leaf))
+        try:
+            return cls.read(flat(function, *examples))
+        except jax.errors.JAXTypeError as error:
+            where = users_line(error)
+            raise InvalidInputError(
+                f"JAX cannot trace the function{where and f', in {where}'} ({type(error).__name__}); {TRACEABLE}"
+            ) from error
 
     @classmethod
     def read(cls, function: Flat) -> Self:
@@ -162,17 +176,18 @@ class Tape(Often):
     def push(self, argnum: int) -> "Tape":
         """Derivatives of all values by one argument along a direction, flat; the direction is one more argument, the
         last."""
-        by, leaves = self._by(argnum), [leaf for leaf in self._leaves if leaf.argument == argnum]
+        by, places = self._by(argnum), self._places(argnum)
+        leaves = [leaf for leaf in self._leaves if leaf.argument in places]
         if len(leaves) != 1 or leaves[0].complex:
-            raise ValueError(
+            raise InvalidInputError(
                 f"a direction is that of one real array, argument {argnum} has {len(leaves)} arrays or is complex"
             )
         direction = ca.SX.sym("direction", by.shape[0])
         column = self.graph.push(self.outputs, by, direction)
         graph = Graph([*self.graph.inputs, direction], self.graph.marks)
-        arguments = jax.tree.unflatten(self._arguments, [0] * self._arguments.num_leaves)
-        kinds = [*self._leaves, Leaf(leaves[0].shape, False, len(arguments))]
-        structure = jax.tree.structure((*arguments, 0))
+        shapes = self._argument_shapes
+        kinds = [*self._leaves, Leaf(leaves[0].shape, False, len(shapes))]
+        structure = jax.tree.structure((*jax.tree.unflatten(self._arguments, [0] * len(self._leaves)), 0))
         return Tape(graph, [scalars(column, column.shape[:1])], (kinds, structure), jax.tree.structure(0))
 
     def gradient(self, argnums: Argnums = None) -> "Tape":
@@ -244,36 +259,50 @@ class Tape(Often):
 
     def _by(self, argnums: Argnums) -> ca.SX:
         """The symbols of some arguments, one column."""
-        wanted = (
-            {argnums}
-            if isinstance(argnums, int)
-            else {leaf.argument for leaf in self._leaves}
-            if argnums is None
-            else {*argnums}
-        )
+        wanted = self._places(argnums)
         owners = [leaf.argument for leaf in self._leaves for _ in range(1 + leaf.complex)]
         return ca.vertcat(
             *(symbols for symbols, owner in zip(self.graph.inputs, owners, strict=True) if owner in wanted)
         )
 
+    def _places(self, argnums: Argnums) -> set[int]:
+        """Places of arguments; those from the end are negative."""
+        count = len(self._argument_shapes)
+        given = range(count) if argnums is None else argnums if isinstance(argnums, Iterable) else (argnums,)
+        try:
+            places = [operator.index(k) for k in given]
+        except TypeError:
+            places = [count]
+        if any(not -count <= k < count for k in places):
+            raise InvalidInputError(
+                f"argnums must be the place of one of {count} arguments, from 0 or, back from the last, from -1, or a "
+                f"sequence of them; got {argnums!r}"
+            )
+        return {k % count for k in places}
+
+    @property
+    def _argument_shapes(self) -> tuple[Any, ...]:
+        return jax.tree.unflatten(self._arguments, [leaf.shape for leaf in self._leaves])
+
     def _only(self) -> ca.SX:
         if self.outputs.numel() != 1:
-            raise ValueError(f"a gradient is of a function with one value, got {self.outputs.numel()}; try jacobian()")
+            raise InvalidInputError(
+                f"a gradient is of a function with one value, got {self.outputs.numel()}; try jacobian()"
+            )
         return self.outputs
 
     def _packed(self, arguments: Any) -> np.ndarray:
         """All arguments as one array: a row for every scalar, a column for every point."""
         leaves, structure = jax.tree.flatten(arguments)
-        if structure != self._arguments:
-            raise TypeError(f"the tape is of arguments {self._arguments}, got {structure}")
         arrays = [np.asarray(leaf) for leaf in leaves]
+        for array in arrays:
+            _require_numbers(array)
         counts = {a.shape[-1] if a.ndim else None for a in arrays}
-        shapes = [a.shape[:-1] for a in arrays]
-        expected = [leaf.shape for leaf in self._leaves]
-        if shapes != expected or len(counts) != 1 or any(a.ndim == 0 for a in arrays):
-            raise ValueError(
-                f"expected arrays of shapes {expected} with one more axis, the points, last and of one length; "
-                f"got shapes {[a.shape for a in arrays]}"
+        alike = structure == self._arguments and [a.shape[:-1] for a in arrays] == [leaf.shape for leaf in self._leaves]
+        if not alike or len(counts) != 1 or any(a.ndim == 0 for a in arrays):
+            raise InvalidInputError(
+                f"the tape has arguments of shapes {self._argument_shapes}, expected the like with one more axis, the "
+                f"points, last and of one length; got arguments of shapes {jax.tree.map(np.shape, arguments)}"
             )
         halves = [half for a, leaf in zip(arrays, self._leaves, strict=True) for half in _real_parts(a, leaf.complex)]
         return np.concatenate([np.asarray(h, float).reshape(math.prod(h.shape[:-1]), h.shape[-1]) for h in halves])
@@ -333,13 +362,18 @@ class Tape(Often):
         return ca.Function("f", [self.inputs], self.graph.unmarked([ca.densify(self.outputs)]), {"cse": True})
 
 
+def _require_numbers(array: np.ndarray) -> None:
+    if array.dtype.kind not in NUMBERS:
+        raise InvalidInputError(f"a tape has arrays of numbers as arguments, got one of {array.dtype}: {array!r}")
+
+
 def _halves(a: Entries) -> tuple[Any, ...]:
     return parts(a) if is_complex(a) else (a,)
 
 
 def _real_parts(a: np.ndarray, pair: bool) -> tuple[Any, ...]:
     if np.iscomplexobj(a) and not pair:
-        raise TypeError("the tape is of a real array, got a complex one")
+        raise InvalidInputError("the tape is of a real array, got a complex one")
     return parts(a) if pair else (a,)
 
 

@@ -10,8 +10,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from ..errors import TRACEABLE
 from ..manifolds import RetraxError
-from ..manifolds.numerics.errors import TRACEABLE
 from .precision import precision
 
 NAN = "try jnp.where with arguments that are safe in both branches: the derivative of the one not taken may be NaN"
