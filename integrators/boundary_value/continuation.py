@@ -112,7 +112,8 @@ def continuation(
                 factor = max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))
                 step = max(step * factor, smallest_step)
                 stopped = callback is not None and callback(place, trial.solution)
-            elif trial.solution.result == Result[Result.stopped]:
+                stopped |= trial.solution.statistics.stopped
+            elif trial.solution.statistics.stopped:
                 stopped = True
             elif step <= smallest_step:
                 refusal = trial.refusal
@@ -143,7 +144,7 @@ def _tried(predictor: "Predictor", way: tuple[Given, Given], last: Solution, opt
     given, predicted = way[1].near(last)._asdict(), predictor(last, *way)
     guess = last if predicted is None else predicted
     found = predictor.solver.solve(**given, guess=guess, throw=False, **options)
-    if not (found.success or guess is last or found.result == Result[Result.stopped]):
+    if not (found.success or guess is last or found.statistics.stopped):
         guess = last  # of limits that begin to hold, or cease to, its derivatives tell nothing
         found = predictor.solver.solve(**given, guess=guess, throw=False, **options)
     if not found.success:

@@ -2,7 +2,7 @@
 states."""
 
 from collections.abc import Callable
-from dataclasses import astuple, replace
+from dataclasses import replace
 from typing import Any, final
 from weakref import WeakKeyDictionary
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from ...manifolds.numerics import ambient as vec
 from ..free import Free, all_guessed, guessed, is_free, scaled
-from ..results import sentence
 from .arguments import Given
 from .formulation import Formulation, Kind
 from .guess import Guess
@@ -88,7 +87,7 @@ class Formulated:
         """The solution; where it is none and the horizon is free, that of the nearest other magnitude from which there
         is one."""
         horizon = request.given.horizon
-        if first.success or not is_free(horizon) or first.result == sentence("stopped"):
+        if first.success or not is_free(horizon) or first.statistics.stopped:
             return first
         effort = first.statistics
         for factor in MAGNITUDES:
@@ -97,7 +96,7 @@ class Formulated:
                 again = request.again(self.reader, request.given._replace(horizon=guess), request.guess)
                 found = self._in_own_units(again, self._solved(again))
                 effort = _sum(effort, found.statistics)
-                if found.success or found.result == sentence("stopped"):
+                if found.success or found.statistics.stopped:
                     return self._renewed(found, statistics=effort)
         return self._renewed(first, statistics=effort, result=first.result + self._grown(horizon, first))
 
@@ -230,4 +229,9 @@ class Formulated:
 
 
 def _sum(one: Statistics, other: Statistics) -> Statistics:
-    return Statistics(*(a + b for a, b in zip(astuple(one), astuple(other), strict=True)))
+    return Statistics(
+        one.iterations + other.iterations,
+        one.compile_seconds + other.compile_seconds,
+        one.run_seconds + other.run_seconds,
+        one.stopped or other.stopped,
+    )

@@ -16,7 +16,6 @@ from ..free import guessed, is_free, near, scaled
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
-from ..results import sentence
 from ..text import many
 from .arguments import Method, Options, check_problem
 from .coupled import Own, coupling_of
@@ -111,7 +110,7 @@ class _Task:
         """The extremal, from durations of another magnitude where there is none from those that are guessed."""
         first = self._in_own_units(phases)
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
-        if first.success or not free or first.result == sentence("stopped"):
+        if first.success or not free or first.statistics.stopped:
             return first
         for factor in MAGNITUDES:
             durations = [scaled(phase.duration, factor) for phase in phases]
@@ -119,7 +118,7 @@ class _Task:
                 pairs = zip(phases, durations, strict=True)
                 found = self._in_own_units([phase._replace(duration=duration) for phase, duration in pairs])
                 settled = found.success and not _strayed(phases, found, FARTHEST)
-                if settled or found.result == sentence("stopped"):
+                if settled or found.statistics.stopped:
                     return found
         return first
 

@@ -72,7 +72,7 @@ class Recording:
                 **{name: values[k].item() for name, values in numbers.items()},
                 result=results[k],
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
-                statistics=Statistics(int(found.iterations[k]), *seconds),
+                statistics=Statistics(int(found.iterations[k]), *seconds, found.stopped),
                 quantities=self.quantities,
                 interpolant=self.interpolant,
                 parameters=None if parameters is None else jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),

@@ -11,7 +11,6 @@ from ...retractions import Gauss
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER
 from ..free import is_free
 from ..problem import OptimalControlProblem
-from ..results import sentence
 from .arcs import DURATIONS, Arcs
 from .arguments import Given, Method
 from .checks import RegularChecks
@@ -94,7 +93,12 @@ class Refinement:
             raise InvalidInputError(
                 "the problem is singular, and accuracy is for regular ones, whose steps may be unequal; leave it out"
             )
-        best = self._judged(solution)
+        try:
+            best = self._judged(solution)
+        except KeyboardInterrupt:
+            statistics = Statistics(*self._effort, stopped=True)
+            result = "The equations are solved, but the iteration was stopped before the error was estimated."
+            return replace(solution, statistics=statistics, success=False, result=result)
         slow, why = 0, f"of the limit of {ROUNDS} refinements"
         try:
             best = self._switched(best)
@@ -111,7 +115,8 @@ class Refinement:
                 if slow == PATIENCE:
                     why = "it no longer shrinks as the steps do"
                     break
-        except _StoppedError:
+        except (_StoppedError, KeyboardInterrupt):  # what was found until then is there
+            self._stopped = True
             why = "the iteration was stopped"
         return self._recorded(best, "" if self.error(best) <= self.accuracy else why)
 
@@ -153,8 +158,8 @@ class Refinement:
             raise _StoppedError
         solution = solver.found(request)
         iterations, compiling, running = self._effort
-        self._stopped |= solution.result == sentence("stopped")
         spent = solution.statistics
+        self._stopped |= spent.stopped
         self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
         return solution
 
@@ -313,7 +318,7 @@ class Refinement:
         checks: Any = solution.checks
         between = {name: float(np.max(rows)) for name, rows in errors.violations.items()}
         checks = replace(checks, error=self.error(found), between=between)
-        statistics = Statistics(*self._effort)
+        statistics = Statistics(*self._effort, self._stopped)
         if not why:
             return replace(solution, checks=checks, statistics=statistics)
         worst = int(np.argmax(errors.each))

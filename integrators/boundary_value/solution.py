@@ -27,12 +27,14 @@ class Statistics:
     """How the computation went: Newton iterations, seconds to trace and compile, seconds to run.
 
     Where a search from the guess fails, others follow from guesses that are moved, each with ``max_iterations`` for
-    itself: the iterations are those of the search that the result is of, and of those before it.
+    itself: the iterations are those of the search that the result is of, and of those before it. ``stopped``: a
+    callback, or an interrupt, asked for an end, as of all that would have followed.
     """
 
     iterations: int
     compile_seconds: float
     run_seconds: float
+    stopped: bool = False
 
 
 @dataclass(frozen=True)

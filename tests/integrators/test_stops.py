@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Solver, solve
+from retrax.integrators.boundary_value.refinement import Estimator
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss
 
@@ -25,24 +26,27 @@ CASES = {
 
 
 class Stop:
-    """Asks to stop at its call number ``at``, and counts those that follow."""
+    """Asks to stop at its call number ``at``, or is interrupted there, and counts those that follow."""
 
-    def __init__(self, at):
-        self.at, self.calls = at, 0
+    def __init__(self, at, interrupted=False):
+        self.at, self.calls, self.interrupted = at, 0, interrupted
 
-    def __call__(self, iteration):
+    def __call__(self, *arguments):
         self.calls += 1
+        if self.calls - 1 == self.at and self.interrupted:
+            raise KeyboardInterrupt
         return self.calls - 1 == self.at
 
 
-@pytest.mark.long("arcs")
+@pytest.mark.usual("steps-True")
+@pytest.mark.parametrize("interrupted", [False, True])
 @pytest.mark.parametrize("name", CASES)
-def test_no_mesh_follows_the_one_that_is_stopped(name):
+def test_no_mesh_follows_the_one_that_is_stopped(name, interrupted):
     problem, start, end, horizon, steps, accuracy = CASES[name]
     method = Gauss(2, Addition(problem.manifold))
 
     def solved(at):
-        stop = Stop(at)
+        stop = Stop(at, interrupted)
         options = {"throw": False, "callback": stop, "accuracy": accuracy}
         return solve(problem, method, start, end, horizon, steps, **options), stop.calls
 
@@ -54,7 +58,34 @@ def test_no_mesh_follows_the_one_that_is_stopped(name):
         assert calls == at + 1
         assert not found.success or found.checks.error <= accuracy
         assert found.success or "stopped" in found.result
+        assert found.statistics.stopped
     assert solved(count - 1)[0].success
+
+
+def test_an_interrupt_between_two_meshes_leaves_the_last_solution(monkeypatch):
+    problem, start, end, horizon, steps, accuracy = CASES["steps"]
+    estimate = Estimator.__call__
+
+    def solved(at):
+        stop = Stop(at, interrupted=True)
+        monkeypatch.setattr(Estimator, "__call__", lambda *given: (stop(), estimate(*given))[1])
+        return solve(problem, METHOD, start, end, horizon, steps, accuracy=accuracy, throw=False), stop.calls
+
+    whole, count = solved(-1)
+    assert whole.success
+    assert not whole.statistics.stopped
+    assert count > 2
+    stopped = [solved(at) for at in range(count)]
+    assert [calls for _, calls in stopped] == list(range(1, count + 1))
+    for found, _ in stopped:
+        assert not found.success
+        assert found.statistics.stopped
+        assert "stopped" in found.result
+        assert found.checks.gap < 1e-9
+    errors = [found.checks.error for found, _ in stopped]
+    assert errors[0] is None
+    assert errors[1:] == sorted(errors[1:], reverse=True)
+    assert errors[-1] > accuracy
 
 
 def test_a_callback_of_a_batch_may_tell_of_each_member():

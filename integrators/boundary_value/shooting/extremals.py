@@ -265,7 +265,7 @@ def _record(
             gap=max(float(found.at.distance), *arc.conditions.values()),
             stationarity=float(outcome.residual),
         ),
-        statistics=Statistics(found.iterations, *seconds),
+        statistics=Statistics(found.iterations, *seconds, bool(found.result == Result.stopped)),
         singular=arc,
         interpolant=request.reader.mesh.interpolant,
         parameters=copied(request.known.parameters),
