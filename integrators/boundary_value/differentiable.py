@@ -10,6 +10,7 @@ from jax.core import eval_context
 
 from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
+from ..free import is_free
 from ..functions import is_transformed
 from .arguments import Given
 from .sensitivity import Derivative, Sensitivity
@@ -62,7 +63,8 @@ def _numbers(given: Given) -> Given:
 
     def number(a: Any) -> Any:
         if not vec.is_traced(a) and np.asarray(a).dtype.kind not in "fciub":
-            raise InvalidInputError(f"extremal takes numbers and arrays of them, got {a!r:.60}")
+            hint = "; solve with it free, and give extremal what was found" if is_free(a) else ""
+            raise InvalidInputError(f"extremal takes numbers and arrays of them, got {a!r:.60}{hint}")
         return jnp.asarray(a, jnp.promote_types(jnp.result_type(a), real))
 
     return jax.tree.map(number, given)

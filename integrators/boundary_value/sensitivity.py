@@ -67,12 +67,27 @@ class Sensitivity:
 
 
 def require_isolated(found: Derivatives, solution: Solution) -> None:
-    """Raise if the KKT system is singular to rounding."""
+    """Raise if the KKT system is singular to rounding, or a derivative is not finite."""
     smallest = float(found.smallest[0])
-    if not (smallest > EPS**REGULAR and all(np.all(np.isfinite(part)) for part in found)):
+    if not smallest > EPS**REGULAR:
         raise ConvergenceError(
             f"the system of optimality conditions is singular to rounding, its smallest pivot is {smallest:.3g}: the "
             "extremal is one of a family, or its end is conjugate to its start, and it has no derivatives; try another "
             "horizon",
             solution,
         )
+    lost = {_name_of(k, found, solution) for part in found[:4] for k in np.argwhere(~np.isfinite(part[0]))[:, 0]}
+    if lost:
+        raise ConvergenceError(
+            f"the problem's functions have no finite derivative by {' and '.join(sorted(lost))} along this extremal; "
+            "try functions that are smooth there, as sqrt(x @ x + 1e-6) in place of a norm",
+            solution,
+        )
+
+
+def _name_of(column: int, found: Derivatives, solution: Solution) -> str:
+    """What the derivatives in a column are by."""
+    first = found.cost.shape[1] - sum(np.size(leaf) for leaf in jax.tree.leaves(solution.parameters))
+    if column >= first - 1:
+        return "its parameters" if column >= first else "its horizon"
+    return "its start" if column < (first - 1) // 2 else "its end"

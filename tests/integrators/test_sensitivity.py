@@ -177,6 +177,20 @@ def test_a_family_of_extremals_has_no_derivatives(oscillator):
         solver.sensitivity(solution)
 
 
+@pytest.mark.parametrize("price", [1e-12, 1e-6, 0.0])
+def test_a_function_without_a_derivative_by_the_parameters_is_blamed_itself(price):
+    """The price of the control is the square root of a number: its derivative grows, until there is none."""
+    problem = OptimalControlProblem(LINE, lambda q, u, p: u, lambda q, u, p: (1 + jnp.sqrt(p)) * (u @ u) / 2, 1)
+    solver = Solver(problem, Midpoint(Exponential(LINE)), 4)
+    found = solver.solve(np.zeros(1), np.ones(1), 1.0, parameters=price)
+    if price:
+        derivative = solver.sensitivity(found).parameters.cost
+        assert derivative == pytest.approx(0.25 / np.sqrt(price), rel=1e-9)
+    else:
+        with pytest.raises(ConvergenceError, match="no finite derivative by its parameters along this extremal"):
+            solver.sensitivity(found)
+
+
 def test_a_member_of_a_batch_has_the_derivatives_of_the_trajectory_alone():
     problem, method, steps, start, end = SUBJECTS["caught cart"]
     solver = Solver(problem, method, steps)
