@@ -35,12 +35,16 @@ def numba_is_there() -> bool:
     """Whether Numba is, as not yet for each new Python; a warning says, once, how all goes on without it."""
     try:
         with put_off():
-            import_module("numba")
+            numba = import_module("numba")
     except (ImportError, OSError, RuntimeError, SystemError) as error:  # OSError: its library of LLVM cannot be loaded
-        warnings.warn(
-            f"Numba is not available: {error}. XLA compiles functions instead, tapes run on CasADi's machine, and "
-            "Python solves the linear systems of solve, which takes some hundred times longer; try: pip install numba",
-            stacklevel=2,
-        )
-        return False
-    return True
+        reason, hint = str(error), "pip install numba"
+    else:
+        if not numba.config.DISABLE_JIT:
+            return True
+        reason, hint = "the environment variable NUMBA_DISABLE_JIT is set", "the same without it"
+    warnings.warn(
+        f"Numba is not available: {reason}. XLA compiles functions instead, tapes run on CasADi's machine, and Python "
+        f"solves the linear systems of solve, which takes some hundred times longer; try: {hint}",
+        stacklevel=2,
+    )
+    return False
