@@ -380,7 +380,7 @@ PLANTED: dict[str, Planted] = {
         (PRIMITIVES,),
     ),
     "a product of complex numbers lacks its second part": Planted(
-        "src/retrax/tape/elementwise.py",
+        "src/retrax/tape/pairs.py",
         "return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]",
         "return x[0] * y[0], x[0] * y[1] + x[1] * y[0]",
         (PRIMITIVES,),
@@ -530,7 +530,7 @@ PLANTED: dict[str, Planted] = {
         (f"{PRIMITIVES}::test_values_and_two_derivatives_are_those_of_xla[truth as a factor]",),
     ),
     "constants that are not finite are branches as others": Planted(
-        "src/retrax/tape/elementwise.py",
+        "src/retrax/tape/choice.py",
         "if not (over.any() or under.any()):",
         "if True:",
         (f"{PRIMITIVES}::test_casadi_derives_choices_of_what_is_not_finite",),

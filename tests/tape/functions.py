@@ -121,6 +121,22 @@ SMOOTH = {
     ),
     "whole numbers": lambda x: x * ((5 * x).astype(int) // 2 + (7 * x).astype(int) % 3),
     "complex": lambda x: _complex(x),
+    "complex roots": lambda x: _both(jnp.sqrt(_around(x)) + jax.lax.rsqrt(_around(x)[::-1])),
+    "complex trigonometric": lambda x: _both(
+        jnp.sin(_around(x)) * jnp.cos(2 * _around(x)) + jnp.tan(1 - _around(x)[::-1])
+    ),
+    "complex hyperbolic": lambda x: _both(
+        jnp.sinh(_around(x)) * jnp.cosh(2 * _around(x)) + jnp.tanh(1 - _around(x)[::-1])
+    ),
+    "complex exponentials": lambda x: _both(
+        jnp.expm1(_around(x)) * jnp.log1p(2 * _around(x)) + jnp.exp2(_around(x)) * jax.nn.sigmoid(3 * _around(x))
+    ),
+    "complex signs": lambda x: _both(jnp.sign(_around(x)) * _around(x)) * x,
+    "complex sums and products": lambda x: (
+        _both(jnp.cumsum(_pair(x)) * jnp.cumprod(_around(x)) + jnp.prod(_around(x)))
+        + _both(jax.lax.cumsum(_pair(x), reverse=True) * jax.lax.cumprod(_around(x), reverse=True))
+        + _both(jnp.prod(_around(x)[:, None] * jnp.outer(_pair(x), _around(x)), axis=0))
+    ),
     "complex with a number as part": lambda x: jnp.real(
         jnp.outer(jax.lax.complex(x, 0.0), 1j * x) @ jax.lax.complex(x, 2.0)
     ),
@@ -157,6 +173,12 @@ SMOOTH = {
         + x**3 * jax.lax.map(lambda k: (k << 2) >> 1, jnp.array([2, 1, 3]))
     ),
     "loops over known numbers": lambda x: x * jax.lax.map(jax.lax.lgamma, jnp.array([2.5, 0.3, 4.0])),
+    "complex powers": lambda x: _both(
+        _around(x) ** 0.5 + _around(x) ** _pair(x) + (1 + 2j) ** _around(x) + _around(x) ** (x - 0.5)
+    ),
+    "whole complex powers": lambda x: _both(
+        _around(x) ** jnp.array([0.0, 2.0, -3.0]) + _around(x) ** jnp.array([1, 2, 70])
+    ),
     "complex solve": lambda x: jnp.real(jnp.linalg.solve(_matrix(x) + 1j * jnp.eye(3), x * (1 + 2j))),
 }
 
@@ -168,8 +190,26 @@ SPECIAL = {
     "far logistic": (lambda x: jax.nn.sigmoid(1e3 * x), TIES),
     "kinks": (lambda x: jnp.abs(x) + jnp.maximum(x, -x) + jnp.minimum(x, 1.0) + jax.nn.relu(x), TIES),
     "zero of a complex size": (lambda x: jnp.abs(_complex(x)) ** 3 + x, ZERO),
+    "zero of a complex sign": (lambda x: _both(jnp.sign(_pair(x))) + x**2, ZERO),
+    "zero of a complex root": (lambda x: _both(jnp.sqrt(jnp.sum(_pair(x)))) * jnp.ones(3), ZERO),
+    "complex roots on the real axis": (
+        lambda x: _both(jnp.sqrt(_on_the_axis(x)) + jax.lax.rsqrt(_on_the_axis(x)) ** 2 * x),
+        SIDES,
+    ),
+    "complex numbers next to zero": (
+        lambda x: 1e9 * _both(jnp.expm1(_small(x)) + jnp.log1p(2 * _small(x)) + jnp.tanh(_small(x)) * x),
+        SIDES,
+    ),
+    "complex logarithm next to zero": (lambda x: _both(jnp.log1p(_small(x) - 1)), SIDES),
+    "far complex tangents": (
+        lambda x: _both(jnp.tanh(1e3 * _pair(x)) + jnp.tan(2e3 * _pair(x)) + jax.nn.sigmoid(1e3 * _pair(x))),
+        1 / SIDES,
+    ),
+    "zero of complex tangents": (lambda x: _both(jnp.tanh(_pair(x)) + jnp.tan(_pair(x)) + jnp.sinh(_pair(x))), ZERO),
     "zero powers": (lambda x: x**2 + x**3 + x**0 + x**2.0, ZERO),
     "zero to a power that varies": (lambda x: x ** (2.5 + x[::-1]) + 0.0 ** (1 + x) + (1 + x) ** x, ZERO),
+    "zero of complex powers": (lambda x: _both(_pair(x) ** 2.5 + jax.lax.pow(_pair(x), jnp.full(3, 3.0 + 0j))), ZERO),
+    "complex powers on the real axis": (lambda x: _both(_on_the_axis(x) ** 1.5 + _on_the_axis(x) ** (0.5 + 1j)), SIDES),
     "several that are equal": (
         lambda x: x * jnp.max(x) + jnp.linalg.norm(x, jnp.inf) + jnp.min(jnp.stack([x, 1 + x, x * x, x, x]), axis=0),
         0.1 + 0 * ZERO,
@@ -227,6 +267,19 @@ def _root(x):
 
 def _pair(x):
     return jax.lax.complex(x, x[::-1])
+
+
+def _around(x):
+    """Complex numbers around zero."""
+    return 2 * _pair(x) - (1 + 0.9j)
+
+
+def _on_the_axis(x):
+    return jax.lax.complex(x, (x - SIDES)[::-1])
+
+
+def _small(x):
+    return 2.0**-30 * _pair(x)
 
 
 def _complex(x):

@@ -69,6 +69,19 @@ def test_values_and_two_derivatives_are_those_of_xla(name, by_xla):
     np.testing.assert_allclose(tape.hessian()(points), curvatures, rtol=1e-10, atol=1e-11)
 
 
+@pytest.mark.parametrize("name", ["sin", "cos", "tan", "sinh", "cosh", "tanh", "sqrt"])
+def test_both_parts_of_complex_numbers_have_all_their_digits(name):
+    """Also where XLA loses some, next to zero."""
+    z = np.array(
+        [1e-12 - 1e-9j, 1e-9 + 1e-12j, 1e-20j, -3 + 1e-9j, -3 - 1e-9j, -1 + 1e-20j, 300 - 1j, 1e-200 + 1e-200j]
+    )
+    np.testing.assert_allclose(
+        [part(Tape.trace(getattr(jnp, name), 1j)(z)) for part in (np.real, np.imag)],
+        [part(getattr(np, name)(z)) for part in (np.real, np.imag)],
+        rtol=1e-14,
+    )
+
+
 @pytest.mark.parametrize("lost", [np.nan, np.inf, -np.inf])
 def test_numbers_that_are_not_finite_come_where_they_are_asked_for(lost):
     """Through the point where a choice changes, from either side: in values, and in a derivative by a factor."""

@@ -8,36 +8,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from . import pairs
 from .arrays import Complex, Entries, NotTraceableError, Scalars, broadcast, column, is_complex, moved, parts, scalars
+from .choice import select
+from .pairs import Pair, product, repeated
 
 Function = Callable[..., ca.SX]
-
-
-def select(condition: ca.SX, yes: ca.SX | float, no: ca.SX | float) -> ca.SX:
-    """``yes`` where the condition holds, ``no`` elsewhere, entry by entry."""
-    yes, no = (a if isinstance(a, ca.SX) else ca.SX(a) for a in (yes, no))
-    over, under = _not_finite(yes), _not_finite(no)
-    if not (over.any() or under.any()):
-        return ca.if_else(condition, yes, no)
-    value = ca.if_else(condition, ca.if_else(ca.DM(over != 0), 0, yes), ca.if_else(ca.DM(under != 0), 0, no))
-    return value + _zero_if(ca.logic_not(condition), over) + _zero_if(condition, under)
-
-
-def _not_finite(x: ca.SX) -> np.ndarray:
-    """The constants in a matrix that are NaN or infinite, zero elsewhere."""
-    elements: list[Any] = x.elements()
-    entries = [float(a) if a.is_constant() else 0.0 for a in elements]
-    return np.where(np.isfinite(entries), 0.0, entries).reshape(x.shape, order="F")
-
-
-def _zero_if(holds: ca.SX, numbers: np.ndarray) -> ca.SX:
-    """Zero where a condition holds, elsewhere numbers that are NaN, infinite, or zero too.
-
-    By logarithms of 1, 0 and -1. Of "NaN or zero" times x CasADi would make "NaN times x, or zero", whose derivative is
-    NaN times false.
-    """
-    infinite = ca.DM(np.sign(np.nan_to_num(numbers)))
-    return ca.DM(np.isnan(numbers) * 1.0) * ca.log(2 * holds - 1) - infinite * ca.log(holds)
 
 
 def larger(x: ca.SX, y: ca.SX) -> ca.SX:
@@ -152,60 +128,45 @@ def _full(values: ca.SX, shape: tuple[int, ...]) -> Scalars:
     return scalars(values if values.shape[0] == count else ca.repmat(values, count, 1), shape)
 
 
-def _complex(name: str, pairs: list[tuple[Entries, Entries]]) -> Entries:
-    alike, shape = broadcast(*(half for pair in pairs for half in pair))
+def _complex(name: str, arrays: list[tuple[Entries, Entries]]) -> Entries:
+    alike, shape = broadcast(*(half for pair in arrays for half in pair))
     value = _COMPLEX[name](*((column(a), column(b)) for a, b in zip(alike[::2], alike[1::2], strict=True)))
     return Complex(*(_full(part, shape) for part in value)) if isinstance(value, tuple) else _full(value, shape)
 
 
-Pair = tuple[ca.SX, ca.SX]
-
-
-def _sum(x: Pair, y: Pair) -> Pair:
-    return x[0] + y[0], x[1] + y[1]
-
-
-def product(x: Pair, y: Pair) -> Pair:
-    """Product of complex numbers."""
-    return x[0] * y[0] - x[1] * y[1], x[0] * y[1] + x[1] * y[0]
-
-
-def _quotient(x: Pair, y: Pair) -> Pair:
-    size = y[0] * y[0] + y[1] * y[1]
-    a, b = product(x, (y[0], -y[1]))
-    return a / size, b / size
-
-
-def _length(square: ca.SX) -> ca.SX:
-    """Its root, whose derivative at zero is that of JAX: none."""
-    return select(square > 0, ca.sqrt(select(square > 0, square, 1.0)), square)
-
-
-def _exponential(x: Pair) -> Pair:
-    size = ca.exp(x[0])
-    return size * ca.cos(x[1]), size * ca.sin(x[1])
-
-
 # Functions of complex arrays of one shape, as pairs.
 _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
-    "abs": lambda x: _length(x[0] * x[0] + x[1] * x[1]),
-    "add": _sum,
-    "add_any": _sum,
+    "abs": pairs.size,
+    "add": pairs.total,
+    "add_any": pairs.total,
     "conj": lambda x: (x[0], -x[1]),
     "copy": lambda x: x,
-    "div": _quotient,
+    "cos": lambda x: (ca.cos(x[0]) * ca.cosh(x[1]), -ca.sin(x[0]) * ca.sinh(x[1])),
+    "cosh": lambda x: (ca.cosh(x[0]) * ca.cos(x[1]), ca.sinh(x[0]) * ca.sin(x[1])),
+    "div": pairs.quotient,
     "eq": lambda x, y: ca.logic_and(_equal(x[0], y[0]), _equal(x[1], y[1])),
-    "exp": _exponential,
+    "exp": pairs.exponential,
+    "exp2": lambda x: pairs.exponential((x[0] * np.log(2.0), x[1] * np.log(2.0))),
+    "expm1": pairs.exponential_less_one,
     "imag": lambda x: x[1],
     "log": lambda x: (ca.log(x[0] * x[0] + x[1] * x[1]) / 2, ca.atan2(x[1], x[0])),
+    "log1p": pairs.logarithm_of_one_more,
     "log2": lambda x: (ca.log(x[0] * x[0] + x[1] * x[1]) / np.log(4.0), ca.atan2(x[1], x[0]) / np.log(2.0)),
+    "logistic": pairs.logistic,
     "mul": product,
     "ne": lambda x, y: ca.logic_or(_unequal(x[0], y[0]), _unequal(x[1], y[1])),
     "neg": lambda x: (-x[0], -x[1]),
-    "polynomial": lambda x, *c: reduce(lambda value, a: _sum(product(value, x), a), c[-2::-1], c[-1]),
+    "polynomial": lambda x, *c: reduce(lambda value, a: pairs.total(product(value, x), a), c[-2::-1], c[-1]),
     "real": lambda x: x[0],
+    "rsqrt": pairs.inverse_root,
+    "sign": pairs.sign,
+    "sin": lambda x: (ca.sin(x[0]) * ca.cosh(x[1]), ca.cos(x[0]) * ca.sinh(x[1])),
+    "sinh": lambda x: (ca.sinh(x[0]) * ca.cos(x[1]), ca.cosh(x[0]) * ca.sin(x[1])),
+    "sqrt": pairs.root,
     "square": lambda x: product(x, x),
     "sub": lambda x, y: (x[0] - y[0], x[1] - y[1]),
+    "tan": pairs.tangent,
+    "tanh": pairs.hyperbolic_tangent,
 }
 
 
@@ -229,10 +190,10 @@ def select_n(params: dict[str, Any], which: Entries, *cases: Entries) -> Entries
 
 def _integer_pow(params: dict[str, Any], x: Entries) -> Entries:
     exponent = int(params["y"])
-    power = _repeated(parts(x), abs(exponent)) if is_complex(x) else None
-    if power is not None:
-        one = ca.SX.ones(1), ca.SX.zeros(1)
-        value = power if exponent >= 0 else _quotient(one, power)
+    if is_complex(x):
+        real, imag = parts(x)
+        power = repeated((column(real), column(imag)), abs(exponent))
+        value = power if exponent >= 0 else pairs.quotient(pairs.ONE, power)
         return Complex(*(scalars(part, x.shape) for part in value))
     value, base = None, column(x)
     for bit in bin(abs(exponent))[2:]:
@@ -240,14 +201,6 @@ def _integer_pow(params: dict[str, Any], x: Entries) -> Entries:
         value = (base if value is None else value * base) if bit == "1" else value
     value = ca.SX.ones(base.shape[0]) if value is None else value
     return scalars(value if exponent >= 0 else 1 / value, x.shape)
-
-
-def _repeated(x: tuple[Entries, Entries], exponent: int) -> Pair:
-    base = column(x[0]), column(x[1])
-    value = ca.SX.ones(base[0].shape[0]), ca.SX.zeros(base[0].shape[0])
-    for _ in range(exponent):
-        value = product(value, base)
-    return value
 
 
 def _convert(params: dict[str, Any], x: Entries) -> Entries:

@@ -1,15 +1,29 @@
 """Rules of products, reductions and small factorisations, written out entry by entry."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import reduce
+from itertools import accumulate
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from .arrays import Complex, Entries, NotTraceableError, Scalars, column, is_complex, moved, parts, scalars
-from .elementwise import larger, select, smaller
+from .arrays import (
+    Complex,
+    Entries,
+    NotRealError,
+    NotTraceableError,
+    Scalars,
+    column,
+    is_complex,
+    moved,
+    parts,
+    scalars,
+)
+from .choice import select
+from .elementwise import larger, smaller
+from .pairs import product
 
 LARGEST_FACTOR = 16  # rows of a matrix that is factorised entry by entry: beyond LAPACK is the better choice
 
@@ -45,42 +59,62 @@ def _dot_general(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
     return scalars(products[0] if len(products) == 1 else ca.vertcat(*products), (*outer, *rows, *columns))
 
 
-def _reduced(function: Callable[[ca.SX, ca.SX], ca.SX], x: Entries, axes: tuple[int, ...], start: float) -> Scalars:
-    kept = [axis for axis in range(len(x.shape)) if axis not in axes]
-    shape = tuple(x.shape[axis] for axis in kept)
-    count, size = math.prod(x.shape[axis] for axis in axes), math.prod(shape)
-    flat: Any = moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, size))
-    rows = ca.vertsplit(column(flat), size) if count and size else []
-    return scalars(reduce(function, rows) if rows else ca.SX.ones(size) * start, shape)
+Row = tuple[ca.SX, ...]  # one column, or two of complex numbers
+OfRows = Callable[[Any, Any], Any]
 
 
-def _reduction(function: Callable[[ca.SX, ca.SX], ca.SX], start: float) -> Callable[..., Entries]:
-    def rule(params: dict[str, Any], x: Entries) -> Entries:
-        axes = tuple(params["axes"])
-        if is_complex(x):
-            if start:  # of a product: others of complex numbers there are none
-                raise NotTraceableError("reduce_prod", "here of complex numbers")
-            return Complex(*(_reduced(function, part, axes, start) for part in parts(x)))
-        return _reduced(function, x, axes, start)
-
-    return rule
+def _alone(function: Callable[[ca.SX, ca.SX], ca.SX]) -> OfRows:
+    """A function of real numbers on both parts of rows, or on the one that there is."""
+    return lambda x, y: tuple(function(a, b) for a, b in zip(x, y, strict=True))
 
 
-def _cumulative(function: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entries]:
-    def rule(params: dict[str, Any], x: Entries) -> Entries:
-        axis, count = params["axis"], x.shape[params["axis"]]
-        order = range(count)[::-1] if params["reverse"] else range(count)
-        rows: dict[int, ca.SX] = {}
-        last = None
-        for k in order:
-            row = column(moved(x, lambda a, k=k: np.take(a, k, axis)))
-            last = row if last is None else function(last, row)
-            rows[k] = last
-        shape = (count, *np.delete(x.shape, axis))
-        stacked = scalars(ca.vertcat(*(rows[k] for k in range(count))), shape)
-        return moved(stacked, lambda a: np.moveaxis(a, 0, axis))
+_plus = _alone(lambda a, b: a + b)
 
-    return rule
+
+def _times(x: Row, y: Row) -> Row:
+    return product((x[0], x[1]), (y[0], y[1])) if len(x) == 2 else (x[0] * y[0],)
+
+
+def _of_rows(rule: Callable[..., Sequence[Entries]], real: bool) -> Callable[..., Entries]:
+    """The rule of an array, given that of its parts; ``real``: a complex one is refused."""
+
+    def whole(params: dict[str, Any], x: Entries) -> Entries:
+        if not is_complex(x):
+            return rule(params, (x,))[0]
+        if real:
+            raise NotRealError("expected a real array, got a complex one")
+        return Complex(*rule(params, parts(x)))
+
+    return whole
+
+
+def _reduction(function: OfRows, *start: float, real: bool = True) -> Callable[..., Entries]:
+    def rule(params: dict[str, Any], halves: tuple[Entries, ...]) -> list[Scalars]:
+        given, axes = halves[0].shape, tuple(params["axes"])
+        kept = [axis for axis in range(len(given)) if axis not in axes]
+        shape = tuple(given[axis] for axis in kept)
+        count, size = math.prod(given[axis] for axis in axes), math.prod(shape)
+        flat = (moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, size)) for x in halves)
+        rows = zip(*(ca.vertsplit(column(x), size) for x in flat), strict=True) if count and size else ()
+        empty = [ca.SX.ones(size) * a for a in start[: len(halves)]]
+        return [scalars(a, shape) for a in (reduce(function, rows) if count and size else empty)]
+
+    return _of_rows(rule, real)
+
+
+def _cumulative(function: OfRows, real: bool = True) -> Callable[..., Entries]:
+    def rule(params: dict[str, Any], halves: tuple[Entries, ...]) -> list[Entries]:
+        if not math.prod(halves[0].shape):
+            return list(halves)
+        given, axis = halves[0].shape, params["axis"]
+        order = range(given[axis])[::-1] if params["reverse"] else range(given[axis])
+        along = [tuple(column(moved(x, lambda a, k=k: np.take(a, k, axis))) for x in halves) for k in order]
+        rows = list(accumulate(along, function))[:: -1 if params["reverse"] else 1]
+        shape = (given[axis], *np.delete(given, axis))
+        stacked = (scalars(ca.vertcat(*part), shape) for part in zip(*rows, strict=True))
+        return [moved(x, lambda a: np.moveaxis(a, 0, axis)) for x in stacked]
+
+    return _of_rows(rule, real)
 
 
 def _extreme(beats: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entries]:
@@ -242,18 +276,18 @@ LINEAR: dict[str, Callable[..., Entries | list[Entries]]] = {
     "argmax": _extreme(lambda a, b: a > b),
     "argmin": _extreme(lambda a, b: a < b),
     "cholesky": _cholesky,
-    "cummax": _cumulative(larger),
-    "cummin": _cumulative(smaller),
-    "cumprod": _cumulative(lambda a, b: a * b),
-    "cumsum": _cumulative(lambda a, b: a + b),
+    "cummax": _cumulative(_alone(larger)),
+    "cummin": _cumulative(_alone(smaller)),
+    "cumprod": _cumulative(_times, real=False),
+    "cumsum": _cumulative(_plus, real=False),
     "dot_general": _dot_general,
     "lu": _lu,
     "qr": _qr,
-    "reduce_and": _reduction(ca.logic_and, 1.0),
-    "reduce_max": _reduction(larger, -np.inf),
-    "reduce_min": _reduction(smaller, np.inf),
-    "reduce_or": _reduction(ca.logic_or, 0.0),
-    "reduce_prod": _reduction(lambda a, b: a * b, 1.0),
-    "reduce_sum": _reduction(lambda a, b: a + b, 0.0),
+    "reduce_and": _reduction(_alone(ca.logic_and), 1.0),
+    "reduce_max": _reduction(_alone(larger), -np.inf),
+    "reduce_min": _reduction(_alone(smaller), np.inf),
+    "reduce_or": _reduction(_alone(ca.logic_or), 0.0),
+    "reduce_prod": _reduction(_times, 1.0, 0.0, real=False),
+    "reduce_sum": _reduction(_plus, 0.0, 0.0, real=False),
     "triangular_solve": _triangular_solve,
 }

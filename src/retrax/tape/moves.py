@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from .arrays import Complex, Entries, Scalars, column, is_complex, is_known, joined, moved, parts, scalars, taken
-from .elementwise import elementwise, select
+from .choice import select
+from .elementwise import elementwise
 
 OUTSIDE = -1  # the place of an entry that lies outside of the array
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from ..convergence import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_PART
 from .arrays import Entries, NotTraceableError, column, is_complex, scalars, taken
-from .elementwise import larger, select
+from .choice import select
+from .elementwise import larger
 from .linear import LARGEST_FACTOR, inverse
 
 PRIMITIVE = "implicit_root"

@@ -28,12 +28,14 @@ from .arrays import (
     scalars,
     taken,
 )
-from .elementwise import elementwise, larger, select, select_n, smaller
+from .choice import select
+from .elementwise import elementwise, larger, select_n, smaller
 from .graph import Graph, Mark
 from .known import evaluated
 from .linear import LINEAR, inverse
 from .liveness import RULES, needed, opened
 from .moves import MOVES, stacked
+from .pairs import complex_power
 from .roots import PRIMITIVE as ROOT
 from .roots import roots
 
@@ -163,7 +165,9 @@ class Tracer:
     def _power(self, eqn: Any, x: Any, y: Any) -> Entries:
         """``x**y``, without a derivative by ``y`` where ``x`` is zero, and without one by ``x`` where ``y`` is."""
         if is_complex(x) or is_complex(y):
-            raise NotTraceableError("pow", "here of complex numbers")
+            alike, shape = broadcast(*parts(x), *parts(y))
+            a, b, c, d = map(column, alike)
+            return Complex(*(scalars(part, shape) for part in complex_power((a, b), (c, d))))
         alike, shape = broadcast(x, y)
         count = math.prod(shape)
         base, exponent = (a if a.shape[0] == count else ca.repmat(a, count, 1) for a in map(column, alike))
