@@ -9,6 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ...manifolds.numerics import ambient as vec
+from ..evaluation import at_each
 from ..free import Free, all_guessed, guessed, is_free, scaled
 from .arguments import Given
 from .formulation import Formulation, Kind
@@ -37,6 +38,7 @@ GROWN = (
     " The horizon grew from {:.3g} to {:.3g}, where a longer one still costs less: there may be no best one; try an "
     "upper bound of it, or a cost of the time."
 )
+ADVICE, LONGER = "; try ", "a longer horizon"  # where the advice of a result begins, and one that a growing one refutes
 HELD, UNMET = 1.01, 1e-3  # times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero
 LONG = 1e3  # times the guess: a horizon that is found without success, and named
 FAR, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
@@ -98,18 +100,32 @@ class Formulated:
                 effort = _sum(effort, found.statistics)
                 if found.success or found.statistics.stopped:
                     return self._renewed(found, statistics=effort)
-        return self._renewed(first, statistics=effort, result=first.result + self._grown(horizon, first))
+        return self._renewed(first, statistics=effort, result=self._result(horizon, first))
 
-    def _grown(self, horizon: Free, solution: Solution) -> str:
-        """A sentence on a horizon that has become far longer than guessed where it is without success; empty for any
-        other one.
+    def _result(self, horizon: Free, solution: Solution) -> str:
+        """The result of one without success, with a sentence in place of its advice where the horizon has become far
+        longer than guessed and is to be longer still.
 
         The cost changes by ``-H`` with the horizon.
         """
         longer = solution.horizon >= LONG * guessed(horizon) and HELD * solution.horizon < horizon.upper
         pull = np.mean(solution.hamiltonians) if longer and not self.reader.problem.time_dependent else 0.0
-        cheaper = pull > UNMET * solution.checks.hamiltonian_size
-        return GROWN.format(guessed(horizon), solution.horizon) if cheaper else ""
+        cheaper = pull > 0 and pull > UNMET * self._size_of_parts(solution)
+        if not cheaper:
+            return solution.result
+        happened, _, advice = solution.result.partition(ADVICE)
+        kept = f"{happened}." if LONGER in advice else solution.result
+        return kept + GROWN.format(guessed(horizon), solution.horizon)
+
+    def _size_of_parts(self, solution: Solution) -> float:
+        """The largest of ``<p, X>`` and ``F`` at the stages, however small.
+
+        The size in the checks is no less than rounding with controls of size 1, which says nothing of far smaller ones.
+        """
+        problem = self.reader.problem.with_parameters(solution.parameters)
+        with np.errstate(all="ignore"):
+            rates = at_each(lambda point: problem.cost_rate(*point), (solution.stage_states, solution.controls))
+        return float(max(np.max(np.abs(rates)), np.max(np.abs(solution.hamiltonians + rates))))
 
     def _in_own_units(self, request: Request, solution: Solution) -> Solution:
         """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.

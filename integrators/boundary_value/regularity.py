@@ -103,7 +103,13 @@ class Regularity:
             self._require_regular(request, int(k))
 
     def _require_regular(self, request: Request, k: int) -> None:
-        found = self.classification(request, k)
+        try:
+            found = self.classification(request, k)
+        except InvalidInputError as error:
+            if not request.rows.size:
+                raise
+            whose = "" if self.refusal else "the parameters of "  # with a refusal bounds of a horizon are among them
+            raise InvalidInputError(f"with {whose}member {k}: {error}") from error
         if found is not None and not found.regular:
             which = f" with the parameters of member {k}" if request.rows.size else ""
             raise InvalidInputError(

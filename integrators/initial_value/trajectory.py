@@ -22,6 +22,7 @@ from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
 from .integrator import Integrator
 from .loop import Carry, Nodes, XlaSteps, advance, begin, node
+from .not_finite import not_finite_words
 from .passed_jumps import Energy, Passed, Segments
 from .pieces import run
 from .step_evaluator import tape_steps
@@ -149,10 +150,11 @@ def integrate(
     ``Trajectory.evaluator`` says which; ``evaluator``, ``"tape"`` or ``"xla"``, asks for one. ``verbose`` shows the
     progress: a bar in a terminal where tqdm is installed, else lines of the logger ``retrax``.
 
-    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and, if
-    ``throw``, ``ConvergenceError`` if a step cannot be solved, or the Hamiltonian jumps between two nodes: momenta jump
-    there too, by what no derivative tells of. Only in a time that is a coordinate it may jump. Ctrl-C is the usual
-    ``KeyboardInterrupt``; its one argument is the trajectory until then.
+    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, also where a
+    step cannot be solved and the Hamiltonian is not finite at the start, and, if ``throw``, ``ConvergenceError`` if a
+    step cannot be solved otherwise, or the Hamiltonian jumps between two nodes: momenta jump there too, by what no
+    derivative tells of. Only in a time that is a coordinate it may jump. Ctrl-C is the usual ``KeyboardInterrupt``; its
+    one argument is the trajectory until then.
     """
     check_call(integrator, steps, save_every, evaluator)
     if not is_traced(step_size):
@@ -167,20 +169,30 @@ def integrate(
         integrator.check(system, q0, p0)
     whole = transformed or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
     trajectory = scanned(*arguments, _WHOLE) if whole else _in_pieces(*arguments, evaluator, verbose)
-    jump = ""
+    found = ""
     if not transformed:
-        trajectory, jump = _examined(system, integrator, trajectory, every)
+        trajectory, found = _examined(system, integrator, trajectory, every)
     if throw and not is_traced(trajectory) and (failed := int(trajectory.failed_step)) >= 0:
         first, last = (vec.taken((trajectory.q, trajectory.p), i) for i in (0, -1))
-        reason = jump or f"{Result[trajectory.result]}{integrator.hint(system, first, last)}"
+        reason = found or f"{Result[trajectory.result]}{integrator.hint(system, first, last)}"
         raise ConvergenceError(f"step {failed}, from t = {failed * float(step_size):.6g}: {reason}")
     return trajectory
 
 
 def _examined(system: Any, integrator: Integrator, trajectory: Trajectory, every: int) -> tuple[Trajectory, str]:
-    """The trajectory, with another result if it passes a jump, and words on that."""
+    """The trajectory, with another result if it passes a jump, and words on that, or on a Hamiltonian that is not
+    finite where a step was not solved; raises where that is the start."""
     batch, found = without_jumps(system, integrator, vec.taken(trajectory, None), every)
-    return (jax.tree.map(jnp.asarray, vec.taken(batch, 0)), found[0].words()) if found else (trajectory, "")
+    if found:
+        return jax.tree.map(jnp.asarray, vec.taken(batch, 0)), found[0].words()
+    failed = int(trajectory.failed_step)
+    if failed < 0:
+        return trajectory, ""
+    nodes = trajectory.q, trajectory.p
+    at_start, later = not_finite_words(system, integrator, nodes, trajectory.controls, failed)
+    if at_start:
+        raise InvalidInputError(at_start)
+    return trajectory, later
 
 
 def without_jumps(

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, SymplecticIntegrator, integrate
-from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, NotOnManifoldError
+from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from retrax.retractions import CotangentLift, Midpoint, Projection
 
 from tests.support.numerics import norm
@@ -94,7 +94,7 @@ def test_dynamics_that_leave_the_tangent_space_are_refused():
 
 
 def test_an_energy_that_is_no_number_is_an_error_in_words():
-    with pytest.raises(ConvergenceError, match="step 0, from t = 0: The equations of a step could not be solved"):
+    with pytest.raises(InvalidInputError, match=r"the Hamiltonian is not finite at the start, at q = .* value is nan"):
         run(lambda q, p: p @ p / 2 + jnp.sqrt(-q[0]))
 
 

@@ -6,8 +6,8 @@ import pytest
 from retrax.integrators import Free, OptimalControlProblem, Solver, solve
 from retrax.integrators.boundary_value.engine.falling import FALLEN, FEWEST, Fall
 from retrax.integrators.results import sentence
-from retrax.manifolds import SO, Euclidean, hat
-from retrax.retractions import Cayley, Exponential, Midpoint
+from retrax.manifolds import SO, Euclidean, Product, hat
+from retrax.retractions import Cayley, Exponential, Gauss, Midpoint
 from scipy.spatial.transform import Rotation
 
 PLANE, ROTATIONS = Euclidean(2), SO(3)
@@ -60,6 +60,37 @@ def test_a_horizon_that_is_never_long_enough_is_named(rate):
     held = solver.solve(*ends, Free(1.0, upper=50.0), throw=False)
     assert held.success
     assert held.horizon == pytest.approx(min(50.0, 2.06 * rate**-0.25 if rate > 0 else 50.0), rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("time", "price"), [(1.0, 1.0), (1e-3, 1.0), (40.0, 1.0), (200.0, 1.0), (1e6, 1.0), (200.0, 1e-9), (200.0, 1e9)]
+)
+def test_a_horizon_that_grows_is_named_in_all_units(time, price):
+    """In other units of the time the same problem, with the same answer; it does not say that a longer one may help."""
+    problem = OptimalControlProblem(PLANE, pushed, lambda q, u: price * u @ u / 2, 1)
+    grown = solve(problem, ON_PLANE, np.zeros(2), np.array([1.0, 0.0]), Free(time), 20, throw=False)
+    assert grown.horizon / time == pytest.approx(1978.6, rel=1e-3)
+    begins = f"The iteration limit of a search came before the conditions were met. The horizon grew from {time:.3g} to"
+    assert grown.result.startswith(begins)
+    assert "or a longer horizon" not in grown.result
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("price", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("time", [0.1, 10.0, 40.0, 200.0, 1e4])
+def test_a_slew_whose_horizon_grows_is_told_so_in_all_units(time, price):
+    space = Product(ROTATIONS, Euclidean(3))
+    inertia = np.array([12.0, 30.0, 21.0])
+
+    def turned(q, u):
+        return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
+
+    problem = OptimalControlProblem(space, turned, lambda q, u: price * u @ u / 2, 3)
+    ends = (np.eye(3), np.zeros(3)), (Rotation.from_rotvec([0.3, -1.0, 0.9]).as_matrix(), np.zeros(3))
+    grown = solve(problem, Gauss(2, Cayley(space)), *ends, Free(time), 10, throw=False)
+    assert not grown.success
+    assert "a longer one still costs less" in grown.result
+    assert "or a longer horizon" not in grown.result
 
 
 @pytest.mark.parametrize("late", [0.0, 0.9, 1.0, 3.0])

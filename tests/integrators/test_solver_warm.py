@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Guess, OptimalControlProblem, RegularChecks, Solver
+from retrax.integrators import Free, Guess, OptimalControlProblem, RegularChecks, Solver
 from retrax.manifolds import SO, Euclidean, InvalidInputError, NotOnManifoldError, hat
-from retrax.retractions import Cayley, Exponential, Gauss, Midpoint
+from retrax.retractions import Addition, Cayley, Exponential, Gauss, Midpoint
 
 from .problems import rotation
 
@@ -132,9 +132,29 @@ def test_each_member_of_a_batch_is_shown_to_be_regular(solver, place):
         if weight:
             assert solver.solve_many(START, ends, HORIZON, parameters=weights).converged == 4
         else:
-            words = f"this one is singular with the parameters of member {place}|the running cost is 0 at every"
+            words = f"with the parameters of member {place}(; call|: the running cost is 0 at every)"
             with pytest.raises(InvalidInputError, match=words):
                 solver.solve_many(START, ends, HORIZON, parameters=weights)
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize(
+    ("cost", "words"),
+    [
+        (lambda q, u, p: p * u @ u / 2, "with the parameters of member {}: the running cost is 0 at every"),
+        (lambda q, u, p: p * u @ u / 2 + q @ q / 2, "singular with the parameters of member {}; call"),
+        (lambda q, u, p: p * u @ u + (1 - p) * jnp.abs(u[0]), "parameters of member {}: running_cost has a kink"),
+    ],
+)
+def test_a_member_that_is_refused_is_named(cost, words, place):
+    line = Euclidean(1)
+    one = Solver(OptimalControlProblem(line, lambda q, u, p: u, cost, 1), Gauss(2, Addition(line)), 5)
+    weights = np.ones(3)
+    weights[place] = 0.0
+    with pytest.raises(InvalidInputError, match=words.format(place)):
+        one.solve_many(np.zeros(1), np.ones(1), 1.0, parameters=weights)
+    with pytest.raises(InvalidInputError, match=f"^with member {place}: "):
+        one.solve_many(np.zeros(1), np.ones(1), Free(1.0), parameters=weights)
 
 
 def test_records_of_a_batch_are_made_once_and_are_those_of_its_fields(solver):

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from retrax.integrators import Result, SymplecticIntegrator, integrate
-from retrax.manifolds import ConvergenceError, CotangentBundle, Euclidean, NotOnManifoldError, Sphere
+from retrax.integrators import Composition, Result, SymplecticIntegrator, integrate
+from retrax.manifolds import ConvergenceError, CotangentBundle, Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint, Projection
 
@@ -101,6 +101,62 @@ def test_a_trajectory_that_fails_midway_is_constant_from_there():
     moving = norm(np.diff(trajectory.q[: failed + 1], axis=0))
     assert moving > 0.05
     assert norm(trajectory.q[failed:] - trajectory.q[failed]) == 0.0
+
+
+NOT_FINITE = {
+    "root": (
+        lambda q, p: jnp.sqrt(q[2] - 0.85) + p @ p / 2,
+        np.array([0.0, 1.0, 0.0]),
+        "is not finite .* value is nan",
+    ),
+    "norm": (lambda q, p: jnp.sqrt(p @ p), np.zeros(3), r"has no finite derivatives .* they are \[.*nan"),
+    "pole": (lambda q, p: 1 / q[1] + p @ p / 2, np.array([0.0, 1.0, 0.0]), "is not finite .* value is inf"),
+}
+METHODS = {
+    "midpoint": MIDPOINT,
+    "Gauss": SymplecticIntegrator(Gauss(2, Projection(SPHERE))),
+    "composition": Composition(MIDPOINT),
+}
+
+
+@pytest.mark.parametrize("throw", [True, False])
+@pytest.mark.parametrize("evaluator", ["tape", "xla"])
+@pytest.mark.parametrize(
+    ("name", "method"), [("root", "midpoint"), ("root", "Gauss"), ("root", "composition"), ("norm", "Gauss")]
+)
+def test_a_hamiltonian_that_is_not_finite_at_the_start_is_refused(name, method, evaluator, throw):
+    """Whatever the size of the step, which is not to blame."""
+    hamiltonian, p, words = NOT_FINITE[name]
+    start = np.array([0.6, 0.0, 0.8]), p
+    for h in (1e-6, 0.1):
+        with pytest.raises(InvalidInputError, match=rf"Hamiltonian {words}") as refused:
+            integrate(hamiltonian, METHODS[method], start, h, 10, throw=throw, evaluator=evaluator)
+        assert "at the start, at q = [0.6 0.  0.8]" in str(refused.value)
+        assert "step size" not in str(refused.value)
+
+
+@pytest.mark.parametrize("every", [1, 5])
+def test_a_pole_at_the_start_is_refused_where_a_later_step_fails(every):
+    """The first steps leave it."""
+    hamiltonian, p, words = NOT_FINITE["pole"]
+    with pytest.raises(InvalidInputError, match=rf"Hamiltonian {words}"):
+        integrate(hamiltonian, METHODS["Gauss"], (np.array([0.6, 0.0, 0.8]), p), 0.1, 10, every)
+
+
+@pytest.mark.parametrize(
+    ("speed", "blamed"), [(0.9, "the Hamiltonian is not finite where this step"), (1.0, "smaller")]
+)
+def test_a_trajectory_that_leaves_the_domain_names_the_node_outside_it(speed, blamed):
+    """From a node outside no size of the next step helps; from one inside it may."""
+    start = START[0], np.array([0.0, 0.0, speed])
+
+    def walled(q, p):
+        return p @ p / 2 + jnp.sqrt(0.5 - q[2])
+
+    stopped = integrate(walled, MIDPOINT, start, 0.1, STEPS, throw=False)
+    assert np.isfinite(walled(stopped.q[-1], stopped.p[-1])) == (speed == 1.0)
+    with pytest.raises(ConvergenceError, match=rf"step {int(stopped.failed_step)}, .*{blamed}"):
+        integrate(walled, MIDPOINT, start, 0.1, STEPS)
 
 
 class Measured(Sphere):

@@ -1072,8 +1072,20 @@ PLANTED: dict[str, Planted] = {
     ),
     "no horizon is to be longer": Planted(
         "integrators/boundary_value/formulated.py",
-        "cheaper = pull > UNMET * solution.checks.hamiltonian_size",
+        "cheaper = pull > 0 and pull > UNMET * self._size_of_parts(solution)",
         "cheaper = False",
         (NO_MINIMUM,),
+    ),
+    "a horizon that grows by a small pull is not named": Planted(
+        "integrators/boundary_value/formulated.py",
+        "cheaper = pull > 0 and pull > UNMET * self._size_of_parts(solution)",
+        "cheaper = pull > UNMET * solution.checks.hamiltonian_size",
+        (f"{NO_MINIMUM}::test_a_horizon_that_grows_is_named_in_all_units",),
+    ),
+    "a Hamiltonian that is not finite is the fault of the steps": Planted(
+        "integrators/initial_value/trajectory.py",
+        "raise InvalidInputError(at_start)",
+        "pass",
+        (f"{TESTS}/test_trajectory.py::test_a_hamiltonian_that_is_not_finite_at_the_start_is_refused",),
     ),
 }
