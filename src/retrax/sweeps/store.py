@@ -128,8 +128,8 @@ def opened(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store
     if others:
         shown = ", ".join(f"{name} {there.get(name)!s:.12} for {wanted[name]!s:.12}" for name in others)
         raise InvalidInputError(
-            f"{folder} has another sweep: {shown}; expected the same one, which goes on, with the same version of JAX, "
-            "which writes its program; give another folder"
+            f"{folder} has another sweep: {shown}; expected the same one, which goes on, with the same versions of "
+            "JAX and of this library, which write its program; give another folder"
         )
     return Store(folder, count, chunk)
 
