@@ -19,6 +19,7 @@ from ..options import known_options
 from ..results import Result
 from .arguments import Given
 from .differentiable import pushed
+from .engine.found import stops
 from .guess import Guess
 from .solution import Solution
 from .solutions import Solutions
@@ -102,7 +103,7 @@ def continuation(
     first = solver.solve(**problem_at(path, 0.0)._asdict(), guess=guess, tolerance=tolerance)
     predictor, way, step, refusal = Predictor(solver), [(0.0, first)], FIRST, ""
     with suppress(KeyboardInterrupt):  # what was found until then is there
-        stopped = callback is not None and callback(0.0, first)
+        stopped = _asked(callback, 0.0, first)
         while not (stopped or refusal) and way[-1][0] < 1:
             before, last = way[-1]
             place = min(before + step, 1.0)
@@ -111,8 +112,7 @@ def continuation(
                 way.append((place, trial.solution))
                 factor = max(SHORTER, CORRECTED / max(trial.correction, CORRECTED / LONGER))
                 step = max(step * factor, smallest_step)
-                stopped = callback is not None and callback(place, trial.solution)
-                stopped |= trial.solution.statistics.stopped
+                stopped = _asked(callback, place, trial.solution)
             elif trial.solution.statistics.stopped:
                 stopped = True
             elif step <= smallest_step:
@@ -124,6 +124,11 @@ def continuation(
     words = f"No step beyond {until} succeeds: {refusal}" if refusal else f"The way was stopped at {until}."
     words = "The end of the path was reached." if reached else words
     return Continuation(np.array(places), Solutions.of(found), reached, words)
+
+
+def _asked(callback: Callable[[float, Solution], Any] | None, place: float, found: Solution) -> bool:
+    """Whether the callback, or an interrupt during the iteration, asks to stop."""
+    return (callback is not None and stops(callback(place, found))) or found.statistics.stopped
 
 
 def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:

@@ -11,7 +11,6 @@ from ...manifolds import Euclidean
 from ...reading import one_reading
 from ..constraints import LOWER, UPPER
 from ..problem import OptimalControlProblem
-from ..results import sentence
 from ..stopped import TrueDerivatives
 from .arguments import structure_of
 from .checks import RegularChecks
@@ -45,7 +44,7 @@ class Examination:
         either where what is prescribed of the ends violates a constraint of the states, of which the conditions at the
         stages know nothing.
         """
-        if solution.singular is not None or solution.result == sentence("stopped"):
+        if solution.singular is not None or (solution.statistics.stopped and not solution.success):
             return solution
         with one_reading(), np.errstate(all="ignore"):
             if self._named or self.needed(solution.parameters, free_horizon):

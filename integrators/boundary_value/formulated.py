@@ -11,6 +11,7 @@ import numpy as np
 from ...manifolds.numerics import ambient as vec
 from ..evaluation import at_each
 from ..free import Free, all_guessed, guessed, is_free, scaled
+from ..results import sentence
 from .arguments import Given
 from .formulation import Formulation, Kind
 from .guess import Guess
@@ -141,6 +142,8 @@ class Formulated:
                 return self._with_its_hamiltonian(horizon, solution)
             if not 0 < solution.horizon < np.inf:
                 break
+            if solution.statistics.stopped:
+                return self._renewed(solution, success=False, result=sentence("stopped"))
             before = solution.statistics
             request = request.again(self.reader, request.given.near(solution), solution)
             solution = self._solved(request)
@@ -193,10 +196,14 @@ class Formulated:
         end = formulation.end(request.given.end, request.horizons[:, None])
         own = Given(start, end, request.horizons, stacked)
         found = solver.all_found(request.again(solver.reader, own, None if request.guesses is None else guesses))
-        solutions = []
+        solutions, stopped = list[Solution](), False
         for member, one in zip(members, found, strict=True):
             solution = self._kept(formulation, solver, one, member.given.parameters)
-            solutions.append(self._from_elsewhere(member, self._in_own_units(member, solution)))
+            if stopped:  # in a search of a member before
+                solution = self._renewed(solution, statistics=replace(solution.statistics, stopped=True))
+            solution = self._from_elsewhere(member, self._in_own_units(member, solution))
+            stopped = solution.statistics.stopped
+            solutions.append(solution)
         return Solutions.of(solutions)
 
     def sensitivity(self, solution: Solution) -> Sensitivity | None:

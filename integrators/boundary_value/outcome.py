@@ -20,7 +20,7 @@ NEAR = 0.1  # relative: the cost of what lacks more, or violates inequalities by
 
 def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     """The solution, where it has no success with what in a function may be why."""
-    if solution.success or solution.result == sentence("stopped"):
+    if solution.success or solution.statistics.stopped:
         return solution
     q, u = vec.taken((solution.stage_states, solution.controls), 0)
     if solution.result.startswith(sentence("not_finite")):

@@ -16,6 +16,7 @@ from ..free import guessed, is_free, near, scaled
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
+from ..results import sentence
 from ..text import many
 from .arguments import Method, Options, check_problem
 from .coupled import Own, coupling_of
@@ -129,6 +130,8 @@ class _Task:
         for _ in range(AGAIN):
             if not (solution.success and _strayed(phases, solution, FAR)) or _strayed(given, solution, FARTHEST):
                 break
+            if solution.statistics.stopped:
+                return solution.renewed(success=False, result=sentence("stopped"))
             phases = [_near(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
             solution = self.solved(phases)
         lost = _strayed(phases, solution, FAR if solution.success else TOO_FAR) or _strayed(given, solution, FARTHEST)

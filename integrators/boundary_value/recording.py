@@ -12,6 +12,7 @@ from ..layout import Layout
 from ..problem import OptimalControlProblem
 from .arguments import Options, require_tangent_dynamics
 from .checks import RegularChecks
+from .engine.diagnosis import Diagnostics
 from .engine.found import Found
 from .engine.transcription import AtStages
 from .interpolation import Interpolant
@@ -46,6 +47,7 @@ class Recording:
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
         success, results = outcomes(found, options.tolerance)
+        statistics = [Statistics(int(count), *seconds, found.stopped) for count in found.iterations]
         numbers = {"cost": found.assembled.cost, "success": success}
         fields = {
             **self._trajectories(nodes, costates, stages, data.steps),
@@ -58,11 +60,8 @@ class Recording:
         notes = found.notes or [""] * len(results)
         results = [words + _excesses(posed, found, k, options.tolerance) + notes[k] for k, words in enumerate(results)]
         active = _active(posed, found)
-        if self._constrained:  # constraints that hold a trajectory may break the symmetries
-            held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in active]
-            free = np.where(held, np.inf, 0.0)[:, None]
-            brackets = {name: rates + free for name, rates in diagnostics.brackets.items()}
-            diagnostics = diagnostics._replace(brackets=brackets)
+        if self._constrained:
+            diagnostics = _without_symmetries(diagnostics, active)
         known = {**_known(found, success), "active": active}
 
         def member(k: int) -> Solution:
@@ -72,13 +71,13 @@ class Recording:
                 **{name: values[k].item() for name, values in numbers.items()},
                 result=results[k],
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
-                statistics=Statistics(int(found.iterations[k]), *seconds, found.stopped),
+                statistics=statistics[k],
                 quantities=self.quantities,
                 interpolant=self.interpolant,
                 parameters=None if parameters is None else jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
-        return {**fields, **numbers, "parameters": parameters, "result": results}, member
+        return {**fields, **numbers, "parameters": parameters, "result": results, "statistics": statistics}, member
 
     def _trajectories(
         self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray
@@ -96,6 +95,13 @@ class Recording:
             "stage_costates": self.state.points(stages[2]),
             "controls": self.control.points(stages[1]),
         }
+
+
+def _without_symmetries(diagnostics: Diagnostics, active: list[dict[str, int]]) -> Diagnostics:
+    """The diagnostics, with momenta that may change where constraints hold a trajectory: they may break symmetries."""
+    held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in active]
+    free = np.where(held, np.inf, 0.0)[:, None]
+    return diagnostics._replace(brackets={name: rates + free for name, rates in diagnostics.brackets.items()})
 
 
 def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:

@@ -17,7 +17,7 @@ from .checks import RegularChecks, SingularChecks
 from .guess import Guess
 from .interpolation import Interpolant, Sample
 
-VERSION = 5  # of the file
+VERSION = 6  # of the file
 SYMBOLS = {"t": "times", "q": "states", "x": "states", "u": "controls", "p": "costates", "J": "cost", "T": "horizon"}
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 

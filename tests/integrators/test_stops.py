@@ -1,9 +1,11 @@
 """A callback that asks to stop ends what was asked for, wherever that is."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Solver, solve
+from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, continuation, solve, solve_phases
 from retrax.integrators.boundary_value.refinement import Estimator
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss
@@ -86,6 +88,67 @@ def test_an_interrupt_between_two_meshes_leaves_the_last_solution(monkeypatch):
     assert errors[0] is None
     assert errors[1:] == sorted(errors[1:], reverse=True)
     assert errors[-1] > accuracy
+
+
+PRICED = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: 1 + u @ u / 2 + q @ q / 10, 1)
+FAR = {  # searches that begin again where a horizon is far from its guess
+    "horizon": lambda stop: solve(
+        PRICED, METHOD, np.zeros(1), np.full(1, 2.0), Free(100.0), 3, callback=stop, throw=False
+    ),
+    "batch": lambda stop: Solver(PRICED, METHOD, 3).solve_many(
+        np.zeros(1), np.array([[1.0], [2.0], [3.0]]), Free(100.0), callback=stop
+    ),
+    "phases": lambda stop: solve_phases(
+        [Phase(PRICED, METHOD, 3, Free(40.0), start=np.zeros(1)), Phase(PRICED, METHOD, 3, 1.0, end=np.full(1, 2.0))],
+        callback=stop,
+        throw=False,
+    ),
+}
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+@pytest.mark.parametrize("name", FAR)
+@pytest.mark.usual("horizon-False", "batch-True", "phases-True")
+def test_no_search_follows_the_one_that_is_stopped(name, interrupted):
+    whole = Stop(-1)
+    assert np.all(FAR[name](whole).success)
+    searches = [0]
+    for at in range(whole.calls):
+        stop = Stop(at, interrupted)
+        found = FAR[name](stop)
+        spent = found.statistics if name == "batch" else [found.statistics]
+        assert stop.calls == at + 1
+        assert spent[-1].stopped
+        searches.append(sum(np.atleast_1d(found.success)))
+    assert searches[-1] == np.size(found.success)
+    assert searches[1] == 0
+
+
+@pytest.mark.parametrize("at", range(3))
+def test_an_interrupt_in_the_last_iteration_ends_a_continuation(at):
+    """It leaves a solution with success, of which ``statistics`` have the interrupt."""
+    solver, seen = Solver(CUBIC, METHOD, 10), []
+    path = {"start": np.ones(1), "horizon": 2.0}
+
+    def told(place, solution):
+        seen.append(solution)
+
+    whole = continuation(solver, lambda s: {**path, "end": np.full(1, 1 + s)}, callback=told)
+    assert whole.success
+    assert len(seen) == len(whole.places) > 3
+    kept, solved = Solver.solve, []
+
+    def interrupted(self, *arguments, **options):
+        found = kept(self, *arguments, **options)
+        solved.append(found)
+        object.__setattr__(found, "statistics", replace(found.statistics, stopped=len(solved) == at + 1))
+        return found
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(Solver, "solve", interrupted)
+        stopped = continuation(solver, lambda s: {**path, "end": np.full(1, 1 + s)})
+    assert not stopped.success
+    np.testing.assert_array_equal(stopped.places, whole.places[: at + 1])
 
 
 def test_a_callback_of_a_batch_may_tell_of_each_member():

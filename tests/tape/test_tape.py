@@ -342,6 +342,17 @@ def test_arguments_of_other_shapes_are_refused():
         tape.push(0)
 
 
+def test_arrays_of_all_kinds_of_numbers_are_taken():
+    tape = Tape.trace(lambda x: 2 * x, jnp.ones(2, jnp.bfloat16))
+    for kind in (jnp.bfloat16, np.float32, np.int8, np.uint64, bool):
+        np.testing.assert_array_equal(tape(jnp.ones((2, 3)).astype(kind)), np.full((2, 3), 2.0))
+
+
+def test_parts_of_complex_numbers_do_not_mix():
+    found = Tape.trace(lambda x: jax.lax.complex(x, 1 / x), 1.0)(np.array([0.0, 2.0]))
+    np.testing.assert_array_equal([found.real, found.imag], [[0.0, 2.0], [np.inf, 0.5]])
+
+
 def test_places_of_arguments_are_those_of_jax():
     def power(x, y):
         return y * (x @ x)
@@ -366,6 +377,7 @@ def test_places_of_arguments_are_those_of_jax():
             r"in line \d+ of .*test_tape.py \(TracerArrayConversionError\); try functions written",
         ),
         (lambda x: x if x > 0 else -x, 1.0, "jnp.where in place of if"),
+        (lambda x: x[x > 0], np.ones(2), "NonConcreteBooleanIndexError"),
         (3, 1.0, "of a function, got 3"),
         (lambda x: x, "a", "arrays of numbers as arguments"),
     ],

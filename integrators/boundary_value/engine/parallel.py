@@ -46,7 +46,7 @@ def newton_of_all(conditions: Any, guess: Any, shape: tuple[int, int], tolerance
     there = conditions.of(ahead.members)
     arrived, rest = _arrived(there, ahead, max_iterations), np.setdiff1d(np.arange(count), ahead.members)
     if not rest.size:
-        return arrived
+        return arrived._replace(stopped=stop.is_set())
     others = conditions.of(rest)
     left = _in_parts(others, taken(guess, rest), (len(rest), points), options, stop)
     order = np.argsort(np.concatenate([ahead.members, rest]))

@@ -56,7 +56,7 @@ def solve_on_final_manifold(request: Request, c: Classification) -> Solution:
         except InvalidInputError as error:
             refused.append(f"piece {i} of P_f: {error}")
             continue
-        if solution.success:
+        if solution.success or solution.statistics.stopped:
             return solution
         failed.append(solution)
     if failed:

@@ -10,7 +10,6 @@ import numpy as np
 
 from ..integrators import Solutions, Solver
 from ..integrators.free import is_free
-from ..integrators.results import sentence
 from ..manifolds import InvalidInputError, RetraxError
 
 # Members that are solved at once: more need more memory than is near to the processor, and take longer each.
@@ -101,7 +100,7 @@ def _solved(study: Study, members: np.ndarray) -> dict[str, Any]:
     if len(solutions) != count:
         raise InvalidInputError(f"cases returned {len(solutions)} cases for {count} members, expected one for each")
     result = solutions.result
-    if any(words.startswith(sentence("stopped")) for words in result):
+    if any(spent.stopped for spent in solutions.statistics):
         raise KeyboardInterrupt
     kept = _checked(study.keep(solutions), count) if study.keep else {}
     return {

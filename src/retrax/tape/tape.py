@@ -14,19 +14,17 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
-from ..errors import TRACEABLE, InvalidInputError
+from ..errors import InvalidInputError
 from ..optional import numba_is_there
-from ..reading import users_line
 from ..threads import in_threads, worth_threads
 from ..undisturbed import put_off
 from .arrays import Entries, column, is_complex, parts, scalars
 from .graph import Graph, Loop
 from .often import Often
 from .program import Program, assembled
-from .trace import Flat, flat, trace
+from .trace import Flat, flat, readable, trace
 
 Argnums = int | Iterable[int] | None  # places of arguments, as jax.grad has them; None: all
-NUMBERS = "biufc"  # kinds of arrays of numbers
 
 
 @final
@@ -73,13 +71,8 @@ class Tape(Often):
             raise InvalidInputError(f"a tape is of a function, got {function!r}")
         for leaf in jax.tree.leaves(examples):
             _require_numbers(np.asarray(leaf))
-        try:
+        with readable():
             return cls.read(flat(function, *examples))
-        except jax.errors.JAXTypeError as error:
-            where = users_line(error)
-            raise InvalidInputError(
-                f"JAX cannot trace the function{where and f', in {where}'} ({type(error).__name__}); {TRACEABLE}"
-            ) from error
 
     @classmethod
     def read(cls, function: Flat) -> Self:
@@ -312,8 +305,11 @@ class Tape(Often):
         found = []
         for begin, leaf in zip(ends, self._results, strict=False):
             size, shape = math.prod(leaf.shape), (*leaf.shape, rows.shape[1])
-            real = rows[begin : begin + size].reshape(shape)
-            found.append(real + 1j * rows[begin + size : begin + 2 * size].reshape(shape) if leaf.complex else real)
+            value = np.empty(shape, complex if leaf.complex else float)
+            value.real = rows[begin : begin + size].reshape(shape)
+            if leaf.complex:
+                value.imag = rows[begin + size : begin + 2 * size].reshape(shape)
+            found.append(value)
         return found
 
     def run(self, count: int, ends: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> None:
@@ -363,7 +359,7 @@ class Tape(Often):
 
 
 def _require_numbers(array: np.ndarray) -> None:
-    if array.dtype.kind not in NUMBERS:
+    if not (jax.numpy.issubdtype(array.dtype, np.number) or array.dtype == bool):
         raise InvalidInputError(f"a tape has arrays of numbers as arguments, got one of {array.dtype}: {array!r}")
 
 

@@ -1,7 +1,8 @@
 """From JAX functions to graphs of scalars: the jaxpr is read equation by equation, values only."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -11,8 +12,8 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
 from ..equations import CALLS, HIGH, called, is_in_scalars, name_of, scan_parts
-from ..errors import RetraxError
-from ..reading import traced
+from ..errors import TRACEABLE, InvalidInputError, RetraxError
+from ..reading import traced, users_line
 from .arrays import (
     Complex,
     Entries,
@@ -274,7 +275,8 @@ class Tracer:
 
         shapes = [eqn.invars[k].aval for k in varying] if forward else [eqn.outvars[k].aval for k in smooth]
         examples = ([np.zeros(v.shape, v.dtype) for v in part] for part in ([v.aval for v in eqn.invars], shapes))
-        program = traced(image, *examples)
+        with readable():
+            program = traced(image, *examples)
         symbols = [ca.SX.sym("t", int(np.prod(s.shape))) for s in shapes]
         directions = [scalars(t, s.shape) for t, s in zip(symbols, shapes, strict=True)]
         images = ca.vertcat(*(column(a) for a in self.closed(program, [*arrays, *directions])))
@@ -383,6 +385,18 @@ def flat(function: Callable[..., Any], *examples: Any) -> Flat:
     result: list[Any] = []
     jaxpr = traced(of_leaves, *map(np.asarray, leaves))
     return Flat(jaxpr, examples, result[-1])
+
+
+@contextmanager
+def readable() -> Iterator[None]:
+    """A time in which functions of a user are traced: where JAX cannot, that is an ``InvalidInputError``."""
+    try:
+        yield
+    except (jax.errors.JAXTypeError, jax.errors.JAXIndexError) as error:
+        where = users_line(error)
+        raise InvalidInputError(
+            f"JAX cannot trace the function{where and f', in {where}'} ({type(error).__name__}); {TRACEABLE}"
+        ) from error
 
 
 def trace(function: Flat) -> tuple[Graph, list[Entries]]:
