@@ -114,8 +114,9 @@ class Formulated:
         cheaper = pull > 0 and pull > UNMET * self._size_of_parts(solution)
         if not cheaper:
             return solution.result
-        happened, _, advice = solution.result.partition(ADVICE)
-        kept = f"{happened}." if LONGER in advice else solution.result
+        happened, _, rest = solution.result.partition(ADVICE)
+        advice, _, more = rest.partition(". ")
+        kept = f"{happened}. {more}".strip() if LONGER in advice else solution.result
         return kept + GROWN.format(guessed(horizon), solution.horizon)
 
     def _size_of_parts(self, solution: Solution) -> float:
