@@ -79,33 +79,60 @@ def meet_conditions(
 
     Damped Gauss-Newton with steps of least norm. It ends with ``Result.no_extremal`` where the residual is stationary
     and does not vanish: the conditions contradict each other there; with ``Result.stopped`` where the callback
-    returns something true.
+    returns something true, and at an interrupt.
     """
-    still = jax.tree.map(lambda leaf: jnp.zeros((len(leaf), shooting.final.dimension, *leaf.shape[1:])), guess.points)
-    weights = _weights(shooting, guess)
-    state = _evaluate(shooting, conditions, guess, still, np.zeros_like(weights))
-    damping, rank, count, result, sizes, better = RELATIVE.first, 0, 0, Result.too_many_iterations, [], True
+    search = _Search(shooting, conditions, guess)
     say(callback, TITLES)
-    for count in range(max_iterations + 1):
-        if _is_last(callback, count, state, damping, better):
-            result = Result.stopped
-            break
-        if not np.isfinite(state.size):
-            return Found(state.iterate, state.at, state.ends, count, 0, Result.step_not_solved)
-        matrix, excess = _matrix(state), _excess(shooting, state.iterate)
-        d, rank = shortest_step(matrix * weights.reshape(-1), state.rows, excess, damping)
-        slope = _slope(matrix, state.rows)
-        sizes.append(state.size)
-        exhausted = damping > RELATIVE.largest or (
-            count >= PATIENCE and sizes[-1] > (1 - PROGRESS) * sizes[-1 - PATIENCE]
+    try:
+        search.run(tolerance, max_iterations, callback)
+    except KeyboardInterrupt:
+        search.result = Result.stopped
+    return search.found()
+
+
+class _Search:
+    """The iteration from a guess: where it is, and how it ended."""
+
+    def __init__(self, shooting: Shooting, conditions: EndConditions, guess: Iterate) -> None:
+        self.shooting, self.conditions = shooting, conditions
+        still = jax.tree.map(
+            lambda leaf: jnp.zeros((len(leaf), shooting.final.dimension, *leaf.shape[1:])), guess.points
         )
-        result = _verdict(state, tolerance, slope, np.max(np.abs(d)) if guess.gauge.size else 0.0, exhausted)
-        if result != Result.too_many_iterations or count == max_iterations:
-            break
-        tried = _evaluate(shooting, conditions, state.iterate, state.frames, weights * d.reshape(weights.shape))
-        better = tried.meets(tolerance) or tried.size < (1 - DECREASE) * state.size
-        state, damping = tried if better else state, RELATIVE.after(damping, better)
-    return Found(state.iterate, state.at, state.ends, count, rank - state.at.gaps.size, result)
+        self.weights, self.controlled = _weights(shooting, guess), bool(guess.gauge.size)
+        self.state = _evaluate(shooting, conditions, guess, still, np.zeros_like(self.weights))
+        self.rank, self.count, self.result = 0, 0, Result.too_many_iterations
+
+    def run(self, tolerance: float, max_iterations: int, callback: Callable[[Iteration], Any] | None) -> None:
+        """Iterate to the end."""
+        weights, damping, better, sizes = self.weights, RELATIVE.first, True, list[float]()
+        for self.count in range(max_iterations + 1):
+            state = self.state
+            if _is_last(callback, self.count, state, damping, better):
+                self.result = Result.stopped
+                return
+            if not np.isfinite(state.size):
+                self.rank, self.result = 0, Result.step_not_solved
+                return
+            matrix, excess = _matrix(state), _excess(self.shooting, state.iterate)
+            d, self.rank = shortest_step(matrix * weights.reshape(-1), state.rows, excess, damping)
+            slope = _slope(matrix, state.rows)
+            sizes.append(state.size)
+            exhausted = damping > RELATIVE.largest or (
+                self.count >= PATIENCE and sizes[-1] > (1 - PROGRESS) * sizes[-1 - PATIENCE]
+            )
+            change = np.max(np.abs(d)) if self.controlled else 0.0
+            self.result = _verdict(state, tolerance, slope, change, exhausted)
+            if self.result != Result.too_many_iterations or self.count == max_iterations:
+                return
+            step = weights * d.reshape(weights.shape)
+            tried = _evaluate(self.shooting, self.conditions, state.iterate, state.frames, step)
+            better = tried.meets(tolerance) or tried.size < (1 - DECREASE) * state.size
+            self.state, damping = tried if better else state, RELATIVE.after(damping, better)
+
+    def found(self) -> Found:
+        """The last iterate that was taken."""
+        state, independent = self.state, max(self.rank - self.state.at.gaps.size, 0)
+        return Found(state.iterate, state.at, state.ends, self.count, independent, self.result)
 
 
 def _is_last(

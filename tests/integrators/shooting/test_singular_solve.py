@@ -364,12 +364,14 @@ def test_an_iterate_that_overflows_leaves_no_warning():
     assert not solve(problem, Midpoint(Exponential(plane)), *ends, 1.0, 6, throw=False).success
 
 
-@pytest.mark.parametrize("last", [0, 1, 100])
-def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last):
+@pytest.mark.parametrize(("last", "interrupted"), [(0, False), (1, False), (1, True), (100, False)])
+def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last, interrupted):
     seen = []
 
     def stop(iteration):
         seen.append(iteration)
+        if interrupted and iteration.number == last:
+            raise KeyboardInterrupt
         return iteration.number == last
 
     given = (ZERO, None), (ONE, None), np.pi / 2, 8
@@ -381,6 +383,7 @@ def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last):
     assert len(seen) == (found.statistics.iterations + 1 if found.success else last + 1)
     if not found.success:
         assert found.result == Result[Result.stopped]
+        assert found.statistics.stopped
 
 
 @pytest.mark.parametrize("verbose", [False, True])
