@@ -131,7 +131,6 @@ SMOOTH = {
     "complex exponentials": lambda x: _both(
         jnp.expm1(_around(x)) * jnp.log1p(2 * _around(x)) + jnp.exp2(_around(x)) * jax.nn.sigmoid(3 * _around(x))
     ),
-    "complex signs": lambda x: _both(jnp.sign(_around(x)) * _around(x)) * x,
     "complex sums and products": lambda x: (
         _both(jnp.cumsum(_pair(x)) * jnp.cumprod(_around(x)) + jnp.prod(_around(x)))
         + _both(jax.lax.cumsum(_pair(x), reverse=True) * jax.lax.cumprod(_around(x), reverse=True))
@@ -190,7 +189,6 @@ SPECIAL = {
     "far logistic": (lambda x: jax.nn.sigmoid(1e3 * x), TIES),
     "kinks": (lambda x: jnp.abs(x) + jnp.maximum(x, -x) + jnp.minimum(x, 1.0) + jax.nn.relu(x), TIES),
     "zero of a complex size": (lambda x: jnp.abs(_complex(x)) ** 3 + x, ZERO),
-    "zero of a complex sign": (lambda x: _both(jnp.sign(_pair(x))) + x**2, ZERO),
     "zero of a complex root": (lambda x: _both(jnp.sqrt(jnp.sum(_pair(x)))) * jnp.ones(3), ZERO),
     "complex roots on the real axis": (
         lambda x: _both(jnp.sqrt(_on_the_axis(x)) + jax.lax.rsqrt(_on_the_axis(x)) ** 2 * x),

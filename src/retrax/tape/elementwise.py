@@ -159,7 +159,6 @@ _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
     "polynomial": lambda x, *c: reduce(lambda value, a: pairs.total(product(value, x), a), c[-2::-1], c[-1]),
     "real": lambda x: x[0],
     "rsqrt": pairs.inverse_root,
-    "sign": pairs.sign,
     "sin": lambda x: (ca.sin(x[0]) * ca.cosh(x[1]), ca.cos(x[0]) * ca.sinh(x[1])),
     "sinh": lambda x: (ca.sinh(x[0]) * ca.cos(x[1]), ca.cosh(x[0]) * ca.sin(x[1])),
     "sqrt": pairs.root,

@@ -48,13 +48,6 @@ def _constant(x: ca.SX) -> ca.SX:
     return ca.floor(x * 2.0**600) * 2.0**-600
 
 
-def sign(x: Pair) -> Pair:
-    """Of the absolute value one, or zero; with the derivative of JAX: zero."""
-    length = ca.hypot(*x)
-    length = select(length > 0, length, 1.0)
-    return _constant(x[0] / length), _constant(x[1] / length)
-
-
 def exponential(x: Pair) -> Pair:
     """The exponential."""
     length = ca.exp(x[0])
