@@ -7,9 +7,9 @@ import pytest
 from retrax.equations import called
 from retrax.tape import Tape
 from retrax.tape.elementwise import KINDS
+from retrax.tape.fixed import BY_MARKS
 from retrax.tape.linear import LINEAR
 from retrax.tape.moves import MOVES
-from retrax.tape.trace import BY_MARKS
 
 from .functions import SMOOTH, SPECIAL
 

@@ -178,9 +178,9 @@ class Tape(Often):
         direction = ca.SX.sym("direction", by.shape[0])
         column = self.graph.push(self.outputs, by, direction)
         graph = Graph([*self.graph.inputs, direction], self.graph.marks)
-        shapes = self._argument_shapes
-        kinds = [*self._leaves, Leaf(leaves[0].shape, False, len(shapes))]
-        structure = jax.tree.structure((*jax.tree.unflatten(self._arguments, [0] * len(self._leaves)), 0))
+        arguments = jax.tree.unflatten(self._arguments, [0] * self._arguments.num_leaves)
+        kinds = [*self._leaves, Leaf(leaves[0].shape, False, len(arguments))]
+        structure = jax.tree.structure((*arguments, 0))
         return Tape(graph, [scalars(column, column.shape[:1])], (kinds, structure), jax.tree.structure(0))
 
     def gradient(self, argnums: Argnums = None) -> "Tape":

@@ -20,23 +20,20 @@ from .arrays import (
     NotRealError,
     NotTraceableError,
     Scalars,
-    broadcast,
     column,
     is_complex,
     is_known,
-    moved,
     parts,
     scalars,
     taken,
 )
-from .choice import select
-from .elementwise import elementwise, larger, select_n, smaller
+from .elementwise import elementwise, select_n
+from .fixed import BY_MARKS
 from .graph import Graph, Mark
 from .known import evaluated
 from .linear import LINEAR, inverse
 from .liveness import RULES, needed, opened
 from .moves import MOVES, stacked
-from .pairs import complex_power
 from .roots import PRIMITIVE as ROOT
 from .roots import roots
 
@@ -91,7 +88,7 @@ class Tracer:
         if is_known(*arrays):
             return list(evaluated(eqn, arrays))
         if name in BY_MARKS:
-            return [BY_MARKS[name](self, eqn, *arrays)]
+            return [BY_MARKS[name](self.graph, eqn, *arrays)]
         if name in LINEAR:
             return _as_list(LINEAR[name](params, *arrays))
         kind = np.dtype(eqn.outvars[0].aval.dtype).kind
@@ -147,45 +144,6 @@ class Tracer:
         if isinstance(a, Complex):
             return Complex(self._stopped(a.real), self._stopped(a.imag))
         return a if isinstance(a, np.ndarray) else scalars(self.graph.constant(a.values), a.shape)
-
-    def _extreme(self, eqn: Any, x: Any) -> Entries:
-        """The largest or the smallest entry, of whose derivative all that are equal to it have the same share."""
-        value: Any = LINEAR[name_of(eqn)](eqn.params, x)
-        if x.size <= 2 * value.size:  # of two each has a half
-            return value
-        best, axes = self.graph.constant(value.values), eqn.params["axes"]
-        rows = tuple(1 if axis in axes else size for axis, size in enumerate(x.shape))
-        level = column(moved(scalars(best, rows), lambda a: np.broadcast_to(a, x.shape)))
-        equal = ca.logic_and(column(x) == level, ca.fabs(level) < np.inf)
-        total: Any = LINEAR["reduce_sum"]
-        beside, count = (
-            column(total(eqn.params, scalars(part, x.shape))) for part in (select(equal, column(x) - level, 0.0), equal)
-        )
-        return scalars(best + beside / ca.fmax(count, 1), value.shape)
-
-    def _power(self, eqn: Any, x: Any, y: Any) -> Entries:
-        """``x**y``, without a derivative by ``y`` where ``x`` is zero, and without one by ``x`` where ``y`` is."""
-        if is_complex(x) or is_complex(y):
-            alike, shape = broadcast(*parts(x), *parts(y))
-            a, b, c, d = map(column, alike)
-            return Complex(*(scalars(part, shape) for part in complex_power((a, b), (c, d))))
-        alike, shape = broadcast(x, y)
-        count = math.prod(shape)
-        base, exponent = (a if a.shape[0] == count else ca.repmat(a, count, 1) for a in map(column, alike))
-        if is_known(y):
-            return scalars(base**exponent, shape)
-        fixed, none = self.graph.constant(exponent), base == 0
-        at_zero = select(fixed == 0, 1.0, select(none, base, 1.0) ** select(fixed == 0, 1.0, fixed))
-        return scalars(select(none, at_zero, select(none, 1.0, base) ** exponent), shape)
-
-    def _clamped(self, eqn: Any, low: Any, x: Any, high: Any) -> Entries:
-        """An entry between two limits, without a derivative at a limit."""
-        alike, shape = broadcast(low, x, high)
-        least, value, most = map(column, alike)
-        raised, lowered = ca.logic_and(least > value, least < most), ca.logic_and(most < value, least <= np.inf)
-        beside = select(lowered, most, self.graph.constant(smaller(larger(value, least), most)))
-        inside = ca.logic_and(least < value, value < most)
-        return scalars(select(inside, value, select(raised, least, beside)), shape)
 
     def _linear_solve(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         """``x = A^-1 b`` for the real matrix ``A`` that is read off the linear map, of real and imaginary parts."""
@@ -350,13 +308,6 @@ _CONTROL: dict[str, Callable[[Tracer, Any, list[Entries]], list[Entries]]] = {
     "scan": Tracer._scan,
     "stop_gradient": Tracer._stop_gradient,
     "while": Tracer._while,
-}
-
-BY_MARKS: dict[str, Callable[..., Entries]] = {
-    "clamp": Tracer._clamped,
-    "pow": Tracer._power,
-    "reduce_max": Tracer._extreme,
-    "reduce_min": Tracer._extreme,
 }
 
 
