@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....manifolds import MatrixLieGroup
+from ....manifolds import Manifold, MatrixLieGroup
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.tolerances import EPS, ROUNDING
@@ -163,32 +163,34 @@ class Diagnosis:
 
     def _terms_of(self, d: Array, *given: Array) -> tuple[Array, ...]:
         problem, q, u, p = self._bound(*given)
+        (velocity, rate), pull = vec.pullback(lambda x: (problem.velocity(x, u), problem.cost_rate(x, u)), q)
+        (force,) = pull((p, -jnp.ones_like(rate)))
         n, frame = problem.manifold.dimension, problem.manifold.basis(q)
         directions = problem.controls.basis(u)
         sizes = vec.coordinate_sizes(frame, q), vec.coordinate_sizes(directions, u)
         # By the ambient space, like the brackets: a chart would only add terms of its own.
         near = vec.add(q, vec.combine(frame, d[:n])), vec.add(u, vec.combine(directions, d[n:]))
-        power = vec.pairing(*jax.tree.map(jnp.abs, (p, problem.velocity(q, u))))
-        own = power, problem.cost_rate(q, u), jnp.maximum(jnp.concatenate(sizes), 1.0)
-        return problem.cost_rate(*near), jnp.zeros(0), *own, *self._brackets_at(*given)
+        power = vec.pairing(*jax.tree.map(jnp.abs, (p, velocity)))
+        own = power, rate, jnp.maximum(jnp.concatenate(sizes), 1.0)
+        brackets = _brackets(problem.manifold, q, p, velocity, force)
+        return problem.cost_rate(*near), jnp.zeros(0), *own, *brackets
 
-    def _brackets_at(self, *given: Array) -> tuple[Array, ...]:
-        """Poisson brackets ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]`` of the momenta of every factor, relative to their
-        parts.
 
-        They vanish where the action leaves the Hamiltonian as it is: then the momentum is conserved.
-        """
-        problem, x, u, p = self._bound(*given)
-        slope = vec.gradient(lambda q: problem.hamiltonian(q, p, u), x)
-        parts = [homogeneous_factors(problem.manifold, part) for part in (x, p, slope, problem.velocity(x, u))]
-        out = []
-        for (_, factor, q), (_, _, covector), (_, _, force), (_, _, v) in zip(*parts, strict=True):
-            generators = factor.generators(q)
-            turned = vec.components(generators, force)
-            moved = jax.jvp(lambda z, f=factor, c=covector: f.momentum(z, c), (q,), (v,))[1]
-            size = vec.components(*jax.tree.map(jnp.abs, (generators, force))) + jnp.abs(moved)
-            out.append(jnp.abs(turned - moved) / positive(jnp.max(size)))
-        return tuple(out)
+def _brackets(manifold: Manifold, *at: Ambient) -> tuple[Array, ...]:
+    """Poisson brackets ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]`` of the momenta of every factor, relative to their
+    parts, at a point, a covector, ``X`` and ``dH/dq``.
+
+    They vanish where the action leaves the Hamiltonian as it is: then the momentum is conserved.
+    """
+    out = []
+    factors = (homogeneous_factors(manifold, part) for part in at)
+    for (_, factor, q), (_, _, p), (_, _, velocity), (_, _, force) in zip(*factors, strict=True):
+        generators = factor.generators(q)
+        turned = vec.components(generators, force)
+        moved = jax.jvp(lambda z, f=factor, c=p: f.momentum(z, c), (q,), (velocity,))[1]
+        size = vec.components(*jax.tree.map(jnp.abs, (generators, force))) + jnp.abs(moved)
+        out.append(jnp.abs(turned - moved) / positive(jnp.max(size)))
+    return tuple(out)
 
 
 def _samples(stages: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
