@@ -53,9 +53,13 @@ class Options(NamedTuple):
     def of(cls, tolerance: float | None, max_iterations: int, callback: Any = None, verbose: bool = False) -> "Options":
         """The options as they are given."""
         warn_about_precision()
-        limit = np.finfo(working_precision()).eps ** DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
-        if not (is_finite_number(limit) and limit > 0):
-            raise InvalidInputError(f"tolerance must be a positive finite number, got {tolerance!r}")
+        rounding = np.finfo(working_precision()).eps
+        limit = rounding**DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
+        if not (is_finite_number(limit) and limit >= rounding):
+            raise InvalidInputError(
+                f"tolerance must be a positive finite number, at least {rounding:.1e}, which is rounding of "
+                f"{working_precision()}; got {tolerance!r}; try None, for {rounding**DEFAULT_TOLERANCE_POWER:.0e}"
+            )
         if not is_count(max_iterations):
             raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
         if callback is not None and not callable(callback):

@@ -79,6 +79,10 @@ def test_a_problem_is_made_of_manifolds_and_functions(options, words):
         ({"max_iterations": 0}, "max_iterations must be a whole number of at least 1, got 0"),
         ({"tolerance": float("nan")}, "tolerance must be .*positive.* got nan"),
         ({"tolerance": -1.0}, "tolerance must be .*positive.* got -1.0"),
+        (
+            {"tolerance": 1e-16},
+            "tolerance must be .*at least 2.2e-16, which is rounding of float64; got 1e-16; try None",
+        ),
     ],
 )
 def test_arguments_of_the_wrong_kind_are_named(options, words):
