@@ -128,7 +128,8 @@ class Energy(NamedTuple):
 
 def _in_one(a: np.ndarray) -> np.ndarray:
     """The two leading axes in one."""
-    return np.reshape(a, (-1, *np.shape(a)[2:]))
+    members, steps, *rest = np.shape(a)
+    return np.reshape(a, (members * steps, *rest))
 
 
 def _along(

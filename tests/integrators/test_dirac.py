@@ -261,6 +261,12 @@ def test_forms_are_independent_whatever_their_units(unit):
                 NODES.check(system, START[0], jnp.array([1.0, 0.0, HEIGHT]))
 
 
+def test_no_forms_are_no_constraints():
+    free = DiracSystem(R3, kinetic_energy, lambda q: jnp.zeros((0, 3)))
+    trajectory = integrate(free, NODES, START, 0.1, 5)
+    np.testing.assert_allclose(trajectory.q[-1], START[0] + 0.5 * START[1], atol=1e-14)
+
+
 def test_the_multiplier_of_a_rod_is_its_force():
     """Centripetal, ``-|p|^2 / r^2`` of the form ``q``; the midpoint keeps the length of the rod."""
     rod, errors = DiracSystem(Euclidean(2), kinetic_energy, lambda q: q[None]), []
