@@ -12,7 +12,6 @@ from ...manifolds.numerics.ambient import Ambient, Frame
 from ...manifolds.numerics.root import find_root
 from ...manifolds.numerics.tolerances import HALF, tolerance
 from ..stages import Stage
-from ..stages.stage import covector_sizes
 
 
 class StepResult(NamedTuple):
@@ -58,7 +57,7 @@ class StepEquations:
         frame = stage.manifold.basis(stage.base(guess))
         costate = frozen(vec.components(frame, p0))
         first = jnp.concatenate([jnp.zeros(stage.dimension, costate.dtype), costate])
-        sizes = frozen(jnp.concatenate([stage.sizes(guess), covector_sizes(frame, p0)]))
+        sizes = frozen(stage.sizes(guess, p0))
         return cls(stage, Chart(guess, stage.frame(guess), frame, first, sizes))
 
     @property

@@ -10,7 +10,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap, default_retraction
 from ..problem import OptimalControlProblem
-from .stage import Stage, first_sizes
+from .stage import Stage, first_sizes, phase_sizes
 
 Unknowns = tuple[Ambient, Ambient]
 
@@ -53,11 +53,16 @@ class ControlStage(Stage):
         )
         return x, u
 
-    def sizes(self, y: Unknowns) -> Array:
+    def sizes(self, y: Unknowns, p: Ambient) -> Array:
         x, u = y
-        controls = self.problem.controls
-        parts = vec.coordinate_sizes(self.manifold.basis(x), x), vec.coordinate_sizes(controls.basis(u), u)
-        return first_sizes(jnp.concatenate(parts))
+
+        def energy(q: Ambient, p: Ambient) -> Array:
+            return self.problem.hamiltonian(q, p, u)
+
+        position, covector = phase_sizes(self.manifold, energy, self.step, x, self.tangent(y)[1], p)
+        return jnp.concatenate(
+            [position, first_sizes(vec.coordinate_sizes(self.problem.controls.basis(u), u)), covector]
+        )
 
     def base(self, y: Unknowns) -> Ambient:
         return y[0]

@@ -15,7 +15,7 @@ from ...retractions import Gauss, default_retraction
 from ..functions import real_number
 from ..problem import OptimalControlProblem
 from .hamiltonian import Hamiltonian
-from .stage import Stage, covector_sizes, first_sizes, position_sizes
+from .stage import Stage, first_sizes, phase_sizes
 
 
 class GaussUnknowns(NamedTuple):
@@ -110,17 +110,16 @@ class GaussStage(Stage):
         u = jax.vmap(turn.chart)(y.controls, charts, du.reshape(s, m))
         return GaussUnknowns(x, moved(y.displacements, dw), moved(y.covectors, dpi), u)
 
-    def sizes(self, y: GaussUnknowns) -> Array:
+    def sizes(self, y: GaussUnknowns, p: Ambient) -> Array:
         s, _, _ = self._sizes
-        ahead, covector, control = (vec.entries(part, -1) for part in y[1:])
+        ahead, last, control = (vec.entries(part, -1) for part in y[1:])
 
         def energy(q: Ambient, p: Ambient) -> Array:
             return self.hamiltonian(q, p, control)
 
-        position = position_sizes(self.manifold, energy, self._h, (y.centre, ahead, covector))
-        covectors = covector_sizes(self.manifold.basis(y.centre), covector)
+        position, covector = phase_sizes(self.manifold, energy, self._h, y.centre, ahead, last)
         turns = jax.vmap(lambda u: first_sizes(vec.coordinate_sizes(self.controls.basis(u), u)))(y.controls)
-        return jnp.concatenate([jnp.tile(position, 1 + s), jnp.tile(covectors, s), turns.ravel()])
+        return jnp.concatenate([jnp.tile(position, 1 + s), jnp.tile(covector, s), turns.ravel(), covector])
 
     def base(self, y: GaussUnknowns) -> Ambient:
         return y.centre

@@ -12,7 +12,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
 from ...retractions import DiscretizationMap
 from ..functions import real_number
-from .stage import Stage, covector_sizes, position_sizes
+from .stage import Stage, phase_sizes
 
 Hamiltonian = Callable[[Any, Any], Any]
 Unknowns = tuple[Ambient, Ambient, Ambient]
@@ -56,9 +56,9 @@ class HamiltonianStage(Stage):
         fibre = self.manifold.projection
         return moved, fibre(moved, vec.add(v, dv)), fibre(moved, vec.add(pi, dpi))
 
-    def sizes(self, y: Unknowns) -> Array:
-        positions = position_sizes(self.manifold, self.energy, self.step, y)
-        return jnp.concatenate([positions, positions, covector_sizes(self.manifold.basis(y[0]), y[2])])
+    def sizes(self, y: Unknowns, p: Ambient) -> Array:
+        position, covector = phase_sizes(self.manifold, self.energy, self.step, *y)
+        return jnp.concatenate([position, position, covector, covector])
 
     def base(self, y: Unknowns) -> Ambient:
         return y[0]

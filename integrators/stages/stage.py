@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike
 
 from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
-from ...manifolds.numerics.ambient import Ambient, Frame
+from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.tolerances import tolerance
 
@@ -52,8 +52,9 @@ class Stage(eqx.Module):
         ``(dimension,)``."""
 
     @abstractmethod
-    def sizes(self, y: Unknowns) -> Array:
-        """Typical sizes of the coordinates of ``move``, shape ``(dimension,)``, all positive."""
+    def sizes(self, y: Unknowns, p: Ambient) -> Array:
+        """Typical sizes of the coordinates of ``move``, and of those of a costate such as ``p`` in the basis at the
+        base point, shape ``(dimension + n,)``, all positive."""
 
     @abstractmethod
     def base(self, y: Unknowns) -> Ambient:
@@ -96,19 +97,19 @@ def first_sizes(*sizes: Array) -> Array:
     return found
 
 
-def covector_sizes(frame: Frame, p: Ambient) -> Array:
-    """Sizes of the coordinates of a covector, array by array; of an array of zeros those of the others, or
-    ``positive``."""
-    own = vec.coordinate_sizes(frame, p)
-    return first_sizes(own, jnp.broadcast_to(positive(vec.size(p)), own.shape))
+def phase_sizes(
+    manifold: Manifold, energy: Callable[[Ambient, Ambient], Array], h: ArrayLike, x: Ambient, v: Ambient, p: Ambient
+) -> tuple[Array, Array]:
+    """Sizes of the coordinates of a position ``x`` and of a covector ``p`` there, array by array; ``v``: the motion in
+    a step.
 
-
-def position_sizes(manifold: Manifold, energy: Callable[[Ambient, Ambient], Array], h: ArrayLike, y: Unknowns) -> Array:
-    """Sizes of the coordinates of the position ``x`` of ``y = (x, v, p)``, array by array.
-
-    Of an array of zeros those of the motion ``v`` in a step; at rest those of the motion that begins in a step.
+    Of an array of zeros those of the motion in a step, or of what the force adds in one to the covector; at rest those
+    of the motion that begins in a step.
     """
-    x, v, p = y
+    frame = manifold.basis(x)
     kick = manifold.projection(x, vec.scale(h, vec.gradient(lambda a: energy(a, p), x)))
     begun = manifold.projection(x, vec.scale(h, vec.gradient(lambda a: energy(x, a), vec.subtract(p, kick))))
-    return first_sizes(*(vec.coordinate_sizes(manifold.basis(x), a) for a in (x, v, begun)))
+    positions = [vec.coordinate_sizes(frame, a) for a in (x, v, begun)]
+    covectors = [vec.coordinate_sizes(frame, a) for a in (p, kick)]
+    whole = [jnp.broadcast_to(vec.size(a), covectors[0].shape) for a in (p, kick)]
+    return first_sizes(*positions), first_sizes(*covectors, *whole)

@@ -61,6 +61,21 @@ def test_an_orbit_is_the_same_in_all_units(method, evaluator):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("stages", [1, 2, 4])
+@pytest.mark.parametrize("evaluator", TAPE)
+def test_a_fall_from_rest_is_the_same_in_all_units(stages, evaluator):
+    """A momentum of exactly zero has no size: what the force adds to it in a step has."""
+    method = SymplecticIntegrator(Gauss(stages, Addition(PLANE)))
+
+    def fall(length, time, mass):
+        energy = Kepler(jnp.asarray(mass), jnp.asarray(length**3 / time**2))
+        path = integrate(energy, method, (length * np.ones(2), np.zeros(2)), 0.1 * time, 10, evaluator=evaluator)
+        return np.concatenate([path.q / length, path.p * time / (mass * length)], axis=1)
+
+    for units in UNITS:
+        assert np.abs(fall(*units) - fall(1.0, 1.0, 1.0)).max() < 1e-11, units
+
+
 def test_derivatives_of_an_orbit_are_the_same_in_all_units():
     def end(units, push):
         length, time, mass = units
