@@ -40,6 +40,29 @@ def test_an_end_on_a_circle_from_inside_to_outside():
         np.testing.assert_allclose(found.costates[-1], -2 * found.multipliers["circle"] * found.states[-1], atol=1e-10)
 
 
+@pytest.mark.parametrize(
+    ("length", "time"),
+    [(1e-9, 1e-3), (1e-9, 1e4), (1e-3, 1e3), (1.0, 1e-3), (1.0, 1.0), (1.0, 1e4), (1e5, 1.0), (1e5, 1e4)],
+)
+def test_nothing_but_an_equation_says_how_far_it_is(length, time):
+    """From rest to a place at any speed, ``x(T) = X``, with ``u^2 / 2``: ``3 X^2 / (2 T^3)``; with a free horizon and
+    ``1 + u^2 / 2`` in units of the problem ``T^4 = 9 / 2`` and ``4 T / 3``."""
+    problem = OptimalControlProblem(
+        PLANE,
+        lambda q, u, c: jnp.stack([q[1], u[0]]),
+        lambda q, u, c: c[1] + c[2] * u @ u / 2,
+        1,
+        boundary_constraints={"place": lambda a, b, c: b[0] - c[0]},
+    )
+    solver, given = Solver(problem, Gauss(2, Addition(PLANE)), 15), np.array([length, 1 / time, time**3 / length**2])
+    for horizon, cost in ((time, 1 + 1.5), (2 * time, 2 + 1.5 / 8), (Free(2 * time), 4 / 3 * 4.5**0.25)):
+        found = solver.solve(np.zeros(2), None, horizon, parameters=given)
+        assert found.success
+        assert found.checks.strict_minimum
+        assert found.cost == pytest.approx(cost, rel=1e-12)
+    assert found.horizon == pytest.approx(4.5**0.25 * time, rel=1e-9)
+
+
 def test_both_ends_on_sets():
     """From the unit circle to the line ``x + y = c``: along its normal, with one covector ``p``, by both
     multipliers."""

@@ -14,6 +14,7 @@ from .border import Response, Solved, responses, solve_border
 from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
 from .elimination import MANY
+from .first_units import first_units, reached
 from .joint_system import JointAssembled, JointIterate, JointStep, JointUnits
 from .kkt_system import Assembled, Iterate, Residuals, Step
 
@@ -78,6 +79,7 @@ class JointConditions:
         """The first iterate with its system; takes the units from it, those of the cost from all phases together."""
         coupled, paid = self._coupled(guess)
         first = [in_units(phase, part, pay) for phase, part, pay in zip(self.phases, guess.parts, paid, strict=True)]
+        self._measure(coupled, first)
         counts = [phase.data.steps.shape[1] for phase in self.phases]
         cost = np.max([self._cost(phase, own[1]) for phase, own in zip(self.phases, first, strict=True)], axis=0) / sum(
             counts
@@ -92,6 +94,16 @@ class JointConditions:
         begun = [started(phase, *own, pay) for phase, own, pay in zip(self.phases, first, paid, strict=True)]
         parts, systems = zip(*begun, strict=True)
         return JointIterate(parts, guess.multipliers), JointAssembled(systems, coupled)
+
+    def _measure(self, coupled: Coupled, first: list[tuple[Iterate, Assembled]]) -> None:
+        """Units of the phases in which the equations between the ends ask for no more than a trajectory of size one."""
+        found = [reached(phase, *own) for phase, own in zip(self.phases, first, strict=True)]
+        ways = np.concatenate([np.where(way > 0, way, size) for way, size in found for _ in range(2)], axis=1)
+        rows = np.sum(np.abs(coupled.jacobian) * (ways * self.free)[:, None], axis=2)
+        known = (rows > 0) & np.isfinite(rows) & np.isfinite(coupled.values)
+        asked = np.where(known, np.abs(coupled.values) / np.where(known, rows, 1.0), 0.0).max(axis=1, initial=0.0)
+        for phase, own, (way, _) in zip(self.phases, first, found, strict=True):
+            phase.units = first_units(phase, *own, asked[:, None] * way)
 
     def _each(self, iterate: JointIterate, assembled: JointAssembled) -> list[tuple[Conditions, Iterate, Assembled]]:
         """The conditions, iterates and systems of all phases."""

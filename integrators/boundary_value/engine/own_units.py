@@ -16,7 +16,7 @@ def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
     obstacle, or have the costates of another problem. It is measured again only where what cancels in the derivative of
     the Lagrangian is less than it: elsewhere no evaluation is made.
     """
-    if found.iterate.slacks is None:
+    if found.iterate.slacks is None and not conditions.joint:
         return np.zeros(0, int)
     places = np.flatnonzero(found.claimed & (_parts(conditions, found.assembled) < LESS * found.unit))
     if not places.size:
