@@ -20,7 +20,7 @@ from ..problem import OptimalControlProblem
 from .checks import RegularChecks
 from .solution import Solution
 
-FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries vary by, of less no multiplier matters
+FELT = 1e-6  # of the Hamiltonian: multipliers times what their entries may vary by, of less no multiplier matters
 FLAT_ROW = EPS**0.25  # of the largest derivative along the trajectory
 OUTSIDE = EPS**HALF  # of the largest value: an end that violates a constraint by less is on it
 ROUNDED = 16 * EPS  # of what its states change it by from zero: rounding
@@ -56,7 +56,9 @@ class Qualification:
         held = counted & (own * reach**2 > size * np.abs(values))  # else the barrier leaves a multiplier all the same
         pulling = held & (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
         flat = pulling & (np.max(own * lengths, axis=0) > FELT * size) & _is_flat(near * values, lengths, bends)
-        active = pulling & (np.max(own, axis=0) * np.ptp(values, axis=0) > FELT * size)
+        # What holds a trajectory everywhere does not vary along it.
+        varies = np.maximum(np.ptp(values, axis=0), reach)
+        active = pulling & (np.max(own, axis=0) * varies > FELT * size)
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.
         units = np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
         slopes = slopes / units

@@ -58,6 +58,21 @@ def test_an_equation_between_two_inequalities_is_said_to_leave_no_room():
     assert "try to leave room between them, or to write an equation into the dynamics" in found.result
 
 
+@pytest.mark.parametrize("room", [0.0, 1e-3, 1.0])
+def test_an_equation_that_holds_all_along_is_named_too(room):
+    """Two rates that are to be the same, by two inequalities: neither varies along the trajectory."""
+    limits = {"over": lambda q, u, r: q[0] - q[1] - r, "under": lambda q, u, r: q[1] - q[0] - r}
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u, r: u, lambda q, u, r: (u[0] ** 2 + 2 * u[1] ** 2 + q[0]) / 2, 2, constraints=limits
+    )
+    solver = Solver(problem, Gauss(2, Addition(PLANE)), 10)
+    found = solver.solve(np.zeros(2), np.ones(2), 1.0, parameters=room, throw=False)
+    named = "over and under hold the trajectory" in found.result
+    assert named == (room == 0)
+    assert named == ("try to leave room between them, or to write an equation into the dynamics" in found.result)
+    assert found.checks.strict_minimum == (room > 0)
+
+
 def test_a_limit_without_slope_is_named():
     """``a v + v^3`` through the slopes at which a multiplier is large, and at which there is none."""
 
