@@ -15,6 +15,10 @@ from .pairs import Pair, product, repeated
 
 Function = Callable[..., ca.SX]
 
+SQUARES = {ca.OP_SQ, ca.OP_FABS, ca.OP_EXP, ca.OP_SQRT, ca.OP_COSH, ca.OP_HYPOT}
+SUMS = {ca.OP_ADD, ca.OP_TWICE, ca.OP_FMAX}  # none of these is negative if what they are made of is not
+LONGEST_SUM = 200
+
 
 def larger(x: ca.SX, y: ca.SX) -> ca.SX:
     """The maximum as JAX has it: NaN if one is, and half of either derivative where they are equal."""
@@ -35,6 +39,31 @@ def _logistic(x: ca.SX) -> ca.SX:
     # Each branch sees only arguments at which neither it nor its derivatives overflow.
     low, high = select(x < 0, x, 0.0), select(x < 0, 0.0, x)
     return select(x < 0, ca.exp(low) / (1 + ca.exp(low)), 1 / (1 + ca.exp(-high)))
+
+
+def square_root(x: ca.SX) -> ca.SX:
+    """The square root, NaN below zero also where its square is taken, which CasADi simplifies to the number itself."""
+    outside = [0.0 if _is_square(a) else select(a < 0, np.nan, 0.0) for a in ca.vertsplit(x)]
+    return ca.sqrt(x) + ca.vertcat(*outside)
+
+
+def _is_square(x: ca.SX) -> bool:
+    """Whether an expression is seen to be nowhere negative, as a sum of squares."""
+    left = [x]
+    for _ in range(LONGEST_SUM):
+        if not left:
+            return True
+        a = left.pop()
+        if a.is_constant():
+            known = float(a) >= 0
+        elif a.op() in SUMS:
+            known = True
+            left += [a.dep(k) for k in range(a.n_dep())]
+        else:
+            known = a.op() in SQUARES
+        if not known:
+            return False
+    return False
 
 
 def _unequal(x: ca.SX, y: ca.SX) -> ca.SX:
@@ -100,7 +129,7 @@ REAL: dict[str, Function] = {
     "sign": ca.sign,
     "sin": ca.sin,
     "sinh": ca.sinh,
-    "sqrt": ca.sqrt,
+    "sqrt": square_root,
     "square": lambda x: x * x,
     "sub": lambda x, y: x - y,
     "tan": ca.tan,

@@ -10,7 +10,7 @@ import numpy as np
 from ..equations import name_of
 from .arrays import Complex, Entries, broadcast, column, is_complex, is_known, moved, parts, scalars
 from .choice import select
-from .elementwise import larger, smaller
+from .elementwise import larger, smaller, square_root
 from .graph import Graph
 from .linear import LINEAR
 from .pairs import complex_power
@@ -42,7 +42,7 @@ def _power(graph: Graph, eqn: Any, x: Any, y: Any) -> Entries:
     count = math.prod(shape)
     base, exponent = (a if a.shape[0] == count else ca.repmat(a, count, 1) for a in map(column, alike))
     if is_known(y):
-        return scalars(base**exponent, shape)
+        return scalars(square_root(base) if np.all(y == 0.5) else base**exponent, shape)
     fixed, none = graph.constant(exponent), base == 0
     at_zero = select(fixed == 0, 1.0, select(none, base, 1.0) ** select(fixed == 0, 1.0, fixed))
     return scalars(select(none, at_zero, select(none, 1.0, base) ** exponent), shape)

@@ -60,14 +60,15 @@ def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, wind
     """
     instructions, parts = read(inputs, ca.densify(outputs), loops)
     _count(instructions)
-    for instruction in instructions:
+    cut = _cut(instructions)
+    for k, instruction in enumerate(instructions):
         if instruction.name in ("ADD", "SUB"):
             _select(instructions, instruction)
             _immediate(instructions, instruction)
             _multiplied(instructions, instruction)
             _summed(instructions, instruction)
         elif instruction.name in ("MUL", "DIV"):
-            _divide(instructions, instruction)
+            _divide(instructions, instruction, FEW if k not in cut else np.inf)
             _immediate(instructions, instruction)
     order = list[int]()
     for part in parts:
@@ -142,11 +143,23 @@ def _replace(
             old += unused.inputs
 
 
-def _divide(instructions: list[Instruction], instruction: Instruction) -> None:
-    """A product with an inverse that hardly anything else needs is a division, which rounds once."""
+def _cut(instructions: list[Instruction]) -> set[int]:
+    """Of which of them a whole number is made: what is rounded twice may lie just beside one."""
+    found = set[int]()
+    for instruction in instructions:
+        if instruction.name in ("FLOOR", "CEIL"):
+            (k,) = instruction.inputs
+            while instructions[k].name in ("FABS", "NEG"):
+                (k,) = instructions[k].inputs
+            found.add(k)
+    return found
+
+
+def _divide(instructions: list[Instruction], instruction: Instruction, few: float) -> None:
+    """A product with an inverse that at most ``few`` need is a division, which rounds once."""
     if instruction.divides:
         left, inverse = instruction.inputs
-        if instructions[inverse].uses <= FEW:
+        if instructions[inverse].uses <= few:
             _replace(instructions, instruction, "DIV", [left, instructions[inverse].inputs[0]], 0.0)
 
 
