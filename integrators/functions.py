@@ -18,6 +18,7 @@ from jaxtyping import Array
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_traced
 from ..manifolds.numerics.precision import working_precision
+from .options import takes_more
 from .results import warn_of_coarse_values
 
 LIBRARIES = frozenset(
@@ -113,6 +114,13 @@ class Bound:
 
     def __call__(self, *arguments: Any) -> Any:
         return self.function(*arguments, self.value)
+
+
+def with_last(function: Any, count: int, value: Any) -> Any:
+    """The function of its first ``count`` arguments, with the value where it takes one more."""
+    if function is None or not takes_more(function, count):
+        return function
+    return Bound(function, value)
 
 
 def _code(function: Any) -> CodeType | None:

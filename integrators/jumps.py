@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
 from ..equations import called, scan_parts
@@ -32,18 +33,19 @@ class Margins(NamedTuple):
 
 def steps_in(function: Callable[..., Any], *arguments: Any) -> list[str]:
     """Names of the steps that a function computes from its arguments, each once."""
-    found = ((STEPS.get(equation.primitive.name), equation) for equation in dependent(function, *arguments))
+    program = program_of(function, *arguments)
+    found = ((STEPS.get(equation.primitive.name), equation) for equation in dependent(program.jaxpr))
     return list(dict.fromkeys(name for name, equation in found if name and (name != WHOLE or _is_cut(equation))))
 
 
-def dependent(function: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
-    """The equations of the program of a function that compute something from its arguments, inner programs included."""
+def program_of(function: Callable[..., Any], *arguments: Any) -> ClosedJaxpr:
+    """The program of a function as it is now."""
     with np.errstate(all="ignore"):  # what else it reads may be zeros of NumPy
-        program = traced(function, *arguments)
-    yield from _dependent(program.jaxpr)
+        return traced(function, *arguments)
 
 
-def _dependent(jaxpr: Any) -> Iterator[Any]:
+def dependent(jaxpr: Any) -> Iterator[Any]:
+    """The equations of a program that compute something from its arguments, inner programs included."""
     known = set(map(id, jaxpr.invars))
     for equation in jaxpr.eqns:
         if not any(id(v) in known for v in equation.invars):
@@ -54,7 +56,7 @@ def _dependent(jaxpr: Any) -> Iterator[Any]:
         params = [*equation.params.values()] if own is None else [own]
         for inner in jax.tree.leaves(params, is_leaf=lambda leaf: hasattr(leaf, "eqns")):
             if hasattr(inner, "eqns"):
-                yield from _dependent(getattr(inner, "jaxpr", inner))
+                yield from dependent(getattr(inner, "jaxpr", inner))
 
 
 def _is_cut(equation: Any) -> bool:

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..indices import require_indices
 from ..manifolds import Euclidean, InvalidInputError, Manifold, Product, RetraxError
 from ..manifolds.manifold import same_manifold
 from ..manifolds.numerics import ambient as vec
@@ -21,7 +22,7 @@ from .compilation import digest
 from .constraints import Constraint, Inequalities, constraint_words, node_words
 from .controls import resting_control
 from .costs import is_steep, require_cost
-from .functions import Bound, in_precision, real_number, shapes_in
+from .functions import Bound, in_precision, real_number, shapes_in, with_last
 from .inspection import Inspection, probes
 from .options import arguments_of, known_options, require_arguments, takes_more
 from .probing import FAILURES, failure_words
@@ -164,7 +165,7 @@ class OptimalControlProblem(eqx.Module):
         """The problem whose functions have the parameters; the problem itself if they take none."""
         if not self.takes_parameters:
             return self
-        return self._changed(lambda f, kind: _bound(f, self._counts[kind], parameters), self.time_dependent)
+        return self._changed(lambda f, kind: with_last(f, self._counts[kind], parameters), self.time_dependent)
 
     @property
     def _counts(self) -> tuple[int, ...]:
@@ -174,8 +175,9 @@ class OptimalControlProblem(eqx.Module):
     @property
     def first_with_parameters(self) -> str:
         """The first of the functions that takes parameters, in words."""
-        first, of = next(part[:2] for part in self._functions() if takes_more(part[1], self._counts[part[2]]))
-        return f"{first} has the arguments {arguments_of(of)}"
+        first, of, kind = next(part for part in self._functions() if takes_more(part[1], self._counts[part[2]]))
+        count = self._counts[kind]
+        return f"{first} has the arguments {arguments_of(of)}, one more than the {count} of one without parameters"
 
     def at_time(self, t: Any) -> "OptimalControlProblem":
         """The problem whose functions have the time, behind which they take nothing more; itself if they take no
@@ -263,6 +265,8 @@ class OptimalControlProblem(eqx.Module):
         """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a
         point."""
         v = self.dynamics(q, u)
+        if v is None:
+            raise InvalidInputError("dynamics must return a tangent vector, got nothing; did it forget to return?")
         wrong = self.manifold.describe_mismatch(shapes_in(v), "the value of dynamics, a tangent vector")
         if wrong:
             raise InvalidInputError(wrong)
@@ -348,6 +352,7 @@ class OptimalControlProblem(eqx.Module):
     def check(self, q: Ambient, u: Ambient) -> None:
         """Raise if the functions return something of the wrong kind at ``(q, u)``, or are not smooth in the controls
         there."""
+        self.require_values()
         Inspection(self, q, u).require_sound()
 
     def is_regular_at(self, q: Ambient, u: Ambient) -> bool:
@@ -370,14 +375,16 @@ class OptimalControlProblem(eqx.Module):
         return is_steep(self, fixed)
 
     def require_values(self) -> None:
-        """Raise if the functions cannot be called with a point and a control, or return something of another kind."""
+        """Raise if the functions cannot be called with a point and a control, read entries that these do not have, or
+        return something of another kind."""
         q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (self.manifold, self.controls))
         try:
-            traced(self._values, q, u)
+            program = traced(self._values, q, u)
         except RetraxError:
             raise
         except FAILURES as error:
             raise InvalidInputError(failure_words(self, error, q, u)) from error
+        require_indices(program, "a function of the problem")
 
 
 def is_same_problem(a: object, b: object) -> bool:
@@ -390,10 +397,3 @@ def is_same_problem(a: object, b: object) -> bool:
         and same_manifold(a.controls, b.controls)
         and a.digest() == b.digest() is not None
     )
-
-
-def _bound(function: Any, count: int, parameters: Any) -> Any:
-    """The function of its first arguments, with the parameters where it takes them."""
-    if function is None or not takes_more(function, count):
-        return function
-    return Bound(function, parameters)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
 from ..equations import is_in_scalars, name_of
@@ -18,7 +19,7 @@ from ..retractions import default_retraction
 from .boundary_conditions import boundary_words
 from .evaluated import Evaluated
 from .evaluator import Automatic
-from .jumps import dependent
+from .jumps import dependent, program_of
 from .layout import Layout, parameter_layout
 
 if TYPE_CHECKING:
@@ -72,7 +73,7 @@ class TrueDerivatives:
         points = (
             jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (problem.manifold, problem.controls)
         )
-        self.rules = own_rules(partial(_values, bound), *points)
+        self.rules = own_rules(program_of(partial(_values, bound), *points))
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
         self._given = parameter_layout(parameters)
 
@@ -151,9 +152,9 @@ class TrueDerivatives:
         return *jax.jvp(by_state, (place[0],), (one,)), *jax.jvp(by_control, (place[0],), (one,))
 
 
-def own_rules(function: Any, *arguments: Any) -> list[str]:
-    """What a function computes from its arguments that has a rule of its own for derivatives, or none, each once."""
-    rules = (MADE_BY.get(name_of(own)) for own in dependent(function, *arguments) if not is_in_scalars(own))
+def own_rules(program: ClosedJaxpr) -> list[str]:
+    """What a program computes from its arguments that has a rule of its own for derivatives, or none, each once."""
+    rules = (MADE_BY.get(name_of(own)) for own in dependent(program.jaxpr) if not is_in_scalars(own))
     return list(dict.fromkeys(filter(None, rules)))
 
 

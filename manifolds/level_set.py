@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ..reading import in_one_reading
+from ..indices import require_indices
+from ..reading import in_one_reading, traced
 from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
@@ -60,6 +61,7 @@ class LevelSet(Manifold):
                 f"{signature(type(self).constraint)}"
             ) from error
         values = shapes_of(self.constraint, what, self.ambient)
+        require_indices(traced(self.constraint, self.ambient), what)
         if not hasattr(values, "size"):
             raise InvalidInputError(f"{what} returns an array, got {values}; try jnp.stack([...])")
         if not jnp.issubdtype(values.dtype, jnp.floating):

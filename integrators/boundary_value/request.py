@@ -335,7 +335,9 @@ def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
         if lengths
     ]
     hint = "for a single trajectory call solve"
-    if given["parameters"]:
+    if any((0,) in lengths for lengths in given.values()):
+        hint = "a batch has one member or more"
+    elif given["parameters"]:
         hint = "parameters have one too: try np.broadcast_to for those that are the same for all"
     got = ", ".join(found) or "none"
     return f"a batch has one more axis in front, of one length B, wherever something varies, got {got}; {hint}"

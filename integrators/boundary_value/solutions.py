@@ -45,11 +45,14 @@ class Solutions(Sequence[Solution]):
     @overload
     def __getitem__(self, place: int) -> Solution: ...
     @overload
-    def __getitem__(self, place: slice) -> "Solutions": ...
-    def __getitem__(self, place: int | slice) -> "Solution | Solutions":
+    def __getitem__(self, place: slice | np.ndarray | list[int]) -> "Solutions": ...
+    def __getitem__(self, place: int | slice | np.ndarray | list[int]) -> "Solution | Solutions":
+        """One member, or the batch of some: a slice, their numbers, or which they are, as ``solutions.success``."""
         if isinstance(place, slice):
-            chosen = self._places[place]
-            return Solutions(self._fields, self._whole, chosen)
+            return Solutions(self._fields, self._whole, self._places[place])
+        if isinstance(place, np.ndarray | list):
+            chosen = np.asarray(self._places, int)[np.asarray(place, None if len(place) else int)]
+            return Solutions(self._fields, self._whole, chosen.tolist())
         return self._whole(self._places[place])
 
     def _whole(self, k: int) -> Solution:

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from ...indices import require_indices
 from ...manifolds import InvalidInputError, NotOnManifoldError
 from ...manifolds.manifold import same_manifold
 from ...manifolds.numerics import ambient as vec
@@ -21,6 +22,7 @@ from ..initial_value import LiftedIntegrator
 from ..initial_value.integrator import check_hamiltonian
 from ..initial_value.step import StepEquations, StepResult
 from ..initial_value.true_hamiltonian import require_true_hamiltonian
+from ..jumps import program_of
 from ..stages import HamiltonianStage
 from .dirac_system import DiracSystem, Multipliers
 
@@ -77,6 +79,7 @@ class DiracIntegrator(LiftedIntegrator):
             )
         _check_shapes(system, q, p)
         require_true_hamiltonian(system.hamiltonian, self.retraction, q, p)
+        require_indices(program_of(system.constraint, q, p), "a function of the constraints")
         residual, mobility, parts = jax.device_get(_facts(system, q, self.manifold.projection(q, p)))
         if not (np.all(np.isfinite(mobility)) and np.all(np.isfinite(residual))):
             raise InvalidInputError(

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ...indices import require_indices
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
@@ -15,14 +16,22 @@ from ...reading import one_reading
 from ...retractions import Retraction
 from ..compilation import call_compiled
 from ..functions import real_number
+from ..jumps import program_of
 from ..stages.hamiltonian import Hamiltonian
 from ..stopped import BASES, MOVE, SPANS, Line, near, own_rules, usually_missed
 
 
 def require_true_hamiltonian(hamiltonian: Hamiltonian, retraction: Retraction, q: Ambient, p: Ambient) -> None:
-    """Raise if a Hamiltonian changes near ``(q, p)`` in a way that its derivative does not tell."""
+    """Raise if a Hamiltonian reads entries that its arguments do not have, or changes near ``(q, p)`` in a way that its
+    derivative does not tell."""
+
+    def read() -> tuple[list[str], Hamiltonian]:
+        program = program_of(hamiltonian, q, p)
+        require_indices(program, "the Hamiltonian")
+        return own_rules(program), hamiltonian
+
     with one_reading() as reading:
-        found = reading.once(("rules of", id(hamiltonian)), lambda: (own_rules(hamiltonian, q, p), hamiltonian))[0]
+        found = reading.once(("rules of", id(hamiltonian)), read)[0]
     if not found:
         return
     draw, kind = np.random.default_rng(0).standard_normal, working_precision()

@@ -64,7 +64,7 @@ def test_what_is_no_real_number_is_named_wherever_it_is_asked_for(kind):
         (lambda q, u: cart(q, u) > 0, r"dynamics, .* has numbers as entries, got an array of bool"),
         (lambda q, u: [q[1], u[0]], r"dynamics, .* a list or a tuple is no array, try jax\.numpy\.array"),
         (lambda q, u: (q[1], u[0]), r"dynamics, .* a list or a tuple is no array, try jax\.numpy\.array"),
-        (lambda q, u: None, "dynamics, .* got None"),
+        (lambda q, u: None, "^dynamics must return a tangent vector, got nothing; did it forget to return"),
         (lambda q, u: cart(q, u)[:, None], r"dynamics, .* has shape \(2,\), got \(2, 1\)"),
         (lambda q, u: q.speed, "the problem's functions fail at a point q of .* has no attribute"),
         (lambda q, u: "fast", "the problem's functions fail at a point q of .* not a valid JAX type"),

@@ -87,7 +87,8 @@ def test_parameters_of_another_structure_are_traced_anew():
 
 
 def test_missing_superfluous_and_impossible_parameters_are_refused(solver, bound):
-    with pytest.raises(InvalidInputError, match=r"parameters, and none are given: dynamics has .*; try parameters="):
+    words = "parameters, and none are given: dynamics has .*, one more than the 2 of one without parameters; try"
+    with pytest.raises(InvalidInputError, match=words):
         solver.solve(START, END, HORIZON)
     with pytest.raises(InvalidInputError, match=r"parameters are given, .* and no function of the problem takes them"):
         bound.solve(START, END, HORIZON, parameters=GIVEN)

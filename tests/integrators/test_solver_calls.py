@@ -82,6 +82,8 @@ def test_unequal_steps_reach_the_same_optimum(ratio):
 def test_a_batch_without_one_length_is_refused(solver):
     with pytest.raises(InvalidInputError, match="got starts 2, ends 3, parameters 2; parameters have"):
         solver.solve_many(np.zeros((2, 4)), np.zeros((3, 4)), 1.0, parameters=tuple(np.array(RIGS[:2]).T))
+    with pytest.raises(InvalidInputError, match=r"got starts 0, .*; a batch has one member or more$"):
+        solver.solve_many(np.zeros((0, 4)), np.zeros(4), 1.0, parameters=RIGS[0])
 
 
 def test_the_error_of_a_solution_is_that_with_its_parameters(solver):

@@ -167,6 +167,10 @@ def test_records_of_a_batch_are_made_once_and_are_those_of_its_fields(solver):
     assert last is many[-1] is many[1:][1] is list(many)[2]
     assert isinstance(last.checks, RegularChecks)
     assert [len(many[1:]), len(many[5:])] == [2, 0]
+    for which in (np.array([False, True, True]), [1, 2], np.array([1, -1]), [False, True, True]):
+        assert [member.cost for member in many[which]] == [many[1].cost, many[2].cost]
+        np.testing.assert_array_equal(many[which].controls, many.controls[1:])
+    assert len(many[[]]) == len(many[many.cost < 0]) == 0
     for name in ("times", "states", "costates", "stage_costates", "controls", "momenta", "cost", "success"):
         for whole, some, own in zip(*(jax.tree.leaves(getattr(m, name)) for m in (many, many[1:], last)), strict=True):
             np.testing.assert_array_equal(whole[2], own)

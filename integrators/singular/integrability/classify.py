@@ -160,6 +160,7 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
         if not verdict:
             raise NotOnManifoldError(f"near must be a state (q, p): {verdict.reason}")
     q = problem.manifold.random_point(jax.random.key(0)) if near is None else near[0]
+    problem.require_values()
     Inspection(problem, q, resting_control(problem.controls)).require_smooth()
 
 

@@ -8,11 +8,13 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
 from ..equations import CALLS, HIGH, called, is_in_scalars, name_of, scan_parts
 from ..errors import TRACEABLE, InvalidInputError, RetraxError
+from ..known import evaluated
 from ..reading import traced, users_line
 from .arrays import (
     Complex,
@@ -30,7 +32,6 @@ from .arrays import (
 from .elementwise import elementwise, select_n
 from .fixed import BY_MARKS
 from .graph import Graph, Mark
-from .known import evaluated
 from .linear import LINEAR, inverse
 from .liveness import RULES, needed, opened
 from .moves import MOVES, stacked
@@ -86,6 +87,8 @@ class Tracer:
         if name in MOVES:
             return _as_list(MOVES[name](params, *arrays))
         if is_known(*arrays):
+            if jnp.issubdtype(eqn.outvars[0].aval.dtype, jax.dtypes.extended):
+                raise NotTraceableError(name, "which makes a random key")
             return list(evaluated(eqn, arrays))
         if name in BY_MARKS:
             return [BY_MARKS[name](self.graph, eqn, *arrays)]

@@ -3,11 +3,7 @@ them."""
 
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-
-from .arrays import NotTraceableError
 
 _UFUNCS: dict[str, Any] = {
     "abs": np.abs,
@@ -54,19 +50,33 @@ _REDUCTIONS: dict[str, Any] = {
 
 def evaluated(eqn: Any, arrays: list[np.ndarray]) -> list[np.ndarray]:
     """The values of one equation of a jaxpr."""
-    out = eqn.outvars[0].aval
-    if jnp.issubdtype(out.dtype, jax.dtypes.extended):
-        raise NotTraceableError(eqn.primitive.name, "which makes a random key")
-    with np.errstate(all="ignore"):
-        found = _by_numpy(eqn.primitive.name, eqn.params, np.dtype(out.dtype), arrays)
+    found = by_numpy(eqn, arrays)
     if found is not None:
-        return [np.asarray(found, out.dtype)]
+        return [found]
     value = eqn.primitive.bind(*arrays, **eqn.params)
     return [np.asarray(v) for v in (value if eqn.primitive.multiple_results else [value])]
 
 
+def by_numpy(eqn: Any, arrays: list[np.ndarray]) -> np.ndarray | None:
+    """The value of one equation; None where that is not simple."""
+    kind = np.dtype(eqn.outvars[0].aval.dtype)
+    with np.errstate(all="ignore"):
+        found = _by_numpy(eqn.primitive.name, eqn.params, kind, arrays)
+    return None if found is None else np.asarray(found, kind)
+
+
 def _by_numpy(name: str, params: dict[str, Any], kind: np.dtype, arrays: list[np.ndarray]) -> Any:
-    """The value of a primitive, which has this kind; None where that is not simple."""
+    if name == "broadcast_in_dim":
+        shape = [1] * len(params["shape"])
+        for axis, size in zip(params["broadcast_dimensions"], arrays[0].shape, strict=True):
+            shape[axis] = size
+        return np.broadcast_to(arrays[0].reshape(shape), params["shape"])
+    if name == "concatenate":
+        return np.concatenate(arrays, params["dimension"])
+    if name == "reshape":
+        return arrays[0].reshape(params["new_sizes"])
+    if name == "squeeze":
+        return np.squeeze(arrays[0], tuple(params["dimensions"]))
     if name == "iota":
         shape = [1] * len(params["shape"])
         shape[params["dimension"]] = -1
