@@ -63,6 +63,25 @@ def test_nothing_but_an_equation_says_how_far_it_is(length, time):
     assert found.horizon == pytest.approx(4.5**0.25 * time, rel=1e-9)
 
 
+@pytest.mark.parametrize("size", [1.0, 1e3, 1e9])
+@pytest.mark.parametrize("shift", [0.0, 1e-15, 1e-8, 1.0])
+def test_an_optimum_at_rest_is_found_from_everywhere(size, shift):
+    """A periodic motion that costs nothing: what its trajectory moves by is rounding, and no unit."""
+    problem = OptimalControlProblem(
+        PLANE,
+        lambda q, u, c: jnp.stack([q[1], u[0]]),
+        lambda q, u, c: u @ u / 2 + (q[0] - c) ** 2,
+        1,
+        boundary_constraints={"loop": lambda a, b, c: b - a},
+    )
+    places = np.linspace(0.1, 3.0, 30)
+    rests = np.stack([places, 0 * places], axis=1)
+    solver = Solver(problem, Gauss(2, Addition(PLANE)), 10)
+    found = solver.solve_many(Free(size * rests), Free(size * rests * (1 + shift)), 1.0, parameters=places)
+    assert found.success.all()
+    np.testing.assert_allclose(found.states, np.broadcast_to(rests[:, None], found.states.shape), atol=1e-7)
+
+
 def test_both_ends_on_sets():
     """From the unit circle to the line ``x + y = c``: along its normal, with one covector ``p``, by both
     multipliers."""

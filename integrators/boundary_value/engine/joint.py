@@ -18,6 +18,8 @@ from .first_units import first_units, reached
 from .joint_system import JointAssembled, JointIterate, JointStep, JointUnits
 from .kkt_system import Assembled, Iterate, Residuals, Step
 
+FARTHEST = 1e60  # times as far as a trajectory of size one: of more squares overflow, and a derivative is next to zero
+
 
 @final
 class JointConditions:
@@ -100,8 +102,9 @@ class JointConditions:
         found = [reached(phase, *own) for phase, own in zip(self.phases, first, strict=True)]
         ways = np.concatenate([np.where(way > 0, way, size) for way, size in found for _ in range(2)], axis=1)
         rows = np.sum(np.abs(coupled.jacobian) * (ways * self.free)[:, None], axis=2)
-        known = (rows > 0) & np.isfinite(rows) & np.isfinite(coupled.values)
-        asked = np.where(known, np.abs(coupled.values) / np.where(known, rows, 1.0), 0.0).max(axis=1, initial=0.0)
+        values = np.abs(coupled.values)
+        known = (rows > 0) & np.isfinite(rows) & (values < FARTHEST * rows)
+        asked = np.where(known, values / np.where(known, rows, 1.0), 0.0).max(axis=1, initial=0.0)
         for phase, own, (way, _) in zip(self.phases, first, found, strict=True):
             phase.units = first_units(phase, *own, asked[:, None] * way)
 

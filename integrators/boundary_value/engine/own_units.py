@@ -5,8 +5,12 @@ from typing import Any
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
+from ....manifolds.numerics.tolerances import EPS, HALF
 
 LESS = 0.1  # of the unit of the guess: one that is less by that much judges again
+RESTS = (
+    EPS**HALF
+)  # of the units of the guess: a trajectory that goes no farther is at rest, and has no units of its own
 
 
 def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
@@ -22,8 +26,10 @@ def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
     if not places.size:
         return places
     own = conditions.of(places)
+    least = RESTS * own.judging.nodes if conditions.joint else 0.0
     own.begin(taken(found.iterate, places))
-    return places[own.judging.cost < LESS * found.unit[places]]
+    moves = np.any(own.judging.nodes > least, axis=1)
+    return places[moves & (own.judging.cost < LESS * found.unit[places])]
 
 
 def _parts(conditions: Any, assembled: Any) -> np.ndarray:
