@@ -65,16 +65,25 @@ def by_numpy(eqn: Any, arrays: list[np.ndarray]) -> np.ndarray | None:
     return None if found is None else np.asarray(found, kind)
 
 
+def reshaped(params: dict[str, Any], array: np.ndarray) -> np.ndarray:
+    """An array in other sizes, its entries in the order of these axes: columns first where ``order="F"``."""
+    axes = params["dimensions"]
+    return (array if axes is None else np.transpose(array, axes)).reshape(params["new_sizes"])
+
+
 def _by_numpy(name: str, params: dict[str, Any], kind: np.dtype, arrays: list[np.ndarray]) -> Any:
     if name == "broadcast_in_dim":
         shape = [1] * len(params["shape"])
         for axis, size in zip(params["broadcast_dimensions"], arrays[0].shape, strict=True):
             shape[axis] = size
         return np.broadcast_to(arrays[0].reshape(shape), params["shape"])
+    if name == "clamp":
+        least, value, most = arrays
+        return np.minimum(np.maximum(value, least), most)
     if name == "concatenate":
         return np.concatenate(arrays, params["dimension"])
     if name == "reshape":
-        return arrays[0].reshape(params["new_sizes"])
+        return reshaped(params, arrays[0])
     if name == "squeeze":
         return np.squeeze(arrays[0], tuple(params["dimensions"]))
     if name == "iota":

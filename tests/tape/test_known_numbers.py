@@ -18,6 +18,7 @@ ROOTS = {
     "product": lambda x: jnp.sqrt(x) * jnp.sqrt(x),
     "fourth power": lambda x: jnp.sqrt(x) ** 4,
     "power of a half": lambda x: (x**0.5) ** 2,
+    "powers": lambda x: ((jnp.stack([x, x]) ** jnp.array([2.0, 0.5])) ** 2)[1],
     "sum of squares": lambda x: jnp.sum(jnp.stack([jnp.sqrt(x), 1.0]) ** 2),
     "norm": lambda x: jnp.linalg.norm(jnp.stack([jnp.sqrt(x), 1.0])),
     "inner product": lambda x: jnp.stack([jnp.sqrt(x), 1.0]) @ jnp.stack([jnp.sqrt(x), 2.0]),
@@ -44,6 +45,19 @@ def test_the_square_of_a_root_is_none_below_zero(name):
     expected = jax.vmap(ROOTS[name])(points)
     assert np.isnan(expected[:2]).all()
     np.testing.assert_allclose(tape(points), expected, rtol=1e-13)
+
+
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_entries_are_taken_in_the_order_that_is_asked_for(order):
+    """Columns first, of numbers that are known and of those that are not, also to index by."""
+
+    def function(x):
+        table = jnp.reshape(jnp.arange(6.0), (2, 3), order=order) * x.sum()
+        places = jnp.ravel(jnp.arange(6).reshape(2, 3), order=order)
+        return jnp.stack([table.ravel(), jnp.ravel(x.reshape(2, 3), order=order), jnp.arange(6.0)[places]])
+
+    x = np.linspace(0.5, 1.5, 6) ** 2
+    np.testing.assert_allclose(Tape.trace(function, x)(x[:, None])[..., 0], function(x), rtol=1e-15)
 
 
 @pytest.mark.parametrize("x", [-1.0, 0.0, 0.5, np.inf, np.nan])

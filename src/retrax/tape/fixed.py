@@ -42,7 +42,11 @@ def _power(graph: Graph, eqn: Any, x: Any, y: Any) -> Entries:
     count = math.prod(shape)
     base, exponent = (a if a.shape[0] == count else ca.repmat(a, count, 1) for a in map(column, alike))
     if is_known(y):
-        return scalars(square_root(base) if np.all(y == 0.5) else base**exponent, shape)
+        halves = np.flatnonzero(np.broadcast_to(y, shape) == 0.5).tolist()
+        value = base**exponent
+        for k in halves:
+            value[k] = square_root(base[k])
+        return scalars(value, shape)
     fixed, none = graph.constant(exponent), base == 0
     at_zero = select(fixed == 0, 1.0, select(none, base, 1.0) ** select(fixed == 0, 1.0, fixed))
     return scalars(select(none, at_zero, select(none, 1.0, base) ** exponent), shape)

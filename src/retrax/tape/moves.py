@@ -9,6 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from ..known import reshaped
 from .arrays import Complex, Entries, Scalars, column, is_complex, is_known, joined, moved, parts, scalars, taken
 from .choice import select
 from .elementwise import elementwise
@@ -261,7 +262,7 @@ MOVES: dict[str, Rule] = {
     "dynamic_update_slice": _dynamic_update_slice,
     "gather": _gather,
     "pad": _pad,
-    "reshape": lambda params, x: moved(x, lambda a: a.reshape(params["new_sizes"])),
+    "reshape": lambda params, x: moved(x, lambda a: reshaped(params, a)),
     "rev": lambda params, x: moved(x, lambda a: np.flip(a, params["dimensions"])),
     "slice": _slice,
     "split": _split,
