@@ -47,6 +47,11 @@ OUTSIDE: dict[str, tuple[Any, int, int]] = {  # with the index, and the axis
     "in a branch": (lambda u: jax.lax.cond(u[0] > 0, lambda v: v[0], lambda v: v[3], u), 3, 0),
     "in a checkpoint": (jax.checkpoint(lambda u: 2 * u[3]), 3, 0),
     "in a derivative": (jax.grad(lambda u: u[3] ** 2), 3, 0),
+    "by a function of JAX": (
+        lambda u: jnp.take(A * u, 3, axis=1, mode="wrap") + jax.lax.dynamic_index_in_dim(u, 3),
+        3,
+        0,
+    ),
 }
 INSIDE: dict[str, Any] = {
     "last": lambda u: u[-1] + u[2] + u[-3],
@@ -54,6 +59,12 @@ INSIDE: dict[str, Any] = {
     "several": lambda u: u[jnp.array([0, -1, 2])] + (A * u)[np.ix_([0, 2], [1, -1])].sum(),
     "slices": lambda u: u[1:7].sum() + u[-9:2].sum(),
     "clipped as asked": lambda u: u.at[jnp.array([0, 3])].get(mode="clip"),
+    "clipped when taken": lambda u: (
+        jnp.take(u, 5, mode="clip") + jax.vmap(lambda r: jnp.take(r, 5, mode="clip"))(A * u)
+    ),
+    "in a branch that is not taken": lambda u: jax.lax.cond(u.size > 3, lambda v: v[3], lambda v: 0.0, u),
+    "in another case": lambda u: jax.lax.switch(0, [lambda v: v[2], lambda v: v[3]], u),
+    "columns first": lambda u: u[jnp.ravel(jnp.array([[0, 1], [2, 0]]), order="F")],
     "filled as asked": lambda u: u.at[3].get(mode="fill", fill_value=0.0),
     "one of two is set": lambda u: u.at[jnp.arange(2, 4)].set(1.0),
     "by the input": lambda u: u[u[0].astype(int)],

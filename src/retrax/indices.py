@@ -14,6 +14,7 @@ from .errors import InvalidInputError
 from .known import by_numpy
 from .reading import LIBRARIES
 
+Equations = tuple[Any, ...]
 Values = list[np.ndarray | None]  # of whole numbers and truths that are the same for all input; None for other values
 DROPS, PROMISES, CLIPS = "FILL", "PROMISE", "CLIP"  # what JAX does with indices outside, a part of its name
 
@@ -25,27 +26,31 @@ def require_indices(program: ClosedJaxpr, what: str) -> None:
     What asks for it is left alone: ``mode="clip"``, ``mode="fill"``, and an update of which a part lies inside.
     ``what``: whose program it is.
     """
-    for equation, inputs in _equations(program, [None] * len(program.jaxpr.invars)):
+    for within, inputs in _equations(program, [None] * len(program.jaxpr.invars), ()):
+        equation = within[-1]
         for axis, indices, count in _indices(equation, inputs):
             outside = indices[(indices < 0) | (indices >= count)]
             if outside.size:
-                raise InvalidInputError(_words(equation, what, axis, int(outside[0]), count))
+                raise InvalidInputError(_words(within, what, axis, int(outside[0]), count))
 
 
-def _words(equation: Any, what: str, axis: int, index: int, count: int) -> str:
-    shape = equation.invars[0].aval.shape
+def _words(within: Equations, what: str, axis: int, index: int, count: int) -> str:
+    equation = within[-1]
+    shape, place = equation.invars[0].aval.shape, next(filter(None, map(_place, reversed(within))), "")
     given = index - shape[axis] if index < 0 else index  # JAX has added the size of the axis to a negative one
+    least = -count if count == shape[axis] else 0  # of a slice from an index
     nothing = equation.primitive.name.startswith("scatter")
     there = "leaves the array as it is" if nothing else "takes the nearest entry in its place"
     return (
-        f"{what}{_place(equation)} has index {given} on axis {axis} of an array of shape {shape}, where JAX {there} "
-        f"without a word; expected {-shape[axis]} to {count - 1}; try another index, or a larger array, as of more "
-        "controls"
+        f"{what}{place} has index {given} on axis {axis} of an array of shape {shape}, where JAX {there} "
+        f"without a word; expected {least} to {count - 1}; try another index, or a larger array; where the entry "
+        'is not used, x.at[k].get(mode="clip")'
     )
 
 
-def _equations(program: Any, inputs: Values) -> Generator[tuple[Any, Values], None, Values]:
-    """The equations of a program and of those in it, with their known inputs; the known outputs are returned."""
+def _equations(program: Any, inputs: Values, within: Equations) -> Generator[tuple[Equations, Values], None, Values]:
+    """The equations of a program and of those in it, each behind those that call it, with their known inputs; the known
+    outputs are returned."""
     jaxpr = _open(program)
     known = dict(zip(jaxpr.constvars, map(_whole, getattr(program, "consts", ())), strict=False))
     known |= dict(zip(jaxpr.invars, inputs, strict=True))
@@ -55,17 +60,21 @@ def _equations(program: Any, inputs: Values) -> Generator[tuple[Any, Values], No
 
     for equation in jaxpr.eqns:
         given = values(equation.invars)
-        yield equation, given
+        calls = (*within, equation)
+        yield calls, given
         own, outputs = called(equation), Values()
         if own is not None:
-            outputs = yield from _equations(own, given)
+            outputs = yield from _equations(own, given, calls)
         elif equation.primitive.name == "scan":
             fixed = scan_parts(equation.params, given)[0]
             inner = equation.params["jaxpr"]
-            yield from _equations(inner, fixed + [None] * (len(_open(inner).invars) - len(fixed)))
+            yield from _equations(inner, fixed + [None] * (len(_open(inner).invars) - len(fixed)), calls)
+        elif equation.primitive.name == "cond":
+            for branch in _taken_branches(equation.params["branches"], given[0]):
+                yield from _equations(branch, given[1:], calls)
         else:
             for inner in _inside(equation):
-                yield from _equations(inner, [None] * len(_open(inner).invars))
+                yield from _equations(inner, [None] * len(_open(inner).invars), calls)
             outputs = _computed(equation, given)
         known |= dict(zip(equation.outvars, outputs, strict=False))
     return values(jaxpr.outvars)
@@ -73,6 +82,11 @@ def _equations(program: Any, inputs: Values) -> Generator[tuple[Any, Values], No
 
 def _open(program: Any) -> Any:
     return getattr(program, "jaxpr", program)
+
+
+def _taken_branches(branches: Sequence[Any], which: np.ndarray | None) -> Sequence[Any]:
+    """The branch that is taken, or all where the input decides."""
+    return branches if which is None else [branches[int(np.clip(which, 0, len(branches) - 1))]]
 
 
 def _inside(equation: Any) -> Iterator[Any]:
@@ -120,7 +134,8 @@ def _indices(equation: Any, inputs: Values) -> list[tuple[int, np.ndarray, int]]
 def _taken(params: dict[str, Any], indices: np.ndarray) -> list[tuple[int, np.ndarray | None]]:
     """Axes and indices of entries that are taken, unless it is said what is to happen where there are none."""
     mode = str(params["mode"])
-    mapped = CLIPS in mode and indices.ndim == 1  # of a slice that vmap has mapped
+    # Of a slice that vmap has mapped; of one that asks for it JAX does not know that its only index is unique.
+    mapped = CLIPS in mode and indices.ndim == 1 and params["unique_indices"]
     axes = params["dimension_numbers"].start_index_map if PROMISES in mode or mapped else ()
     return [(axis, indices[..., k]) for k, axis in enumerate(axes)]
 
@@ -146,6 +161,6 @@ def _place(equation: Any) -> str:
     }
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
-        if frame.file_name not in ours and not frame.file_name.startswith("<"):
+        if frame.file_name not in ours and not frame.file_name.startswith("<frozen"):
             return f", in {frame.function_name}, line {frame.line_num} of {frame.file_name},"
     return ""
