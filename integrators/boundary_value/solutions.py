@@ -45,12 +45,12 @@ class Solutions(Sequence[Solution]):
     @overload
     def __getitem__(self, place: int) -> Solution: ...
     @overload
-    def __getitem__(self, place: slice | np.ndarray | list[int]) -> "Solutions": ...
-    def __getitem__(self, place: int | slice | np.ndarray | list[int]) -> "Solution | Solutions":
+    def __getitem__(self, place: slice | np.ndarray | Sequence[int]) -> "Solutions": ...
+    def __getitem__(self, place: Any) -> "Solution | Solutions":
         """One member, or the batch of some: a slice, their numbers, or which they are, as ``solutions.success``."""
         if isinstance(place, slice):
             return Solutions(self._fields, self._whole, self._places[place])
-        if isinstance(place, np.ndarray | list):
+        if np.ndim(place) == 1:
             chosen = np.asarray(self._places, int)[np.asarray(place, None if len(place) else int)]
             return Solutions(self._fields, self._whole, chosen.tolist())
         return self._whole(self._places[place])
