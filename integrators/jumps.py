@@ -10,7 +10,7 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array
 
-from ..equations import called, scan_parts
+from ..equations import called, programs, scan_parts
 from ..reading import traced
 from .program_keys import outputs_of, value_of
 
@@ -52,11 +52,8 @@ def dependent(jaxpr: Any) -> Iterator[Any]:
             continue
         known.update(map(id, equation.outvars))
         yield equation
-        own = called(equation)
-        params = [*equation.params.values()] if own is None else [own]
-        for inner in jax.tree.leaves(params, is_leaf=lambda leaf: hasattr(leaf, "eqns")):
-            if hasattr(inner, "eqns"):
-                yield from dependent(getattr(inner, "jaxpr", inner))
+        for inner in programs(equation):
+            yield from dependent(getattr(inner, "jaxpr", inner))
 
 
 def _is_cut(equation: Any) -> bool:

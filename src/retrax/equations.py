@@ -1,5 +1,6 @@
 """What equations of JAX's programs say: what they call, and how loops part their inputs, in every version of JAX."""
 
+from collections.abc import Iterator
 from typing import Any, TypeVar
 
 import jax
@@ -39,6 +40,17 @@ def called(equation: Any) -> Any:
     if own is not None:
         return jax.make_jaxpr(own)(*(jax.ShapeDtypeStruct(kind.shape, kind.dtype) for kind in program.in_avals))
     return program if hasattr(program, "consts") else ClosedJaxpr(program, [])
+
+
+def programs(equation: Any) -> Iterator[Any]:
+    """The programs in an equation, closed ones or open ones: that which it calls, or those among its parameters."""
+    own = called(equation)
+    params = [*equation.params.values()] if own is None else [own]
+    yield from (leaf for leaf in jax.tree.leaves(params, is_leaf=_has_equations) if _has_equations(leaf))
+
+
+def _has_equations(value: Any) -> bool:
+    return hasattr(value, "eqns")
 
 
 def expansion(high: Any) -> Any:

@@ -1,15 +1,14 @@
 """Indices of entries that an array does not have: JAX takes the nearest entry in place of one, without a word."""
 
 import sys
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from jax.core import Tracer
 from jax.extend.core import ClosedJaxpr, Literal
 
-from .equations import called, scan_parts
+from .equations import called, programs, scan_parts
 from .errors import InvalidInputError
 from .known import by_numpy
 from .reading import LIBRARIES
@@ -73,7 +72,7 @@ def _equations(program: Any, inputs: Values, within: Equations) -> Generator[tup
             for branch in _taken_branches(equation.params["branches"], given[0]):
                 yield from _equations(branch, given[1:], calls)
         else:
-            for inner in _inside(equation):
+            for inner in programs(equation):
                 yield from _equations(inner, [None] * len(_open(inner).invars), calls)
             outputs = _computed(equation, given)
         known |= dict(zip(equation.outvars, outputs, strict=False))
@@ -87,12 +86,6 @@ def _open(program: Any) -> Any:
 def _taken_branches(branches: Sequence[Any], which: np.ndarray | None) -> Sequence[Any]:
     """The branch that is taken, or all where the input decides."""
     return branches if which is None else [branches[int(np.clip(which, 0, len(branches) - 1))]]
-
-
-def _inside(equation: Any) -> Iterator[Any]:
-    """The programs, closed ones or open ones, that an equation runs with other inputs than its own."""
-    params = jax.tree.leaves([*equation.params.values()], is_leaf=lambda leaf: hasattr(leaf, "eqns"))
-    yield from (leaf for leaf in params if hasattr(leaf, "eqns"))
 
 
 def _whole(value: Any) -> np.ndarray | None:
@@ -154,11 +147,8 @@ def _set(params: dict[str, Any], indices: np.ndarray, shape: tuple[int, ...]) ->
 
 def _place(equation: Any) -> str:
     """The user's function that an equation comes from, its line and file; empty where JAX does not know them."""
-    ours = {
-        getattr(module, "__file__", None): None
-        for name, module in [*sys.modules.items()]
-        if name.partition(".")[0] in LIBRARIES
-    }
+    modules = [*sys.modules.items()]
+    ours = {getattr(own, "__file__", None) for name, own in modules if name.partition(".")[0] in LIBRARIES}
     traceback = equation.source_info.traceback
     for frame in traceback.frames if traceback is not None else ():
         if frame.file_name not in ours and not frame.file_name.startswith("<frozen"):

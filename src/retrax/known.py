@@ -72,6 +72,7 @@ def reshaped(params: dict[str, Any], array: np.ndarray) -> np.ndarray:
 
 
 def _by_numpy(name: str, params: dict[str, Any], kind: np.dtype, arrays: list[np.ndarray]) -> Any:
+    """The value of a primitive, which has this kind; None where that is not simple."""
     if name == "broadcast_in_dim":
         shape = [1] * len(params["shape"])
         for axis, size in zip(params["broadcast_dimensions"], arrays[0].shape, strict=True):

@@ -8,9 +8,7 @@ from ....manifolds.numerics.ambient import taken
 from ....manifolds.numerics.tolerances import EPS, HALF
 
 LESS = 0.1  # of the unit of the guess: one that is less by that much judges again
-RESTS = (
-    EPS**HALF
-)  # of the units of the guess: a trajectory that goes no farther is at rest, and has no units of its own
+RESTS = EPS**HALF  # of the units of the guess: a trajectory that goes no farther has no units of its own
 
 
 def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
@@ -18,7 +16,8 @@ def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
 
     Products of slacks and multipliers are measured by that of the guess, which may cost much more, as a way through an
     obstacle, or have the costates of another problem. It is measured again only where what cancels in the derivative of
-    the Lagrangian is less than it: elsewhere no evaluation is made.
+    the Lagrangian is less than it: elsewhere no evaluation is made. Trajectories whose ends are coupled are judged so
+    too, unless they are at rest, where what they move by is rounding.
     """
     if found.iterate.slacks is None and not conditions.joint:
         return np.zeros(0, int)
