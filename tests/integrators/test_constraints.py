@@ -39,7 +39,7 @@ def cart(**options):
 
 
 LIMITED = body(
-    control_bounds=([-1.0, -np.inf, -2.0], 3.0),
+    control_bounds=([-1.0, -np.inf, -2.0], [3.0, 4.0, 5.0]),
     constraints={"rate": lambda q, u: q[1] @ q[1] - 1, "cone": lambda q, u: [q[0][0, 0], u[1]], "any": lambda q, u: 0},
 )
 NAMES = (
@@ -47,7 +47,7 @@ NAMES = (
     *(f"control_bounds upper[{i}]" for i in range(3)),
     *("rate", "cone[0]", "cone[1]", "any"),
 )
-VALUES = [-2.0, -2.5, -2.0, -6.0, -2.5, 0.0625 + 0.25 + 4 - 1, 1.0, -3.0, 0.0]
+VALUES = [-2.0, -2.5, -2.0, -7.0, -4.5, 0.0625 + 0.25 + 4 - 1, 1.0, -3.0, 0.0]
 
 
 def test_inequalities_are_the_finite_bounds_then_the_constraints_in_order():
@@ -57,7 +57,7 @@ def test_inequalities_are_the_finite_bounds_then_the_constraints_in_order():
     tape = Tape.trace(lambda w, u: LIMITED.inequalities((jnp.eye(3), w), u), STATE[1], CONTROL)
     np.testing.assert_allclose(tape(STATE[1][:, None], CONTROL[:, None])[:, 0], VALUES, rtol=1e-15)
     lower, upper = LIMITED.control_bounds
-    np.testing.assert_array_equal([lower, upper], [[-1, -np.inf, -2], [3, 3, 3]])
+    np.testing.assert_array_equal([lower, upper], [[-1, -np.inf, -2], [3, 4, 5]])
     assert list(LIMITED.constraints) == ["rate", "cone", "any"]
 
 
@@ -266,7 +266,7 @@ def test_a_problem_prints_in_mathematical_notation():
         "OptimalControlProblem:",
         "minimise    int_0^T effort(q, u) dt",
         "subject to  q' = turning(q, u),  q in SO(3) x R^3,  u in R^3",
-        "            -1 <= u[0] <= 3, u[1] <= 3, -2 <= u[2] <= 3",
+        "            -1 <= u[0] <= 3, u[1] <= 4, -2 <= u[2] <= 5",
         "            rate(q, u) <= 0",
         "            cone(q, u) <= 0",
         "            any(q, u) <= 0",

@@ -129,6 +129,22 @@ def speed(a, b, c):
     return b[0] - 2.5
 
 
+@pytest.mark.parametrize(("free", "end", "cost"), [(0, 3.75, 3.875), (1, 2.0, 6.0)])
+def test_a_link_leads_from_the_end_before_to_the_start_after(free, end, cost):
+    """From 0 to ``x``, and on from ``2 x + 1`` to 9: one phase takes a unit of time, the other a free time at a price
+    of 1/2, in which ``u = 1``. The cost is ``x + (8 - 2 x)^2 / 2``, or ``x^2 / 2 + 8 - 2 x``."""
+    times = [Free(2.0) if k == free else 1.0 for k in range(2)]
+    moves = [
+        OptimalControlProblem(LINE, lambda q, u: u, lambda q, u, k=k: u @ u / 2 + (k == free) / 2, 1) for k in (0, 1)
+    ]
+    method = Midpoint(Addition(LINE))
+    first = Phase(moves[0], method, 2, times[0], start=np.zeros(1))
+    found = solve_phases([first, Phase(moves[1], method, 3, times[1], end=np.array([9.0]))], [lambda q: 2 * q + 1])
+    one, other = (phase.states[:, 0] for phase in found.phases)
+    np.testing.assert_allclose([one[0], one[-1], other[0], other[-1]], [0, end, 2 * end + 1, 9], atol=1e-9)
+    assert found.cost == pytest.approx(cost, rel=1e-12)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("dry", [0.2, 0.33])
 def test_staging_of_a_rocket(dry):

@@ -1,6 +1,7 @@
 """Singular arcs between bounds: their order, their feedback and Kelley's condition, from the classification along
 them."""
 
+from types import SimpleNamespace
 from typing import Any
 
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import pytest
 from jaxtyping import Array
 from retrax import problems
 from retrax.integrators import Guess, OptimalControlProblem, singular_arcs, solve
+from retrax.integrators.boundary_value.singular_arcs import _nearest
 from retrax.manifolds import Euclidean, InvalidInputError, Sphere
 from retrax.retractions import Addition, Gauss, default_retraction
 
@@ -120,3 +122,11 @@ def test_what_has_no_such_arcs_is_named(options, given, words):
     solution = given or solve(problem, Gauss(1, Addition(LINE)), np.zeros(1), np.full(1, 0.5), 1.0, 4)
     with pytest.raises(InvalidInputError, match=words):
         singular_arcs(problem, solution)
+
+
+@pytest.mark.parametrize("place", [-1.0, 0.2, 0.49, 0.51, 1.0, 7.0])
+def test_an_arc_is_on_the_piece_whose_equations_it_violates_least(place):
+    """Of the planes ``x = 0``, ``x = 1`` and one without points near."""
+    strata = [SimpleNamespace(equations=lambda z, c=c: z[0] - c) for c in (0.0, 1.0, np.nan)]
+    found: Any = SimpleNamespace(strata=strata, choose=lambda i: i)
+    assert _nearest(found, (np.full((3, 1), place), np.zeros((3, 1)))) == (place > 0.5)

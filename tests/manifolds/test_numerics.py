@@ -102,6 +102,17 @@ def test_find_root_solves_a_monotone_convex_equation_as_newtons_method_does(seed
     np.testing.assert_allclose(_cubic(c, a), 0, atol=2e-14)
 
 
+@pytest.mark.parametrize("start", [0.3, 1.0, 40.0])
+def test_find_root_says_where_there_is_none(start):
+    """``c^2 = a`` has a root for ``a > 0``, a double one for ``a = 0``, none below."""
+    solve = compiled(jax.vmap(lambda a: find_root(lambda c: c**2 - a, jnp.array([start]))))
+    sizes = np.array([1e-6, 1e-3, 0.1, 1.0, 1e3])
+    root, converged = solve(sizes)
+    assert converged.all()
+    np.testing.assert_allclose(root[:, 0], np.sqrt(sizes), rtol=1e-13)
+    assert not solve(-sizes)[1].any()
+
+
 @given(seed=SEEDS)
 def test_find_root_is_differentiated_by_the_implicit_function_theorem(seed):
     a, direction = np.random.default_rng(seed).uniform(-0.5, 0.5, (2, 2))

@@ -341,6 +341,19 @@ def test_kelley_and_goh_tell_a_minimum_from_what_is_none():
     assert "Goh's condition fails" in second_order(particle, (jnp.ones((2, 2)), jnp.ones((2, 2))), jnp.ones((2, 2)))
 
 
+@pytest.mark.parametrize("order", [2, 3])
+def test_the_sign_of_kelleys_condition_alternates_with_the_order(order):
+    """``x_1' = x_2, ..., x_k' = u`` with the cost ``a x_1^2 / 2``: the arc ``x = 0`` of order k minimises for
+    ``a > 0``."""
+    for sign, words in ((1, "strict Kelley's condition"), (-1, "Kelley's condition of order")):
+        problem = OptimalControlProblem(
+            Euclidean(order), lambda q, u: jnp.concatenate([q[1:], u]), lambda q, u, a=sign: a * q[0] ** 2 / 2, 1
+        )
+        found = second_order(problem, (np.zeros((2, order)), np.zeros((2, order))), jnp.zeros((2, 1)), order)
+        assert found.startswith(words)
+        assert ("fails" in found) == (sign < 0)
+
+
 @pytest.mark.slow
 def test_an_extremal_that_is_a_point_rests():
     """``x' = u`` with cost ``x^2``: ``P_f = {x = p = 0}``."""
