@@ -101,7 +101,7 @@ class Solver:
     def _inner(self, formulation: Formulation) -> "Solver":
         """A solver of the problem in another formulation."""
         solver = Solver(formulation.problem, formulation.method, self.fractions, self._evaluator)
-        solver._regularity.refusal = SINGULAR
+        solver._regularity.refusal, solver._recording.formulation = SINGULAR, formulation
         return solver
 
     def with_steps(self, steps: Any) -> "Solver":
