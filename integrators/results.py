@@ -22,7 +22,7 @@ class Result(eqx.Enumeration):
     successful = "The equations are solved to the tolerance asked for."
     stationary = (
         "The equations are solved to the tolerance asked for, and this is not shown to be a strict local minimum: a "
-        "curve nearby may cost as much or less. Points along the extremal may be conjugate, as opposite ones of a "
+        "curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a "
         "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs."
     )
     concave = (

@@ -71,7 +71,7 @@ def _along(posed: Posed, found: Found, stages: AtStages, held: np.ndarray | None
     limits, rows = np.zeros((len(slopes), m, m)), np.zeros((len(slopes), 0, m))
     active, slacks = np.zeros((len(slopes), 0), bool), found.iterate.slacks
     if held is not None and slacks is not None:
-        count = len(diagnosis.problem.inequality_names)
+        count = posed.traced.steps.own
         inside = np.s_[:, : posed.traced.steps.stages, :count]
         pull, active = (part[inside].reshape(len(slopes), count) for part in (slacks.multipliers[k], held))
         limits = diagnosis.of_limits((*at[:2], pull[None]), given)[0]
