@@ -103,7 +103,7 @@ class Formulated:
         """The solution; where it is none and the horizon is free, that of the nearest other magnitude from which there
         is one."""
         horizon = request.given.horizon
-        if first.success or not is_free(horizon) or first.statistics.stopped or first.result.startswith(VANISHES):
+        if not is_free(horizon) or _is_final(first):
             return first
         effort = first.statistics
         for factor in MAGNITUDES:
@@ -112,7 +112,7 @@ class Formulated:
                 again = request.again(self.reader, request.given._replace(horizon=guess), request.guess)
                 found = self._in_own_units(again, self._solved(again))
                 effort = _sum(effort, found.statistics)
-                if found.success or found.statistics.stopped or found.result.startswith(VANISHES):
+                if _is_final(found):
                     return self._renewed(found, statistics=effort)
         return self._renewed(first, statistics=effort, result=self._result(horizon, first))
 
@@ -283,6 +283,13 @@ class Formulated:
         """Keep what belongs to a solution for another record of it."""
         if solution in self._found:
             self._found[changed] = self._found[solution]
+
+
+def _is_final(solution: Solution) -> bool:
+    """Whether no other guess of the horizon is tried: with success, where it was stopped, and where its failure says
+    why there is no minimum."""
+    why = VANISHES, sentence("concave")
+    return solution.success or solution.statistics.stopped or solution.result.startswith(why)
 
 
 def _sum(one: Statistics, other: Statistics) -> Statistics:
