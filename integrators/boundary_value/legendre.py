@@ -35,7 +35,10 @@ def concave(
     ``held``: where an inequality holds the trajectory. The blocks of the system tell of all that is convex. A strict
     minimum of the discrete problem may pass from bound to bound within a step or two, at a stage that its ends hold.
     """
-    own = _own_blocks(found.assembled.blocks, posed.traced.diagnosis.problem.controls.dimension)
+    m = posed.traced.diagnosis.problem.controls.dimension
+    if not m:
+        return {}
+    own = _own_blocks(found.assembled.blocks, m)
     suspects = np.flatnonzero(success & ~(found.strict_minimum & _convex(own)))
     result = dict[int, Concave]()
     for k in suspects:

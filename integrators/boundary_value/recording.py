@@ -49,27 +49,18 @@ class Recording:
         stages = traced.steps.at_stages(found.iterate.unknowns, costates, data, found.iterate.slacks)
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
-        success, said = outcomes(found, options.tolerance)
-        held = _held(posed, found)
-        flawed = concave(posed, found, stages, held, success)
-        success[list(flawed)] = False
+        trajectories, held = self._trajectories(nodes, costates, stages, data.steps), _held(posed, found)
+        success, results = self._judged(posed, found, stages, held, trajectories, options.tolerance)
         statistics = [Statistics(int(count), *seconds, found.stopped) for count in found.iterations]
         numbers = {"cost": found.assembled.cost, "success": success}
         fields = {
-            **self._trajectories(nodes, costates, stages, data.steps),
+            **trajectories,
             "hamiltonians": diagnostics.hamiltonians,
             "momenta": diagnostics.momenta,
             "body_costates": diagnostics.body,
             "spatial_costates": diagnostics.spatial,
             **_multipliers(posed, found),
         }
-        notes = found.notes or [""] * len(said)
-        results = [
-            f"{sentence('concave')} {self._where(flawed[k], k, fields, stages)}"
-            if k in flawed
-            else reasoned(words + _excesses(posed, found, k, options.tolerance), notes[k])
-            for k, words in enumerate(said)
-        ]
         active = _active(posed, held)
         if self._constrained:
             diagnostics = _without_symmetries(diagnostics, active)
@@ -89,6 +80,25 @@ class Recording:
             )
 
         return {**fields, **numbers, "parameters": parameters, "result": results, "statistics": statistics}, member
+
+    def _judged(
+        self,
+        posed: Posed,
+        found: Found,
+        stages: AtStages,
+        held: np.ndarray | None,
+        trajectories: dict[str, Any],
+        tolerance: float,
+    ) -> tuple[np.ndarray, list[str]]:
+        """Which members have success, and the results of all of them in words."""
+        success, results = outcomes(found, tolerance)
+        notes = found.notes or [""] * len(results)
+        excesses = [_excesses(posed, found, k, tolerance) for k in range(len(results))]
+        results = [reasoned(words + more, note) for words, more, note in zip(results, excesses, notes, strict=True)]
+        for k, one in concave(posed, found, stages, held, success).items():
+            success[k] = False
+            results[k] = f"{sentence('concave')} {self._where(one, k, trajectories, stages)}"
+        return success, results
 
     def _where(self, one: Concave, k: int, fields: dict[str, Any], stages: AtStages) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""
