@@ -16,6 +16,7 @@ from retrax.integrators import (
     solve,
     solve_phases,
 )
+from retrax.integrators.boundary_value.legendre import _way
 from retrax.manifolds import SO, Euclidean, Sphere, hat
 from retrax.retractions import Addition, Exponential, Gauss, Midpoint, default_retraction
 from scipy.spatial.transform import Rotation
@@ -228,3 +229,39 @@ def test_a_strict_minimum_takes_no_other_evaluation():
         solver = Solver(problem, method, 5)
         assert solver.solve(THERE, BACK, 1.0).status == "minimum"
         assert solver._posing.traced(None).diagnosis._parts is None
+
+
+COSTS = {
+    "cosine": (lambda q, u: -jnp.cos(u[0]), np.pi / 2, 1),
+    "two wells": (lambda q, u: (u[0] ** 2 - 1) ** 2, 1 / np.sqrt(3), -1),
+}
+
+
+@pytest.mark.parametrize("name", COSTS)
+def test_a_point_of_inflection_is_where_a_constant_speed_is_no_minimum_any_more(name):
+    cost, place, side = COSTS[name]
+    solver = Solver(OptimalControlProblem(LINE, lambda q, u: u, cost, 1), Gauss(2, Addition(LINE)), 5)
+    for share in (0.5, 0.9, 0.999, 1.001, 1.1):
+        speed = np.full(1, share * place)
+        guess = Guess(np.outer(np.linspace(0, 1, 10), speed), np.tile(speed, (10, 1)))
+        found = solver.solve(np.zeros(1), speed, 1.0, guess, throw=False)
+        if np.ptp(found.controls) < 1e-6:  # else another speed, and back, costs less
+            assert found.status == ("minimum" if side * share < side else "failed"), share
+
+
+def test_the_sign_of_a_curvature_has_no_units():
+    """Random Hessians with random active inequalities, in units of 1e-8 to 1e8, beside parts that cancel."""
+    draw = np.random.default_rng(0)
+    for _ in range(500):
+        m = int(draw.integers(1, 6))
+        turn, _ = np.linalg.qr(draw.standard_normal((m, m)))
+        values = 0.01 + np.abs(draw.standard_normal(m))
+        values[0] *= draw.choice([-1, 1])
+        hessian, rows = turn @ np.diag(values) @ turn.T, draw.standard_normal((int(draw.integers(0, m)), m))
+        free = np.linalg.svd(rows)[2][len(rows) :].T
+        least = np.linalg.eigvalsh(free.T @ hessian @ free)[0]
+        units = 10 ** draw.uniform(-8, 8, m)
+        power = draw.standard_normal((m, m))
+        both = np.stack([power + power.T, hessian + power + power.T, 0 * power]) / np.outer(units, units)
+        if abs(least) > 1e-6:
+            assert (_way(np.zeros((2, m)), both, np.zeros(m), rows / units) is not None) == (least < 0)
