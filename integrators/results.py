@@ -20,6 +20,16 @@ class Result(eqx.Enumeration):
     """
 
     successful = "The equations are solved to the tolerance asked for."
+    stationary = (
+        "The equations are solved to the tolerance asked for, and this is not shown to be a strict local minimum: a "
+        "curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a "
+        "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs."
+    )
+    concave = (
+        "The derivatives of the cost vanish, but the cost is concave in a control, so this is no minimum: it may be a "
+        "maximum, and the cost may have no lower bound. Expected a cost that is convex in every control; try the other "
+        "sign of a cost, a cost of this control, control_bounds, or another guess."
+    )
     step_not_solved = (
         "The equations of a step could not be solved, and the trajectory stops there; try a smaller step size, or "
         "another retraction if the motion of one step leaves its domain."
@@ -76,6 +86,12 @@ class Result(eqx.Enumeration):
 def sentence(name: str) -> str:
     """The entry of the table with this name."""
     return Result[getattr(Result, name)]
+
+
+def reasoned(result: str, *reasons: str) -> str:
+    """The result with reasons, one of which says why no minimum is shown."""
+    said = [reason.strip() for reason in reasons if reason]
+    return " ".join([result.replace(sentence("stationary"), sentence("successful")), *said]) if said else result
 
 
 def _callers() -> int:

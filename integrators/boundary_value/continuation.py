@@ -156,7 +156,7 @@ def _tried(predictor: "Predictor", way: tuple[Given, Given], last: Solution, opt
         return _Trial(found, np.inf, found.result)
     if last.checks.strict_minimum and not found.checks.strict_minimum:
         why = found.result.removeprefix(Result[Result.successful]).strip()
-        return _Trial(found, np.inf, why or NO_MINIMA)
+        return _Trial(found, np.inf, NO_MINIMA if found.result == Result[Result.stationary] else why)
     old, new = _parts(last.guess()), _parts(found.guess())
     expected, correction = old if isinstance(guess, Solution) else _parts(guess), 0.0
     for before, aim, after in zip(old, expected, new, strict=True):

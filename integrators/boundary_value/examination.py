@@ -11,11 +11,13 @@ from ...manifolds import Euclidean
 from ...reading import one_reading
 from ..constraints import LOWER, UPPER
 from ..problem import OptimalControlProblem
+from ..results import reasoned
 from ..stopped import TrueDerivatives
 from .arguments import structure_of
 from .checks import RegularChecks
 from .control_curvature import ControlCurvature
 from .end_points import Prescribed
+from .legendre import longest
 from .qualification import Qualification
 from .solution import Solution
 from .state_jumps import Jumps
@@ -62,8 +64,8 @@ class Examination:
             return _failed(solution, outside)
         unqualified = self._unqualified(solution)
         solution = _without_minimum(solution) if unqualified else solution
-        notes = [outside, solution.result, unqualified, self.undetermined(solution) if solution.success else ""]
-        said = " ".join(filter(None, notes))
+        undetermined = self.undetermined(solution) if solution.success else ""
+        said = " ".join(filter(None, [outside, reasoned(solution.result, unqualified, undetermined)]))
         return replace(solution, result=said) if said != solution.result else solution
 
     def _wrong(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> str:
@@ -134,7 +136,7 @@ class Examination:
         names = [name for quantity in self.problem.quantities.controls for name in quantity.columns]
         stages, found = len(flat) // solution.steps, []
         for entry in np.flatnonzero(np.any(flat, axis=0)):
-            begin, end = _longest(flat[:, entry])
+            begin, end = longest(flat[:, entry])
             if end - begin > SHORTEST * stages:
                 first, last = solution.times[[begin // stages, -(-end // stages)]]
                 found.append(f"that of {names[entry]} from t = {first:.6g} to {last:.6g}")
@@ -190,11 +192,3 @@ def _without_minimum(solution: Solution) -> Solution:
     checks = solution.checks
     checks = replace(checks, strict_minimum=False) if isinstance(checks, RegularChecks) else checks
     return replace(solution, checks=checks)
-
-
-def _longest(flat: np.ndarray) -> tuple[int, int]:
-    """Where the longest run of what is true begins and ends."""
-    edges = np.diff(np.concatenate([[0], flat.astype(int), [0]]))
-    begins, ends = np.flatnonzero(edges > 0), np.flatnonzero(edges < 0)
-    longest = int(np.argmax(ends - begins))
-    return int(begins[longest]), int(ends[longest])

@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ...manifolds import Euclidean
 from ...manifolds.numerics import ambient as vec
 from ..evaluation import at_each
 from ..free import Free, all_guessed, guessed, is_free, scaled
@@ -39,9 +40,21 @@ GROWN = (
     " The horizon grew from {:.3g} to {:.3g}, where a longer one still costs less: there may be no best one; try an "
     "upper bound of it, or a cost of the time."
 )
+SHRUNK = (
+    " The horizon shrank from {:.3g} to {:.3g}: the cost may have an infimum, near {:.6g}, where the horizon tends to "
+    "zero and all conditions vanish with it; try a lower bound of the horizon, or a guess near to the best one."
+)
+VANISHES = "The horizon tends to zero"
+VANISHED = (
+    VANISHES
+    + ", where all conditions vanish with it: at {:.3g} the cost is proportional to the controls, to rounding, "
+    "so that none is best, and its infimum is at most {:.9g}. Expected a running cost that grows faster than the "
+    "velocity, as 1 + u @ u; try such a cost, a lower bound of the horizon, or control_bounds."
+)
 ADVICE, LONGER = "; try ", "a longer horizon"  # where the advice of a result begins, and one that a growing one refutes
 HELD, UNMET = 1.01, 1e-3  # times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero
-LONG = 1e3  # times the guess: a horizon that is found without success, and named
+LONG = 1e3  # times the guess, or a share of it: a horizon that is found without success, and named
+FLAT = 40.0  # times the tolerance: a share of the Hamiltonian that hides the second derivative by a horizon too
 FAR, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
 MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: horizons from which it is tried again
 
@@ -90,7 +103,7 @@ class Formulated:
         """The solution; where it is none and the horizon is free, that of the nearest other magnitude from which there
         is one."""
         horizon = request.given.horizon
-        if first.success or not is_free(horizon) or first.statistics.stopped:
+        if not is_free(horizon) or _is_final(first):
             return first
         effort = first.statistics
         for factor in MAGNITUDES:
@@ -99,16 +112,18 @@ class Formulated:
                 again = request.again(self.reader, request.given._replace(horizon=guess), request.guess)
                 found = self._in_own_units(again, self._solved(again))
                 effort = _sum(effort, found.statistics)
-                if found.success or found.statistics.stopped:
+                if _is_final(found):
                     return self._renewed(found, statistics=effort)
         return self._renewed(first, statistics=effort, result=self._result(horizon, first))
 
     def _result(self, horizon: Free, solution: Solution) -> str:
-        """The result of one without success, with a sentence in place of its advice where the horizon has become far
-        longer than guessed and is to be longer still.
+        """The result of one without success, with a sentence where the horizon has become far shorter than guessed, and
+        one in place of its advice where it has become far longer and is to be longer still.
 
         The cost changes by ``-H`` with the horizon.
         """
+        if HELD * horizon.lower < solution.horizon <= guessed(horizon) / LONG:
+            return solution.result + SHRUNK.format(guessed(horizon), solution.horizon, solution.cost)
         longer = solution.horizon >= LONG * guessed(horizon) and HELD * solution.horizon < horizon.upper
         pull = np.mean(solution.hamiltonians) if longer and not self.reader.problem.time_dependent else 0.0
         cheaper = pull > 0 and pull > UNMET * self._size_of_parts(solution)
@@ -140,7 +155,9 @@ class Formulated:
             if not (solution.success and is_free(horizon)):
                 return solution
             if 1 / FAR < ratio < FAR:
-                return self._with_its_hamiltonian(horizon, solution)
+                return self._unless_it_vanishes(
+                    self._with_its_hamiltonian(horizon, solution), request.options.tolerance
+                )
             if not 0 < solution.horizon < np.inf:
                 break
             if solution.statistics.stopped:
@@ -164,6 +181,22 @@ class Formulated:
             return solution
         words = UNDETERMINED.format(solution.horizon, solution.hamiltonians[0] / size)
         return self._renewed(solution, success=False, result=words)
+
+    def _unless_it_vanishes(self, solution: Solution, tolerance: float) -> Solution:
+        """The solution, without success where the cost is proportional to the controls as far as the tolerance tells,
+        and nothing holds these: then a shorter horizon with larger ones costs the same.
+
+        A strict minimum determines its horizon.
+        """
+        controls = self.reader.problem.controls
+        held = solution.status != "stationary" or any(solution.checks.active.values())
+        if held or not isinstance(controls, Euclidean) or not controls.dimension:
+            return solution
+        _, solver, found = self._found[solution]
+        curved = np.abs(solver.curvature_of_controls(found)) > FLAT * tolerance * found.checks.hamiltonian_size
+        if curved.any() or not np.any(solution.controls):
+            return solution
+        return self._renewed(solution, success=False, result=VANISHED.format(solution.horizon, solution.cost))
 
     def _solved(self, request: Request) -> Solution:
         formulation, solver, own = self.formulated(request)
@@ -250,6 +283,13 @@ class Formulated:
         """Keep what belongs to a solution for another record of it."""
         if solution in self._found:
             self._found[changed] = self._found[solution]
+
+
+def _is_final(solution: Solution) -> bool:
+    """Whether no other guess of the horizon is tried: with success, where it was stopped, and where its failure says
+    why there is no minimum."""
+    why = VANISHES, sentence("concave")
+    return solution.success or solution.statistics.stopped or solution.result.startswith(why)
 
 
 def _sum(one: Statistics, other: Statistics) -> Statistics:

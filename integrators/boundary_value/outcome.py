@@ -20,7 +20,7 @@ NEAR = 0.1  # relative: the cost of what lacks more, or violates inequalities by
 
 def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     """The solution, where it has no success with what in a function may be why."""
-    if solution.success or solution.statistics.stopped:
+    if solution.success or solution.statistics.stopped or solution.result.startswith(sentence("concave")):
         return solution
     q, u = vec.taken((solution.stage_states, solution.controls), 0)
     if solution.result.startswith(sentence("not_finite")):
@@ -69,7 +69,7 @@ def outcomes(found: Found, tolerance: float) -> tuple[np.ndarray, list[str]]:
     largest = found.residuals.largest
     finite = np.isfinite(largest) & np.isfinite(found.assembled.cost)
     success = found.claimed & finite
-    if success.all():
+    if (success & found.strict_minimum).all():
         return success, [sentence("successful")] * len(success)
     meets = np.max(np.abs(found.missing), axis=1) <= tolerance
     apart = (found.residuals.stationarity <= tolerance) & meets & (found.residuals.gap > np.sqrt(tolerance))
@@ -78,6 +78,7 @@ def outcomes(found: Found, tolerance: float) -> tuple[np.ndarray, list[str]]:
     undetermined = (largest <= tolerance) & (not found.stopped)
     ways = {
         "not_finite": ~finite,
+        "stationary": found.claimed & ~found.strict_minimum,
         "successful": found.claimed,
         "infeasible": found.contradictory,
         "wrong_point": apart,

@@ -9,7 +9,7 @@ import numpy as np
 from ...manifolds import ConvergenceError
 from ..text import table
 from .interpolation import Sample, checked_times
-from .solution import Solution, Statistics
+from .solution import Solution, Statistics, Status, status_of
 
 
 @final
@@ -62,6 +62,11 @@ class PhasedSolution:
         """Whether the extremal is shown to be a strict local minimum of the discrete problem of all phases together."""
         return self.success and all(phase.checks.strict_minimum for phase in self.phases)
 
+    @property
+    def status(self) -> Status:
+        """``"minimum"``, ``"stationary"`` or ``"failed"``, as that of a ``Solution``, of all phases together."""
+        return status_of(self.success, self.strict_minimum)
+
     def __call__(self, t: float) -> Sample:
         """States, controls and costates at a time, of the phase that it is in; where one ends, of the next."""
         time = float(checked_times(t, self.times))
@@ -76,7 +81,7 @@ class PhasedSolution:
         """The essential numbers."""
         spans = ", ".join(f"{a:.6g}..{b:.6g}" for a, b in zip(self.times, self.times[1:], strict=False))
         return (
-            f"PhasedSolution({len(self.phases)} phases, times {spans}; cost={self.cost:.12g}, success={self.success})"
+            f"PhasedSolution({len(self.phases)} phases, times {spans}; cost={self.cost:.12g}, status={self.status!r})"
         )
 
     def __str__(self) -> str:

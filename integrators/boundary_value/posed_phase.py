@@ -50,9 +50,14 @@ class _Inner:
         self.recording = Recording(problem, self.posing.stages, self.interpolant)
         self.examination = Examination(problem)
         # Zero: durations come from afar, where one that is one at its guess would pass through zero.
-        self.formulated = Formulated(
-            self.reader, lambda own: _Inner(own.problem, own.method, fractions, evaluator), 0.0
-        )
+        self.formulated = Formulated(self.reader, lambda own: self._of(own, fractions, evaluator), 0.0)
+
+    @staticmethod
+    def _of(formulation: Formulation, fractions: np.ndarray, evaluator: Evaluator) -> "_Inner":
+        """What a formulation is solved with."""
+        inner = _Inner(formulation.problem, formulation.method, fractions, evaluator)
+        inner.recording.formulation = formulation
+        return inner
 
 
 @final

@@ -10,12 +10,14 @@ from ...manifolds.numerics import ambient as vec
 from ..constraints import LOWER, UPPER
 from ..layout import Layout
 from ..problem import OptimalControlProblem
+from ..results import reasoned, sentence
 from .arguments import Options, require_tangent_dynamics
 from .checks import RegularChecks
 from .engine.diagnosis import Diagnostics
 from .engine.found import Found
 from .engine.transcription import AtStages
 from .interpolation import Interpolant
+from .legendre import Concave, concave, concave_words
 from .outcome import outcomes
 from .posed import Posed
 from .solution import Solution, Statistics
@@ -31,6 +33,7 @@ class Recording:
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
         self.quantities, self._constrained = problem.quantities, problem.limits.of_points_along
+        self.formulation: Any = None  # that the problem is of another one, whose names and times users know
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
     def of(
@@ -46,20 +49,19 @@ class Recording:
         stages = traced.steps.at_stages(found.iterate.unknowns, costates, data, found.iterate.slacks)
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
-        success, results = outcomes(found, options.tolerance)
+        trajectories, held = self._trajectories(nodes, costates, stages, data.steps), _held(posed, found)
+        success, results = self._judged(posed, found, stages, held, trajectories, options.tolerance)
         statistics = [Statistics(int(count), *seconds, found.stopped) for count in found.iterations]
         numbers = {"cost": found.assembled.cost, "success": success}
         fields = {
-            **self._trajectories(nodes, costates, stages, data.steps),
+            **trajectories,
             "hamiltonians": diagnostics.hamiltonians,
             "momenta": diagnostics.momenta,
             "body_costates": diagnostics.body,
             "spatial_costates": diagnostics.spatial,
             **_multipliers(posed, found),
         }
-        notes = found.notes or [""] * len(results)
-        results = [words + _excesses(posed, found, k, options.tolerance) + notes[k] for k, words in enumerate(results)]
-        active = _active(posed, found)
+        active = _active(posed, held)
         if self._constrained:
             diagnostics = _without_symmetries(diagnostics, active)
         known = {**_known(found, success), "active": active}
@@ -78,6 +80,34 @@ class Recording:
             )
 
         return {**fields, **numbers, "parameters": parameters, "result": results, "statistics": statistics}, member
+
+    def _judged(
+        self,
+        posed: Posed,
+        found: Found,
+        stages: AtStages,
+        held: np.ndarray | None,
+        trajectories: dict[str, Any],
+        tolerance: float,
+    ) -> tuple[np.ndarray, list[str]]:
+        """Which members have success, and the results of all of them in words."""
+        success, results = outcomes(found, tolerance)
+        notes = found.notes or [""] * len(results)
+        excesses = [_excesses(posed, found, k, tolerance) for k in range(len(results))]
+        results = [reasoned(words + more, note) for words, more, note in zip(results, excesses, notes, strict=True)]
+        for k, one in concave(posed, found, stages, held, success).items():
+            success[k] = False
+            results[k] = f"{sentence('concave')} {self._where(one, k, trajectories, stages)}"
+        return success, results
+
+    def _where(self, one: Concave, k: int, fields: dict[str, Any], stages: AtStages) -> str:
+        """Where the cost of a member is concave, by the names and in the time that its user knows."""
+        own, times = self.quantities, fields["stage_times"][k]
+        if self.formulation is not None:
+            own = self.formulation.own.quantities
+            times = times * float(self.formulation.rate(vec.taken(fields["states"], (k, 0))))
+        names = [name for quantity in own.controls for name in quantity.columns]
+        return concave_words(self.problem, one, names, stages[1][k], times)
 
     def _trajectories(
         self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray
@@ -117,13 +147,19 @@ def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
     return {name: array.tolist() for name, array in values.items()}
 
 
-def _active(posed: Posed, found: Found) -> list[dict[str, int]]:
-    """At how many stages, or nodes, inequalities of each name hold each trajectory: where a multiplier exceeds the
-    slack, in their units."""
-    slacks, barrier, rows = found.iterate.slacks, posed.conditions.barrier, posed.traced.rows
+def _held(posed: Posed, found: Found) -> np.ndarray | None:
+    """Where inequalities hold each trajectory: where a multiplier exceeds the slack, in their units."""
+    slacks, barrier = found.iterate.slacks, posed.conditions.barrier
     if slacks is None or barrier is None:
-        return [{} for _ in found.claimed]
-    held = slacks.multipliers / barrier.price > slacks.slacks / barrier.unit
+        return None
+    return slacks.multipliers / barrier.price > slacks.slacks / barrier.unit
+
+
+def _active(posed: Posed, held: np.ndarray | None) -> list[dict[str, int]]:
+    """At how many stages, or nodes, inequalities of each name hold each trajectory."""
+    rows = posed.traced.rows
+    if held is None:
+        return [{} for _ in posed.conditions.data.steps]
     named = {**rows.at_stages(held), **rows.at_nodes(held)}
     return [{name: int(np.sum(np.any(own[k], axis=1))) for name, own in named.items()} for k in range(len(held))]
 

@@ -4,7 +4,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from .interpolation import Interpolant, Sample
 
 VERSION = 6  # of the file
 SYMBOLS = {"t": "times", "q": "states", "x": "states", "u": "controls", "p": "costates", "J": "cost", "T": "horizon"}
+Status = Literal["minimum", "stationary", "failed"]
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
 
@@ -105,6 +106,12 @@ class Solution:
         _write_protect(vars(self))
 
     @property
+    def status(self) -> Status:
+        """``"minimum"`` of a strict local minimum of the discrete problem, ``"stationary"`` where the conditions of
+        first order hold and a minimum is not shown, ``"failed"`` without success."""
+        return status_of(self.success, self.checks.strict_minimum)
+
+    @property
     def horizon(self) -> float:
         """The time T from the first node to the last, as given or found."""
         return float(self.times[-1] - self.times[0])
@@ -170,7 +177,7 @@ class Solution:
         kind = "" if self.singular is None else f"singular, on P_f of dimension {self.singular.dimension}; "
         checks = f"gap={self.checks.gap:.1e}, stationarity={self.checks.stationarity:.1e}"
         parts = [
-            f"success={self.success}, cost={self.cost:.12g}, steps={self.steps}, {span}",
+            f"status={self.status!r}, cost={self.cost:.12g}, steps={self.steps}, {span}",
             *arrays,
             f"{kind}{checks}",
         ]
@@ -244,6 +251,11 @@ class Solution:
         values["multipliers"] = self.stage_multipliers
         values["boundary"] = {name: row for name, row in self.multipliers.items() if row.ndim == 1}
         _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
+
+
+def status_of(success: bool, strict_minimum: bool) -> Status:
+    """The status of an extremal with or without success."""
+    return ("minimum" if strict_minimum else "stationary") if success else "failed"
 
 
 def _in_tuples(value: Any) -> Any:

@@ -4,17 +4,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..results import sentence
 from ..text import many, table
 from .checks import RegularChecks
 from .solution import SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
 EQUAL = 1e-9  # relative: steps that differ by less are of one length
-NO_MINIMUM = (
-    "a curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a "
-    "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs"
-)
 
 
 def report_text(solution: Solution, *, result: bool = True) -> str:
@@ -33,8 +28,6 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
         return
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
-    if solution.result == sentence("successful") and not checks.strict_minimum:  # else the result says why
-        yield "", NO_MINIMUM
     yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
     if isinstance(checks, RegularChecks) and checks.error is not None:
         yield "accuracy", f"error of the steps {checks.error:.1e} (relative, the sum)"

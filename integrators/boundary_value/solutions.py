@@ -21,8 +21,9 @@ SAME_EXTREMAL = 1e-6  # relative distance within which two extremals are one
 class Solutions(Sequence[Solution]):
     """The solutions of a batch: a sequence of ``Solution``, and their fields with one more leading axis.
 
-    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost`` and
-    ``solutions.success`` are arrays of length B; ``result``, ``checks`` and ``statistics`` are lists.
+    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost``,
+    ``solutions.success`` and ``solutions.status`` are arrays of length B; ``result``, ``checks`` and ``statistics`` are
+    lists.
     """
 
     def __init__(self, fields: dict[str, Any], member: Callable[[int], Solution], places: Sequence[int]) -> None:
@@ -77,6 +78,11 @@ class Solutions(Sequence[Solution]):
         """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as
         ``Solution.save``."""
         save_batch(self, path)
+
+    @property
+    def status(self) -> np.ndarray:
+        """The status of each member, ``"minimum"``, ``"stationary"`` or ``"failed"``, shape (B,)."""
+        return np.array([member.status for member in self], dtype=str)
 
     @property
     def converged(self) -> int:

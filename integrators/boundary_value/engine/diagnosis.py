@@ -2,7 +2,7 @@
 manifold."""
 
 from functools import partial
-from typing import Any, NamedTuple, cast, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -53,7 +53,9 @@ class Diagnosis:
     """What is computed from a trajectory of a problem, traced once."""
 
     def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
-        self.problem, self._evaluator, self._parts = problem, evaluator, cast(tuple[Evaluated, ...] | None, None)
+        self.problem, self._evaluator = problem, evaluator
+        self._parts: tuple[Evaluated, ...] | None = None  # each traced where it is asked for
+        self._limits: Evaluated | None = None
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
         self.parameter = parameter_layout(parameters)
         states, controls, given = self.state.size, self.control.size, self.parameter.size
@@ -97,25 +99,40 @@ class Diagnosis:
 
     def curved(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> np.ndarray:
         """Whether ``d2H/du2`` is invertible, shape (B, S), at states, controls and costates of shape (B, S, ...)."""
-        if self._parts is None:
-            sizes = (
-                self.problem.controls.dimension,
-                self.state.size,
-                self.control.size,
-                self.state.size,
-                self.parameter.size,
-            )
-            self._parts = tuple(self._evaluator.derivatives(partial(self._part_of, k), *sizes) for k in (0, 1))
-        found = [part.at(2, *at, parameters[:, None]) for part in self._parts]
-        curvatures, slopes = (np.stack([values[k] for values in found], axis=2) for k in (0, 1))
+        slopes, curvatures = self.in_controls(at, parameters)
         shape = curvatures.shape[:2]
         points = zip(slopes.reshape(-1, *slopes.shape[2:]), curvatures.reshape(-1, *curvatures.shape[2:]), strict=True)
         return np.array([not len(flat_directions(*one)) for one in points], bool).reshape(shape)
+
+    def in_controls(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First and second derivatives of ``<p, X>`` and ``F`` by the controls at such points, (B, S, 2, m) and (B, S,
+        2, m, m)."""
+        if self._parts is None:
+            self._parts = tuple(self._by_controls(partial(self._part_of, k), self.state.size) for k in (0, 1))
+        found = [part.at(2, *at, parameters[:, None]) for part in self._parts]
+        curvatures, slopes = (np.stack([values[k] for values in found], axis=2) for k in (0, 1))
+        return slopes, curvatures
+
+    def of_limits(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> np.ndarray:
+        """Second derivatives of ``nu g`` by the controls, (B, S, m, m), at states, controls and multipliers."""
+        if self._limits is None:
+            self._limits = self._by_controls(self._limit_of, at[2].shape[2])
+        return self._limits.at(2, *at, parameters[:, None])[0]
+
+    def _by_controls(self, part: Any, covectors: int) -> Evaluated:
+        """Derivatives of a part of the Hamiltonian by the controls."""
+        sizes = self.state.size, self.control.size, covectors, self.parameter.size
+        return self._evaluator.derivatives(part, self.problem.controls.dimension, *sizes)
 
     def _part_of(self, k: int, d: Array, *given: Array) -> tuple[Array, Array]:
         """The power ``<p, X>`` or the cost rate at a control moved in its chart."""
         problem, q, u, p = self._bound(*given)
         return problem.parts(q, p, problem.steer(u, d))[k], jnp.zeros(0)
+
+    def _limit_of(self, d: Array, q: Array, u: Array, pull: Array, parameters: Array) -> tuple[Array, Array]:
+        """The inequalities times their multipliers at a control moved in its chart."""
+        problem, point, control, _ = self._bound(q, u, q, parameters)
+        return pull @ problem.inequalities(point, problem.steer(control, d)), jnp.zeros(0)
 
     def _at_samples(
         self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], given: np.ndarray

@@ -1,0 +1,105 @@
+"""Free horizons that tend to zero, where all conditions vanish with them; and horizons that are short in their
+units."""
+
+from functools import cache
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import Free, OptimalControlProblem, Solver
+from retrax.manifolds import Euclidean
+from retrax.retractions import Addition, Gauss
+from scipy.optimize import brentq
+
+LINE = Euclidean(1)
+VANISHES = "The horizon tends to zero", "The horizon shrank from"
+
+
+@cache
+def runner():
+    """The cost ``price int sqrt(1 / time^2 + (u / length)^2) + weight time (u / length)^2 / 2``, in units of the three;
+    for one of each the least is taken at ``weight u^2 / 2 = 1 / sqrt(1 + u^2)``, and without weight nowhere."""
+
+    def cost(q, u, given):
+        price, length, time, weight = given
+        return price * (jnp.sqrt(1 / time**2 + (u @ u) / length**2) + weight * time * (u @ u) / length**2 / 2)
+
+    problem = OptimalControlProblem(LINE, lambda q, u, given: u, cost, 1)
+    return Solver(problem, Gauss(2, Addition(LINE)), 8)
+
+
+def run(price=1.0, length=1.0, time=1.0, weight=0.0, guess=1.0, lower=-np.inf):
+    horizon = Free(guess * time, lower=lower * time)
+    given = np.array([price, length, time, weight])
+    return runner().solve(np.zeros(1), np.full(1, length), horizon, parameters=given, throw=False)
+
+
+@pytest.mark.long("given0", "given3", "given4", "given5", "given6", "given7", "given8", "given9", "given10")
+@pytest.mark.parametrize(
+    "given",
+    [
+        {},
+        {"guess": 1e-6},
+        {"guess": 1e-3},
+        {"guess": 1e3},
+        {"price": 1e-9},
+        {"price": 1e9},
+        {"length": 1e-6},
+        {"length": 1e6},
+        {"time": 1e-9},
+        {"time": 1e9},
+        {"guess": 1e-9},
+    ],
+)
+def test_an_infimum_at_no_time_is_named_in_all_units(given):
+    found = run(**given)
+    assert found.status == "failed"
+    assert any(words in found.result for words in VANISHES)
+    assert "infimum" in found.result
+
+
+@pytest.mark.parametrize("weight", [10.0, 1.0, 1e-1, 1e-3, 1e-6, 1e-9])
+def test_a_weight_of_the_speed_determines_the_horizon(weight):
+    """As small as it is, and though the horizon becomes short."""
+    speed = brentq(lambda u: weight * u**2 / 2 - 1 / np.sqrt(1 + u**2), 1e-3, 1e5, xtol=1e-14, rtol=1e-14)
+    found = run(weight=weight)
+    assert found.success
+    assert found.horizon == pytest.approx(1 / speed, rel=1e-6)
+    assert found.cost == pytest.approx((np.sqrt(1 + speed**2) + weight * speed**2 / 2) / speed, rel=1e-9)
+
+
+@pytest.mark.parametrize("time", [1e-12, 1e-9, 1e-6, 1e-3, 1.0, 1e3, 1e6, 1e9, 1e12])
+def test_a_horizon_that_is_short_in_its_units_is_a_minimum(time):
+    found = run(weight=1.0, time=time)
+    assert found.status == "minimum"
+    assert found.horizon / time == pytest.approx(run(weight=1.0).horizon, rel=1e-9)
+
+
+@pytest.mark.parametrize("lower", [1e-1, 1e-2, 1e-3])
+def test_a_bound_holds_a_horizon_that_would_vanish(lower):
+    found = run(lower=lower)
+    assert found.success
+    assert found.horizon == pytest.approx(lower, rel=1e-4)
+    assert found.cost == pytest.approx(np.sqrt(1 + lower**2), rel=1e-9)
+
+
+@pytest.mark.long("0.9")
+@pytest.mark.parametrize("weight", [0.9, 1.0 - 1e-2, 1.0 + 1e-2, 1.1, 3.0])
+def test_a_start_that_is_best_left_at_once_or_not_at_all(weight):
+    """``int 1 + u^2 / 2`` and ``w (q - 1)^2 / 2`` at the end: the least force ``w`` that pays to set out is sqrt(2)."""
+    weight *= np.sqrt(2)
+    problem = OptimalControlProblem(
+        LINE,
+        lambda q, u, w: u,
+        lambda q, u, w: 1 + u @ u / 2,
+        1,
+        terminal_cost=lambda q, w: w * (q[0] - 1) ** 2 / 2,
+    )
+    found = Solver(problem, Gauss(2, Addition(LINE)), 6).solve(
+        np.zeros(1), None, Free(1.0), parameters=weight, throw=False
+    )
+    assert found.success == (weight > np.sqrt(2))
+    if found.success:
+        assert found.horizon == pytest.approx((1 - np.sqrt(2) / weight) / np.sqrt(2), rel=1e-8)
+    else:
+        assert "tends to zero" in found.result
