@@ -54,6 +54,7 @@ class Manifold(eqx.Module):
         "basis": ("a point",),
         "restore": ("a point",),
         "violations": ("a point",),
+        "length": ("a point", "an ambient vector"),
     }
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -93,6 +94,14 @@ class Manifold(eqx.Module):
     @abstractmethod
     def random_point(self, key: Array) -> Ambient:
         """A random point from a JAX key."""
+
+    def length(self, x: Ambient, a: Ambient) -> Array:
+        """Size of an ambient vector ``a`` at ``x`` in the manifold's own measure, by which inverses are judged.
+
+        By default ``max |a_i|``. Far out on a manifold with another geometry, an ambient length says nothing of how
+        near two points are: there the length is that of its metric.
+        """
+        return vec.size(a)
 
     def random_tangent(self, key: Array, x: Ambient) -> Ambient:
         """A random tangent vector at ``x``: the projection of a standard normal ambient vector."""
