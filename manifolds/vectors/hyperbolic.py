@@ -45,7 +45,9 @@ class Hyperbolic(Hypersurface, HomogeneousSpace):
 
     def restore(self, x: Array) -> Array:
         """The point with the same space coordinates: exact also far out, where ``<x, x>_L`` has lost its digits."""
-        return jnp.asarray(x).at[0].set(jnp.sqrt(1 + x[1:] @ x[1:]))
+        unit = jax.lax.stop_gradient(jnp.maximum(vec.size(x[1:]), 1.0))
+        space = x[1:] / unit  # its square is a number
+        return jnp.asarray(x).at[0].set(unit * jnp.sqrt(unit**-2 + space @ space))
 
     def violations(self, x: Array) -> dict[str, Array]:
         return {"|x_0 / sqrt(1 + x_1^2 + ... + x_n^2) - 1|": jnp.abs(x[0] / self.restore(x)[0] - 1)}
