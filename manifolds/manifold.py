@@ -62,6 +62,8 @@ class Manifold(eqx.Module):
         super().__init_subclass__(**options)
         check_shapes(cls, cls.one_point, lambda manifold: manifold)
 
+    __hash__ = vec.shared_hash  # for jax.jit of a method
+
     @attribute
     @abstractmethod
     def dimension(self) -> int:
@@ -147,7 +149,7 @@ class Manifold(eqx.Module):
         not."""
         if self._holds(a):
             return ""
-        wrong = self.describe_shapes(a, role) or self._describe_kinds(a, role)
+        wrong = self.describe_shapes(a, role) or self.describe_kinds(a, role)
         if wrong:
             return wrong
         known = [
@@ -197,7 +199,7 @@ class Manifold(eqx.Module):
         vector or a covector; none where it is not known what it may be."""
         return ""
 
-    def _describe_kinds(self, a: Ambient, role: str) -> str:
+    def describe_kinds(self, a: Ambient, role: str) -> str:
         """Words on entries of ``a`` that are not numbers, or complex where those of a point are real; empty if there
         are none."""
         for expected, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):

@@ -30,6 +30,8 @@ class DiscretizationMap(eqx.Module):
     [[0.9], [1.3]]
     """
 
+    __hash__ = vec.shared_hash  # for jax.jit of a method
+
     @attribute
     @abstractmethod
     def theta(self) -> float:

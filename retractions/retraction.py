@@ -33,6 +33,8 @@ class Retraction(eqx.Module):
     ``__call__``.
     """
 
+    __hash__ = vec.shared_hash  # for jax.jit of a method
+
     @attribute
     @abstractmethod
     def manifold(self) -> Manifold:
