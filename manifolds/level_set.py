@@ -134,10 +134,11 @@ class LevelSet(Manifold):
 
     def _dependence(self, x: Ambient) -> str:
         """Words on the equations that follow from others at ``x``; empty where there are none."""
-        (found,) = np.nonzero(_dependent(self.in_lengths(jnp.asarray(x))[1]))
+        dependent = np.asarray(_dependent(self.in_lengths(jnp.asarray(x))[1]))
+        found = np.flatnonzero(dependent)
         named = ", ".join(map(str, found[:NAMED])) + (", ..." if len(found) > NAMED else "")
         rows = f"; of its values, counted from 0 row by row, {named} follow from those before, or have no gradient"
-        return rows if found.size else ""
+        return rows if found.size and dependent.size > 1 else ""
 
     def _hint(self, words: str, value: float) -> str:
         lost = "its equations must be independent: leave out one that follows from others, and take c in place of c**2"

@@ -284,8 +284,8 @@ PLANTED: dict[str, Planted] = {
     ),
     "an inverse that was not found is returned": Planted(
         "retractions/retraction.py",
-        "reached = converged & same_point(",
-        "reached = converged | same_point(",
+        "return nan_unless(converged & reached, v)",
+        "return nan_unless(converged | reached, v)",
         ("tests/retractions/test_newtons_inverse.py", "tests/retractions/test_domains.py"),
     ),
     "nobody looks whether functions have changed": Planted(
