@@ -71,6 +71,9 @@ class VectorBundle(Manifold):
         base = {f"base point: {words}": value for words, value in self.base.violations(point).items()}
         return {**base, "relative normal part of the fibre": normal}
 
+    def length(self, x: Pair, a: Pair) -> Array:
+        return vec.size((self.base.length(x[0], a[0]), a[1]))
+
     def random_point(self, key: Array) -> Pair:
         first, second = jax.random.split(key)
         x = self.base.random_point(first)

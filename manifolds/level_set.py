@@ -9,11 +9,12 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+import numpy as np
+from jaxtyping import Array, Bool, Float
 
 from ..indices import require_indices
 from ..reading import in_one_reading, traced
-from .manifold import Manifold
+from .manifold import Manifold, Verdict
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
 from .numerics.errors import InvalidInputError, shapes_of
@@ -24,7 +25,13 @@ from .numerics.sizes import as_shape
 
 RANDOM_STARTS = 20
 GAUSS_NEWTON_STEPS = 30
+NAMED = 6  # most equations that are named
 LOST = "rank lost by the constraint's Jacobian"
+
+
+def _dependent(rows: Float[Array, "m N"]) -> Bool[Array, " m"]:
+    """Whether each of some unit rows is a combination of the rows before it."""
+    return jnp.abs(jnp.diagonal(jnp.linalg.qr(rows.T, mode="r"))) <= default_tolerance()
 
 
 def positive_norms(rows: Float[Array, "m N"]) -> Float[Array, " m"]:
@@ -118,10 +125,20 @@ class LevelSet(Manifold):
 
     def violations(self, x: Array) -> dict[str, Array]:
         values, j = self.in_lengths(x)
-        apart = jnp.abs(jnp.diagonal(jnp.linalg.qr(j.T, mode="r")))  # of each unit row from those before it
-        lost = jnp.sum(apart <= default_tolerance())
         off = vec.size(values) / jnp.maximum(vec.size(x), 1.0)
-        return {"max |constraint / its gradient|": off, LOST: lost}
+        return {"max |constraint / its gradient|": off, LOST: jnp.sum(_dependent(j))}
+
+    def contains(self, x: Ambient, tolerance: float | None = None) -> Verdict:
+        verdict = super().contains(x, tolerance)
+        return Verdict(False, verdict.reason + self._dependence(x)) if LOST in verdict.reason else verdict
+
+    def _dependence(self, x: Ambient) -> str:
+        """Words on the equations that follow from others at ``x``; empty where there are none."""
+        dependent = np.asarray(_dependent(self.in_lengths(jnp.asarray(x))[1]))
+        found = np.flatnonzero(dependent)
+        named = ", ".join(map(str, found[:NAMED])) + (", ..." if len(found) > NAMED else "")
+        rows = f"; of its values, counted from 0 row by row, {named} follow from those before, or have no gradient"
+        return rows if found.size and dependent.size > 1 else ""
 
     def _hint(self, words: str, value: float) -> str:
         lost = "its equations must be independent: leave out one that follows from others, and take c in place of c**2"
@@ -134,11 +151,16 @@ class LevelSet(Manifold):
             start = jax.random.normal(key, self.shape)
             return jax.lax.fori_loop(0, GAUSS_NEWTON_STEPS, lambda _, x: self.restore(x), start)
 
-        return point_from_random_starts(self, key, draw)
+        return point_from_random_starts(self, key, draw, self._dependence)
 
 
-def point_from_random_starts(manifold: Manifold, key: Array, draw: Callable[[Array], Ambient]) -> Ambient:
-    """The first of 20 draws that satisfies the manifold's equations; an error if none does."""
+def point_from_random_starts(
+    manifold: Manifold, key: Array, draw: Callable[[Array], Ambient], why: Callable[[Ambient], str] = lambda _: ""
+) -> Ambient:
+    """The first of 20 draws that satisfies the manifold's equations; an error if none does.
+
+    Outside of ``jit`` it ends with the words of ``why`` on a random ambient point.
+    """
 
     def off(x: Ambient) -> Array:
         return ~(vec.size(manifold.violations(x)) <= default_tolerance())
@@ -157,6 +179,6 @@ def point_from_random_starts(manifold: Manifold, key: Array, draw: Callable[[Arr
     message = f"no point of {manifold} was found from {RANDOM_STARTS} random starts; check its equations"
     if not is_traced(found):
         if missed:
-            raise InvalidInputError(message)
+            raise InvalidInputError(message + why(vec.normal(key, manifold.ambient)))
         return found
     return eqx.error_if(found, missed, message)

@@ -54,12 +54,15 @@ class Manifold(eqx.Module):
         "basis": ("a point",),
         "restore": ("a point",),
         "violations": ("a point",),
+        "length": ("a point", "an ambient vector"),
     }
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Let the methods of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
         super().__init_subclass__(**options)
         check_shapes(cls, cls.one_point, lambda manifold: manifold)
+
+    __hash__ = vec.shared_hash  # for jax.jit of a method
 
     @attribute
     @abstractmethod
@@ -93,6 +96,14 @@ class Manifold(eqx.Module):
     @abstractmethod
     def random_point(self, key: Array) -> Ambient:
         """A random point from a JAX key."""
+
+    def length(self, x: Ambient, a: Ambient) -> Array:
+        """Size of an ambient vector ``a`` at ``x`` in the manifold's own measure, by which inverses are judged.
+
+        By default ``max |a_i|``. Far out on a manifold with another geometry, an ambient length says nothing of how
+        near two points are: there the length is that of its metric.
+        """
+        return vec.size(a)
 
     def random_tangent(self, key: Array, x: Ambient) -> Ambient:
         """A random tangent vector at ``x``: the projection of a standard normal ambient vector."""
@@ -138,7 +149,7 @@ class Manifold(eqx.Module):
         not."""
         if self._holds(a):
             return ""
-        wrong = self.describe_shapes(a, role) or self._describe_kinds(a, role)
+        wrong = self.describe_shapes(a, role) or self.describe_kinds(a, role)
         if wrong:
             return wrong
         known = [
@@ -188,7 +199,7 @@ class Manifold(eqx.Module):
         vector or a covector; none where it is not known what it may be."""
         return ""
 
-    def _describe_kinds(self, a: Ambient, role: str) -> str:
+    def describe_kinds(self, a: Ambient, role: str) -> str:
         """Words on entries of ``a`` that are not numbers, or complex where those of a point are real; empty if there
         are none."""
         for expected, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):

@@ -25,6 +25,8 @@ class Metric(eqx.Module):
     True
     """
 
+    __hash__ = vec.shared_hash  # for jax.jit of a method
+
     @attribute
     @abstractmethod
     def manifold(self) -> Manifold:

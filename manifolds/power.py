@@ -57,6 +57,9 @@ class Power(Manifold):
         found = jax.vmap(self.factor.violations)(x)
         return {f"in the worst copy: {words}": vec.size(values) for words, values in found.items()}
 
+    def length(self, x: Ambient, a: Ambient) -> Array:
+        return vec.size(jax.vmap(self.factor.length)(x, a))
+
     def random_point(self, key: Array) -> Ambient:
         return jax.vmap(self.factor.random_point)(jax.random.split(key, self.k))
 

@@ -50,6 +50,9 @@ class Product(Manifold):
         pairs = enumerate(zip(self.factors, x, strict=True))
         return {f"factor {i}: {words}": value for i, (m, xi) in pairs for words, value in m.violations(xi).items()}
 
+    def length(self, x: tuple[Any, ...], a: tuple[Any, ...]) -> Array:
+        return vec.size([m.length(xi, ai) for m, xi, ai in zip(self.factors, x, a, strict=True)])
+
     def hint_for_shape(self, k: int, shape: tuple[int, ...], role: str) -> str:
         for factor in self.factors:
             count = len(jax.tree.leaves(factor.ambient))

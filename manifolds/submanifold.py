@@ -103,6 +103,9 @@ class Submanifold(Manifold):
             "max |equation / its gradient|": vec.size(off) / jnp.maximum(vec.size(x), 1.0),
         }
 
+    def length(self, x: Ambient, a: Ambient) -> Array:
+        return self.parent.length(x, a)
+
     def random_point(self, key: Array) -> Ambient:
         """A random point of ``M`` moved to the submanifold; an error if 20 draws find none."""
         return point_from_random_starts(self, key, lambda k: self.nearby(self.parent.random_point(k)))

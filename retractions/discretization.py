@@ -6,16 +6,15 @@ from typing import final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, Bool
 
 from ..manifolds import DomainError, InvalidInputError, Manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.attribute import attribute
-from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root
 from .constructions import PowerRetraction, ProductRetraction
-from .retraction import MidpointRetraction, Retraction, nan_unless
+from .retraction import MidpointRetraction, Retraction, is_reached, nan_unless
 
 Pair = tuple[Ambient, Ambient]
 
@@ -30,6 +29,8 @@ class DiscretizationMap(eqx.Module):
     >>> [end.tolist() for end in R_d(jnp.array([1.0]), jnp.array([0.4]))]
     [[0.9], [1.3]]
     """
+
+    __hash__ = vec.shared_hash  # for jax.jit of a method
 
     @attribute
     @abstractmethod
@@ -61,13 +62,19 @@ class DiscretizationMap(eqx.Module):
         """
         z = self.preimage(x0, x1)
         if not vec.is_traced(x0, x1, z):
-            gap = vec.size(vec.subtract(self(*z), (x0, x1)))
-            if not gap <= default_tolerance() * (1 + vec.size((x0, x1))):
+            ends = self(*z)
+            if not _are_reached(self.manifold, (x0, x1), ends, z):
+                gap = vec.size(vec.subtract(ends, (x0, x1)))
                 raise DomainError(
                     f"the two points are outside the image of {type(self).__name__}: its inverse misses them by "
                     f"{float(gap):.3g}, expected 0; take points nearer to each other"
                 )
         return z
+
+
+def _are_reached(manifold: Manifold, wanted: Pair, ends: Pair, z: Pair) -> Bool[Array, ""]:
+    """Whether both ends of a step ``z`` are those wanted."""
+    return is_reached(manifold, wanted[0], ends[0], *z) & is_reached(manifold, wanted[1], ends[1], *z)
 
 
 def newton_preimage(discretization: DiscretizationMap, x0: Ambient, x1: Ambient) -> Pair:
@@ -91,7 +98,7 @@ def newton_preimage(discretization: DiscretizationMap, x0: Ambient, x1: Ambient)
     start = jnp.concatenate([discretization.theta * velocity, velocity])
     c, converged = find_root(residual, start)
     z = point(c)
-    return nan_unless(converged & same_point(discretization(*z), (x0, x1), default_tolerance()), z)
+    return nan_unless(converged & _are_reached(manifold, (x0, x1), discretization(*z), z), z)
 
 
 @final

@@ -7,9 +7,8 @@ from jaxtyping import Array
 
 from ..manifolds import LevelSet
 from ..manifolds.level_set import positive_norms
-from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, solve_small
-from .retraction import Retraction, nan_unless
+from .retraction import Retraction, is_reached, nan_unless
 
 
 @final
@@ -49,4 +48,4 @@ class LevelSetProjection(Retraction):
         multipliers = solve_small(here @ there.T, -(here @ chord))
         v = (chord + there.T @ multipliers).reshape(self.manifold.shape)
         # The equation has a solution also where y is a far critical point of the distance to x + v.
-        return nan_unless(same_point(self(x, v), y, default_tolerance()), v)
+        return nan_unless(is_reached(self.manifold, y, self(x, v), x, v), v)

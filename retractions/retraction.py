@@ -3,7 +3,7 @@
 import inspect
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Any, final
+from typing import Any, NoReturn, final
 
 import equinox as eqx
 import jax
@@ -14,11 +14,13 @@ from ..manifolds import DomainError, InvalidInputError, Manifold, Metric
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.attribute import attribute
+from ..manifolds.numerics.errors import NotOnManifoldError
 from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, known_root
 from ..manifolds.numerics.shapes import require_shapes
 
 DERIVED = ("preimage", "domain", "frame", "chart", "both_ways")
+ROUNDING = 8  # units of it in the entries of a point, by which the value of an inverse may miss it anywhere
 
 
 class Retraction(eqx.Module):
@@ -30,6 +32,8 @@ class Retraction(eqx.Module):
     that knows closed forms writes them in their place. Raises ``InvalidInputError`` for a class that defines
     ``__call__``.
     """
+
+    __hash__ = vec.shared_hash  # for jax.jit of a method
 
     @attribute
     @abstractmethod
@@ -111,25 +115,41 @@ class Retraction(eqx.Module):
     def inverse(self, x: Ambient, y: Ambient) -> Ambient:
         """Inverse retraction: the tangent vector ``v`` at ``x`` with ``R(x, v) = y``.
 
-        Raises ``DomainError`` if ``y`` is outside the image. Under ``jit`` and ``vmap``, where nothing can be raised,
-        the entries are NaN there.
+        Raises ``DomainError`` if ``y`` is outside the image, or so far that ``R(x, v)`` misses it by more than half of
+        the digits in the manifold's own measure, and ``NotOnManifoldError`` if it is no point. Under ``jit`` and
+        ``vmap``, where nothing can be raised, the entries are NaN outside the image.
         """
         require_shapes(self.manifold, {"a base point": x, "a point": y})
         v = self.preimage(x, y)
         if not vec.is_traced(x, y, v):
-            gap = vec.size(vec.subtract(self(x, v), y))
-            # Far out, as on a hyperboloid, the value from x has the rounding errors of both points' sizes.
-            if not gap <= default_tolerance() * (1 + vec.size(x)) * (1 + vec.size(y)):
-                miss = (
-                    "no tangent vector leads to it"
-                    if jnp.isnan(gap)
-                    else f"the inverse misses it by {gap:.3g}, expected 0"
-                )
-                raise DomainError(
-                    f"the point is outside the image of {type(self).__name__} at the base point, or too far for the "
-                    f"precision in use: {miss}; take a nearer point, or a retraction with a larger image"
-                )
+            z = self(x, v)
+            if not is_reached(self.manifold, y, z, x, v):
+                self._explain_miss(x, y, z)
         return v
+
+    def _explain_miss(self, x: Ambient, y: Ambient, z: Ambient) -> NoReturn:
+        """Raise the error for an inverse that leads to ``z`` in place of ``y``."""
+        for role, point in {"the base point": x, "the point": y}.items():
+            verdict = self.manifold.contains(point)
+            if not verdict:
+                raise NotOnManifoldError(f"{role} is no point: {verdict.reason}")
+        gap = self.manifold.length(y, vec.subtract(z, y))
+        miss = "no tangent vector leads to it" if jnp.isnan(gap) else f"the inverse misses it by {gap:.3g}, expected 0"
+        raise DomainError(
+            f"the point is outside the image of {type(self).__name__} at the base point, or too far for the precision "
+            f"in use: {miss}; take a nearer point, or a retraction with a larger image"
+        )
+
+
+def is_reached(manifold: Manifold, y: Ambient, z: Ambient, x: Ambient, v: Ambient) -> Bool[Array, ""]:
+    """Whether the point ``z`` to which ``v`` leads from ``x`` is ``y``, to half of the digits or but for rounding.
+
+    Half of the digits are those of the manifold's own measure, relative to ``1 + |v|``; rounding is that of the arrays
+    ``x`` and ``y``, which far out is more.
+    """
+    miss = vec.subtract(z, y)
+    half = manifold.length(y, miss) <= default_tolerance() * (1 + manifold.length(x, v))
+    return half | (vec.size(miss) <= ROUNDING * jnp.finfo(vec.size(miss).dtype).eps * vec.size((x, y)))
 
 
 def comes_back(retraction: Retraction, x: Ambient, v: Ambient) -> Bool[Array, ""]:
@@ -147,8 +167,8 @@ def newton_preimage(retraction: Retraction, x: Ambient, y: Ambient, start: Ambie
     begin = vec.components(source, vec.subtract(there, here) if start is None else start)
     c, converged = find_root(miss(retraction, x, y), begin)
     v = retraction.manifold.projection(x, vec.combine(source, c))
-    reached = converged & same_point(_moved(retraction, x, v), y, default_tolerance())
-    return nan_unless(reached, v)
+    reached = is_reached(retraction.manifold, y, _moved(retraction, x, v), x, v)
+    return nan_unless(converged & reached, v)
 
 
 def implicit_preimage(retraction: Retraction, x: Ambient, y: Ambient, v: Ambient) -> Ambient:

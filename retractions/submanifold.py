@@ -10,9 +10,8 @@ from ..manifolds import InvalidInputError, Submanifold
 from ..manifolds.manifold import same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root
-from .retraction import Retraction, nan_unless
+from .retraction import Retraction, is_reached, nan_unless
 
 
 @final
@@ -53,4 +52,4 @@ class Orthographic(Retraction):
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:
         v = self.manifold.projection(x, self.parent.preimage(x, y))
         # Far away the multipliers that lead to y are not those that Newton's method finds.
-        return nan_unless(same_point(self(x, jax.lax.stop_gradient(v)), y, default_tolerance()), v)
+        return nan_unless(is_reached(self.manifold, y, self(x, jax.lax.stop_gradient(v)), x, v), v)

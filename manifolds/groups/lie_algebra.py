@@ -28,9 +28,17 @@ class LieAlgebra:
             )
         a, b = self._generic(2)
         if not self.contains(a @ b - b @ a):
+            i, j = self._open_pair()
             raise InvalidInputError(
-                "a Lie algebra holds the commutators AB - BA of its elements; add them to the basis"
+                f"a Lie algebra holds the commutators AB - BA of its elements, and its basis does not span that of A = "
+                f"basis[{i}] and B = basis[{j}]; check the signs of their entries, or add it to the basis"
             )
+
+    def _open_pair(self) -> tuple[int, int]:
+        """The pair of matrices whose commutator is farthest from what the basis spans."""
+        a = self.basis
+        pairs = [(i, j) for j in range(len(a)) for i in range(j)]
+        return max(pairs, key=lambda pair: self._outside(a[pair[0]] @ a[pair[1]] - a[pair[1]] @ a[pair[0]]))
 
     @staticmethod
     def _rows(matrices: np.ndarray) -> np.ndarray:
@@ -62,8 +70,12 @@ class LieAlgebra:
 
     def contains(self, a: np.ndarray) -> bool:
         """Whether a matrix lies in the algebra, up to rounding."""
+        return bool(self._outside(a) <= STRUCTURE * np.max(np.abs(a)))
+
+    def _outside(self, a: np.ndarray) -> float:
+        """Largest entry of the part of a matrix that the basis does not span."""
         c = np.real(np.tensordot(self.dual.conj(), a, 2))
-        return bool(np.max(np.abs(a - np.tensordot(c, self.basis, 1))) <= STRUCTURE * np.max(np.abs(a)))
+        return float(np.max(np.abs(a - np.tensordot(c, self.basis, 1))))
 
     @cached_property
     def acts_unitarily(self) -> bool:

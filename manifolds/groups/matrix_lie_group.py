@@ -143,6 +143,10 @@ class MatrixLieGroup(HomogeneousSpace):
     def violations(self, x: Array) -> dict[str, Array]:
         return {"max |equations of the group|": vec.size(self.equations(x))}
 
+    def length(self, x: Array, a: Array) -> Array:
+        """``max |x^-1 a|``, which left translations keep."""
+        return vec.size(self.inverse(x) @ a)
+
     def random_point(self, key: Array) -> Array:
         """The exponential of a random element of the algebra whose squared norm is 1 on average."""
         c = jax.random.normal(key, (self.dimension,)) / np.sqrt(self.dimension)

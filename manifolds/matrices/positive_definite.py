@@ -6,6 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float
 
 from ..manifold import HomogeneousSpace
@@ -66,6 +67,23 @@ class SPD(HomogeneousSpace):
     def generators(self, x: Array) -> Array:
         units = jnp.eye(self.n**2, dtype=x.dtype).reshape(-1, self.n, self.n)
         return 2 * jax.vmap(symmetric)(units @ x)
+
+    def length(self, x: Array, a: Array) -> Array:
+        """Largest entry of ``l^-1 a l^-T`` with ``x = l l'``: relative to ``x``, as the action leaves it invariant."""
+        factor = jnp.linalg.cholesky(x)
+        return vec.size(solve_triangular(factor, solve_triangular(factor, a, lower=True).T, lower=True))
+
+    def distance(self, x: Array, y: Array) -> Array:
+        """Distance in ``AffineInvariantMetric``, ``|log(x^-1/2 y x^-1/2)|``, as exact as the condition of the points.
+
+        With ``x = l l'``, ``y = k k'`` it is twice the norm of the logarithms of the singular values of ``l^-1 k``, of
+        which the smallest keeps its digits where the eigenvalues of ``x^-1 y`` would not. Its derivative at ``x = y``
+        is set to 0.
+        """
+        ratio = solve_triangular(jnp.linalg.cholesky(x), jnp.linalg.cholesky(y), lower=True)
+        logarithms = 2 * jnp.log(jnp.linalg.svd(ratio, compute_uv=False))
+        apart = vec.size(logarithms) > 0
+        return jnp.where(apart, jnp.linalg.norm(jnp.where(apart, logarithms, 1.0)), 0.0)
 
     def random_point(self, key: Array) -> Array:
         """``I`` plus a Wishart matrix: well conditioned."""

@@ -29,6 +29,18 @@ def is_traced(*trees: object) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
+def shared_hash(tree: PyTree) -> int:
+    """A hash that equal trees share, also with arrays in them: these by their shapes and kinds, tracers by identity."""
+
+    def key(leaf: Any) -> Any:
+        if isinstance(leaf, Tracer):
+            return id(leaf)
+        return (leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray | jax.Array) else leaf
+
+    leaves, structure = jax.tree.flatten(tree)
+    return hash((structure, *map(key, leaves)))
+
+
 def is_jitting() -> bool:
     """Whether this is the body of a function under ``jit``, where the value of no operation is known."""
     return is_traced(jax.device_put(0.0))

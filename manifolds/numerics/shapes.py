@@ -43,3 +43,6 @@ def require_shapes(manifold: Any, given: dict[str, Ambient]) -> None:
         wrong = manifold.describe_shapes(a, role)
         if wrong:
             raise InvalidInputError(f"{wrong}; methods act on one point at a time, jax.vmap makes them take batches")
+        wrong = manifold.describe_kinds(a, role)
+        if wrong:
+            raise InvalidInputError(wrong)

@@ -1,5 +1,6 @@
 """Hyperbolic space, the Lorentz model."""
 
+from functools import partial
 from typing import final
 
 import jax
@@ -9,6 +10,7 @@ from jaxtyping import Array, Float
 from ..groups.special_orthogonal import skew_basis
 from ..manifold import HomogeneousSpace
 from ..metric import Metric
+from ..numerics import ambient as vec
 from .hypersurface import Hypersurface
 
 Vector = Float[Array, " n+1"]
@@ -43,7 +45,9 @@ class Hyperbolic(Hypersurface, HomogeneousSpace):
 
     def restore(self, x: Array) -> Array:
         """The point with the same space coordinates: exact also far out, where ``<x, x>_L`` has lost its digits."""
-        return jnp.asarray(x).at[0].set(jnp.sqrt(1 + x[1:] @ x[1:]))
+        unit = jax.lax.stop_gradient(jnp.maximum(vec.size(x[1:]), 1.0))
+        space = x[1:] / unit  # its square is a number
+        return jnp.asarray(x).at[0].set(unit * jnp.sqrt(unit**-2 + space @ space))
 
     def violations(self, x: Array) -> dict[str, Array]:
         return {"|x_0 / sqrt(1 + x_1^2 + ... + x_n^2) - 1|": jnp.abs(x[0] / self.restore(x)[0] - 1)}
@@ -78,15 +82,44 @@ class Hyperbolic(Hypersurface, HomogeneousSpace):
         excess = jnp.where(far < 2, lorentz(e, e) / 2, far - 1)
         return 1 + excess, e[1:] - (e[0] + excess) / (1 + x[0]) * x[1:]
 
+    def length(self, x: Array, a: Array) -> Array:
+        """The Lorentz length ``|a|_L`` of a tangent vector."""
+        return vec.size(self.at_apex(x, a))
+
     def distance(self, x: Array, y: Array) -> Array:
-        """Distance ``arcosh(-<x, y>_L)``, as the ``arsinh`` of the space part of ``y`` seen from ``x``.
+        """Distance ``arcosh(-<x, y>_L)``, as exact as the points, however far apart or far out they are.
 
         It has no derivative at ``x = y``: there automatic differentiation gives 0, one of its subgradients.
         """
-        _, u = self.seen_from(x, y)
-        s = u @ u
-        apart = s > 0
-        return jnp.where(apart, jnp.arcsinh(jnp.sqrt(jnp.where(apart, s, 1.0))), 0.0)
+        return _distance(self, jnp.asarray(x), jnp.asarray(y))
+
+
+@partial(jax.custom_jvp, nondiff_argnums=(0,))
+def _distance(manifold: Hyperbolic, x: Vector, y: Vector) -> Array:
+    """``d`` from ``sinh^2(d/2) = sinh^2((a - b)/2) + sinh a sinh b sin^2(t/2)``, where nothing cancels.
+
+    ``a`` and ``b`` are the distances of the points from the apex, and ``t`` is the angle between them there.
+    """
+    largest = jnp.maximum(vec.size(x[1:]), vec.size(y[1:]))
+    unit = jnp.where(largest > 0, largest, 1.0)
+    here, there, chord = x[1:] / unit, y[1:] / unit, (x[1:] - y[1:]) / unit  # their squares are numbers
+    r, s = jnp.linalg.norm(here), jnp.linalg.norm(there)
+    total = jnp.where(largest > 0, r + s, 1.0)
+    apart = chord @ (here + there) * (unit / jnp.where(largest > 0, r * y[0] + s * x[0], 1.0))  # sinh(a - b)
+    first, second = here / jnp.where(r > 0, r, 1.0), there / jnp.where(s > 0, s, 1.0)
+    mean = (first + second) / jnp.linalg.norm(jnp.where(first @ second > 0, first + second, 1.0))
+    near = chord - chord @ mean * mean
+    sine = jnp.where(first @ second > 0, jnp.linalg.norm(near) / total, jnp.linalg.norm(first - second) / 2)
+    across = jnp.sqrt(unit * r) * jnp.sqrt(unit * s) * sine
+    return 2 * jnp.arcsinh(jnp.hypot(jnp.sinh(jnp.arcsinh(apart) / 2), across))
+
+
+@_distance.defjvp
+def _distance_jvp(manifold: Hyperbolic, points: tuple, tangents: tuple) -> tuple[Array, Array]:
+    (cosine, u), (_, rate) = jax.jvp(manifold.seen_from, points, tangents)
+    unit = jax.lax.stop_gradient(vec.size(u))
+    direction = jnp.where(unit > 0, u / unit / jnp.linalg.norm(jnp.where(unit > 0, u / unit, 1.0)), 0.0)
+    return _distance(manifold, *points), direction @ rate / cosine
 
 
 @final

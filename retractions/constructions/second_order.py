@@ -10,9 +10,8 @@ from ...manifolds import EmbeddedMetric, InvalidInputError, Manifold, Metric
 from ...manifolds.manifold import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ...manifolds.numerics.precision import default_tolerance, same_point
 from ...manifolds.numerics.root import find_root
-from ..retraction import Retraction, nan_unless
+from ..retraction import Retraction, is_reached, nan_unless
 
 
 def metric_on(manifold: Manifold, metric: Metric | None) -> Metric:
@@ -91,4 +90,4 @@ class SecondOrder(Retraction):
         start = vec.components(frame, w)
         c, converged = find_root(lambda c: vec.components(frame, vec.subtract(self.bent(x, vector(c)), w)), start)
         v = vector(c)
-        return nan_unless(converged & same_point(self(x, v), y, default_tolerance()), v)
+        return nan_unless(converged & is_reached(self.manifold, y, self(x, v), x, v), v)

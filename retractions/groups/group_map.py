@@ -16,8 +16,8 @@ from jaxtyping import Array, Bool, Shaped
 from ...manifolds import SE, SO, SU, InvalidInputError, MatrixLieGroup, U
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.attribute import attribute
-from ...manifolds.numerics.precision import default_tolerance, same_point
-from ..retraction import MidpointRetraction, Retraction, nan_unless, newton_preimage
+from ...manifolds.numerics.precision import default_tolerance
+from ..retraction import MidpointRetraction, Retraction, is_reached, nan_unless, newton_preimage
 
 Matrix = Shaped[Array, "n n"]
 GroupMap = Callable[[Matrix], Matrix]
@@ -144,7 +144,7 @@ class Translated(Retraction):
             return newton_preimage(self, x, y)
         inverse = self.manifold.inverse(x)
         v = x @ self.inverse_map(inverse @ y) if self.side == "left" else self.inverse_map(y @ inverse) @ x
-        return nan_unless(same_point(self(x, v), y, default_tolerance()), v)
+        return nan_unless(is_reached(self.manifold, y, self(x, v), x, v), v)
 
 
 def _check_axioms(group: MatrixLieGroup, group_map: GroupMap) -> None:

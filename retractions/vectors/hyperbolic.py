@@ -36,7 +36,8 @@ class HyperbolicExponential(MidpointRetraction):
     def retract(self, x: Array, v: Array) -> Array:
         u = self.manifold.at_apex(x, v)
         s = u @ u
-        y = series.hyperbolic_cosine(s) * x + series.sinhc(s) * v
+        # Through u again: the rounding of v, which is magnified by x_0, would not be that of its length.
+        y = series.hyperbolic_cosine(s) * x + self.manifold.from_apex(x, series.sinhc(s) * u)
         return nan_unless(jnp.isfinite(y @ y), y)
 
     def preimage(self, x: Array, y: Array) -> Array:

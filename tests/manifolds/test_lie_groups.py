@@ -1,5 +1,6 @@
 """Matrix Lie groups: algebra, adjoint action, trivialisations, momenta, left-invariant metrics."""
 
+import re
 from functools import lru_cache
 from typing import final
 
@@ -21,6 +22,7 @@ from retrax.manifolds import (
     hat,
     vee,
 )
+from retrax.manifolds.groups.lie_algebra import lie_algebra
 from retrax.manifolds.numerics import ambient as vec
 
 from tests.support.cases import MANIFOLDS, Heisenberg
@@ -263,3 +265,19 @@ def test_hat_and_vee_take_whole_numbers_lists_and_leading_axes_and_refuse_other_
         hat(jnp.zeros(4))
     with pytest.raises(TypeError, match=r"vee takes an array whose last axes are \(3, 3\)"):
         vee(jnp.zeros((2, 2)))
+
+
+@pytest.mark.parametrize("wrong", range(6))
+def test_a_wrong_sign_in_a_basis_is_told_by_the_pair_whose_commutator_is_missing(wrong):
+    """Each matrix of the motions of space in turn with the sign of one entry changed."""
+    basis = np.array(SE(3).algebra)
+    row, column = np.argwhere(basis[wrong])[0]
+    basis[wrong, row, column] *= -1
+    if np.count_nonzero(basis[wrong]) == 1:  # a translation, which spans the same
+        lie_algebra(basis)
+        return
+    with pytest.raises(InvalidInputError, match=r"span that of A = basis\[\d\] and B = basis\[\d\]; check") as info:
+        lie_algebra(basis)
+    i, j = map(int, re.findall(r"basis\[(\d)\]", str(info.value)))
+    missing = basis[i] @ basis[j] - basis[j] @ basis[i]
+    assert np.linalg.matrix_rank(np.vstack([basis.reshape(6, -1), missing.ravel()])) == 7

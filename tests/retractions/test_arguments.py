@@ -6,7 +6,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.manifolds import SO, SPD, EmbeddedMetric, FixedRank, Hyperbolic, InvalidInputError, Sphere, Stiefel
+from retrax.manifolds import (
+    SO,
+    SPD,
+    EmbeddedMetric,
+    FixedRank,
+    Hyperbolic,
+    InvalidInputError,
+    LeftInvariantMetric,
+    Sphere,
+    Stiefel,
+)
 from retrax.retractions import (
     QR,
     Addition,
@@ -15,6 +25,7 @@ from retrax.retractions import (
     Exponential,
     GroupCayley,
     Orthographic,
+    Polar,
     Retraction,
     SecondOrder,
     Stabilized,
@@ -131,3 +142,26 @@ def test_the_domain_of_the_exponential_of_definite_matrices_ends_where_it_overfl
     exponential = Exponential(SPD(2))
     assert exponential.domain(np.eye(2), 700 * np.eye(2))
     assert not exponential.domain(np.eye(2), 800 * np.eye(2))
+
+
+@pytest.mark.parametrize("inertia", [[1.0, 2.0, 3.0], [1.0, 1.0, 2.0]])
+def test_methods_of_what_holds_arrays_can_be_compiled(inertia):
+    """Two metrics of one shape in turn: a program compiled for the first is not used for the second."""
+    x, v = jnp.eye(3), SO(3).hat(jnp.array([0.1, -0.2, 0.3]))
+    metric = LeftInvariantMetric(SO(3), jnp.array(inertia))
+    found = jax.jit(metric.inner_product)(x, v, v)
+    assert found == pytest.approx(float(jnp.array(inertia) @ jnp.array([0.01, 0.04, 0.09])))
+    assert hash(metric) == hash(LeftInvariantMetric(SO(3), jnp.array(inertia)))
+    retraction = SecondOrder(Cayley(SO(3)), metric)
+    np.testing.assert_allclose(jax.jit(retraction.retract)(x, v), retraction(x, v), atol=1e-14)
+
+
+@pytest.mark.parametrize("family", [QR, Polar, Cayley, Exponential])
+def test_complex_frames_are_refused_in_words(family):
+    retraction = family(Stiefel(3, 2))
+    x = jnp.eye(3, 2, dtype=complex)
+    for call in (retraction, retraction.inverse):
+        with pytest.raises(InvalidInputError, match=r"of Stiefel\(3, 2\) has real entries, got complex ones; try"):
+            call(x, x)
+    with pytest.raises(InvalidInputError, match="has real entries, got complex ones"):
+        retraction.manifold.projection(x, x)

@@ -297,6 +297,9 @@ def turned_from_the_right(x):
 MUTANTS: dict[str, Mutant] = {
     "a manifold whose projection is missing": Mutant(check_manifold, MutantManifold(SPHERE, projection=lambda x, a: a)),
     "a manifold whose projection is not symmetric": Mutant(check_manifold, MutantManifold(SPHERE, projection=oblique)),
+    "a basis that is constant to JAX": Mutant(
+        check_manifold, MutantManifold(SPHERE, basis=lambda x: jax.lax.stop_gradient(SPHERE.basis(x)))
+    ),
     "a manifold with a wrong dimension": Mutant(check_manifold, MutantManifold(SPHERE, dimension=3)),
     **{name: Mutant(check_manifold, manifold) for name, manifold in VIOLATIONS.items()},
     "random points on the equator alone": Mutant(check_manifold, MutantManifold(SPHERE, random_point=on_the_equator)),

@@ -50,6 +50,7 @@ def documented_rows(heading: str) -> list[str]:
 # One of a kind by default, all with the slow tests.
 QUICK = (
     "a manifold whose projection is missing",
+    "a basis that is constant",
     "`R(x, -v)`",
     "a first-order retraction",
     "an inverse valid only near zero, said",

@@ -8,8 +8,10 @@ from ..manifolds import (
     SE,
     SO,
     SU,
+    AffineInvariantMetric,
     EmbeddedMetric,
     Grassmann,
+    LorentzMetric,
     Metric,
     Oblique,
     PowerMetric,
@@ -20,14 +22,16 @@ from ..manifolds import (
 )
 from ..manifolds.numerics.ambient import Ambient
 from ..retractions import PowerRetraction, ProductRetraction, Retraction
+from ..retractions.retraction import is_reached, nan_unless
 from .metrics import split
 
 
 def distance(metric: Metric, exponential: Retraction, x: Ambient, y: Ambient) -> Array:
     """Geodesic distance of two points; ``exponential`` is the exponential map of the metric.
 
-    In closed form on spheres, rotations, rigid motions, U(n), SU(2), Grassmann and oblique manifolds, and products and
-    powers of them. Elsewhere it is the length of the logarithm, NaN where there is none.
+    In closed form on spheres, rotations, rigid motions, U(n), SU(2), Grassmann and oblique manifolds, hyperbolic space
+    and positive definite matrices, and products and powers of them. Elsewhere it is the length of the logarithm, NaN
+    where there is none.
     """
     if isinstance(metric, ScaledMetric):
         return jnp.sqrt(metric.scale) * distance(metric.base, exponential, x, y)
@@ -36,12 +40,21 @@ def distance(metric: Metric, exponential: Retraction, x: Ambient, y: Ambient) ->
             return jnp.linalg.norm(jnp.stack([distance(*parts) for parts in zip(metrics, maps, x, y, strict=True)]))
         case PowerMetric(factor=base), PowerRetraction(factor=factor):
             return jnp.linalg.norm(jax.vmap(lambda a, b: distance(base, factor, a, b))(x, y))
+        case AffineInvariantMetric(manifold=manifold) | LorentzMetric(manifold=manifold), _:
+            return manifold.distance(x, y)
         case EmbeddedMetric(manifold=manifold), _:
             known = _embedded_distance(manifold, x, y)
             if known is not None:
                 return known
-    v = exponential.preimage(x, y)
+    v = trusted_inverse(exponential, x, y)
     return jnp.sqrt(metric.inner_product(x, v, v))
+
+
+def trusted_inverse(retraction: Retraction, x: Ambient, y: Ambient) -> Ambient:
+    """The tangent vector at ``x`` that leads to ``y``; NaN where it does not, or lies outside the domain."""
+    v = retraction.preimage(x, y)
+    reached = is_reached(retraction.manifold, y, retraction(x, v), x, v)
+    return nan_unless(reached & retraction.domain(x, v), v)
 
 
 def _embedded_distance(manifold: object, x: Array, y: Array) -> Array | None:

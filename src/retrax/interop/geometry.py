@@ -1,5 +1,6 @@
 """The Riemannian geometry of one of our manifolds, in the arrays of another library."""
 
+from collections.abc import Iterable
 from typing import final
 
 import equinox as eqx
@@ -8,13 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..manifolds import DomainError, Manifold, Metric
+from ..manifolds import DomainError, Manifold, Metric, NotOnManifoldError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
+from ..manifolds.numerics.precision import default_tolerance
 from ..retractions import Retraction
+from ..retractions.retraction import nan_unless
 from .conventions import Conventions, Theirs
-from .distances import distance
-from .metrics import exponential_map, is_symmetric
+from .distances import distance, trusted_inverse
+from .metrics import exponential_map, has_unique_geodesics, is_symmetric
 
 _RESTORATIONS = 8
 
@@ -71,7 +74,7 @@ class Geometry(eqx.Module):
 
     def carry(self, x: Theirs, y: Theirs, v: Theirs) -> Theirs:
         """A tangent vector at ``x`` as the nearest one at ``y``."""
-        return self.project(y, self.conventions.elsewhere(x, y, v))
+        return self._known(self.project(y, self.conventions.elsewhere(x, y, v)), x, y)
 
     def embed(self, x: Theirs, v: Theirs) -> Theirs:
         """The vector of the space around their points that the coordinates ``v`` of a tangent vector stand for."""
@@ -104,7 +107,8 @@ class Geometry(eqx.Module):
 
     def dist(self, x: Theirs, y: Theirs) -> Array:
         """Geodesic distance, also on the cut locus where it is known in closed form."""
-        return distance(self.metric, self.exponential, self.conventions.point(x), self.conventions.point(y))
+        value = distance(self.metric, self.exponential, self.conventions.point(x), self.conventions.point(y))
+        return self._known(value, x, y)
 
     def middle(self, x: Theirs, y: Theirs) -> Theirs:
         """The point midway on the geodesic between two points."""
@@ -115,12 +119,14 @@ class Geometry(eqx.Module):
 
         It is minus the differential at ``x`` of the reflection in the midpoint, an isometry that reverses the geodesic.
         """
-        middle = jax.lax.stop_gradient(self.middle(x, y))
+        way = self.log(x, y)
+        middle = jax.lax.stop_gradient(self.exp(x, vec.scale(0.5, way)))
 
         def reflected(z: Theirs) -> Theirs:
             return self.exp(middle, vec.scale(-1.0, self.log(middle, z)))
 
-        return self.tangential(y, vec.scale(-1.0, jax.jvp(reflected, (x,), (self.embed(x, v),))[1]))
+        moved = self.tangential(y, vec.scale(-1.0, jax.jvp(reflected, (x,), (self.embed(x, v),))[1]))
+        return nan_unless(vec.size(way) >= 0, moved)
 
     def gradient(self, x: Theirs, g: Theirs) -> Theirs:
         """Riemannian gradient from the Euclidean one: partial derivatives in the entries of ``x``."""
@@ -148,8 +154,13 @@ class Geometry(eqx.Module):
         return self.conventions.lift(y, near=x)
 
     def _between(self, retraction: Retraction, x: Theirs, y: Theirs) -> Theirs:
-        w = retraction.preimage(self.conventions.point(x), self.conventions.point(y))
-        return self.conventions.coordinates(x, w)
+        w = trusted_inverse(retraction, self.conventions.point(x), self.conventions.point(y))
+        return self._known(self.conventions.coordinates(x, w), x, y)
+
+    def _known(self, value: Theirs, *points: Theirs) -> Theirs:
+        """A value where it is one of points of the manifold, NaN elsewhere."""
+        worst = jnp.max(jnp.stack([self.violation(x) for x in points]))
+        return nan_unless(worst <= default_tolerance(), value)
 
     def _geodesic(self, x: Theirs, v: Theirs) -> Theirs:
         """The point at time 1 of the geodesic from ``x`` with velocity ``v``, to second order in ``v``."""
@@ -174,15 +185,27 @@ class Geometry(eqx.Module):
         covector = vec.gradient(lambda w: vec.pairing(slope, coordinates(w)), zero)
         return coordinates(self.metric.vector(q, covector))
 
+    def require_values(self, method: str, values: Theirs, points: Iterable[Theirs]) -> None:
+        """Raise if a method that has no value for some pairs of points has none for these.
 
-_UNDEFINED = {"log", "back", "dist", "middle", "transport"}  # methods without a value for some pairs of points
-
-
-def require_values(method: str, values: Theirs) -> None:
-    """Raise ``DomainError`` if a method that has no value for some pairs of points has none for these."""
-    if method in _UNDEFINED and any(np.any(np.isnan(leaf)) for leaf in jax.tree.leaves(values)):
+        ``NotOnManifoldError`` if one of ``points`` is none, else ``DomainError``.
+        """
+        if method not in _UNDEFINED or not any(np.any(np.isnan(leaf)) for leaf in jax.tree.leaves(values)):
+            return
+        for x in points:
+            verdict = self.manifold.contains(self.conventions.point(x))
+            if not verdict:
+                raise NotOnManifoldError(f"not a point: {verdict.reason}")
+        if has_unique_geodesics(self.metric):
+            raise DomainError(
+                f"two points of {self.manifold} are too far apart, or too far out, for the precision in use: more than "
+                f"half of the digits of {method} would be rounding; take nearer points"
+            )
         raise DomainError(
             "between these points there is no one shortest geodesic, or none was found: expected points off each "
             "other's cut locus (not antipodes, not half a turn apart) and within reach of Newton's method; take nearer "
             "points"
         )
+
+
+_UNDEFINED = {"log", "back", "dist", "middle", "transport", "carry"}  # without a value for some pairs of points

@@ -114,13 +114,30 @@ def exponential_map(metric: Metric) -> Retraction:
 
 def is_symmetric(metric: Metric) -> bool:
     """Whether a manifold with this metric is known to be a symmetric space, with an exponential map in closed form."""
-    metric = split(metric)
-    if isinstance(metric, ProductMetric):
-        return all(map(is_symmetric, metric.factors))
-    if isinstance(metric, PowerMetric):
-        return is_symmetric(metric.factor)
-    embedded = isinstance(metric, EmbeddedMetric) and isinstance(metric.manifold, _SYMMETRIC)
-    return embedded or isinstance(metric, AffineInvariantMetric | LorentzMetric)
+    return all(
+        (isinstance(part, EmbeddedMetric) and isinstance(part.manifold, _SYMMETRIC))
+        or isinstance(part, AffineInvariantMetric | LorentzMetric)
+        for part in _parts(metric)
+    )
+
+
+def has_unique_geodesics(metric: Metric) -> bool:
+    """Whether any two points are known to have one shortest geodesic: spaces of curvature at most zero."""
+    return all(
+        isinstance(part.manifold, Euclidean) or isinstance(part, AffineInvariantMetric | LorentzMetric)
+        for part in _parts(metric)
+    )
+
+
+def _parts(metric: Metric) -> list[Metric]:
+    """The metrics of which one is made: those of the factors of a product."""
+    match split(metric):
+        case ProductMetric(factors=factors):
+            return [part for factor in factors for part in _parts(factor)]
+        case PowerMetric(factor=factor):
+            return _parts(factor)
+        case other:
+            return [other]
 
 
 def _is_frobenius(metric: LeftInvariantMetric) -> bool:

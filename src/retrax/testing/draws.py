@@ -6,7 +6,7 @@ from functools import cached_property
 import jax
 import numpy as np
 
-from ..manifolds import CotangentBundle, Manifold, TangentBundle
+from ..manifolds import CotangentBundle, InvalidInputError, LevelSet, Manifold, Submanifold, TangentBundle
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..retractions import Retraction
@@ -44,9 +44,25 @@ class Sampler:
         def frame(x: Vector, v: Vector) -> jax.Array:
             return vec.flatten_frame(TangentBundle(manifold).spanning_frame((self.unflat(x), self.unflat(v))))
 
-        self.random, self.at = compiled(point), compiled(at)
+        self._random, self.at = compiled(point), compiled(at)
         self._violation = violation_kernel(manifold)
         self._nearest, self._frame = compiled(nearest), compiled(frame)
+
+    def random(self, seed: int) -> np.ndarray:
+        """A random point. Raises ``InvalidInputError`` where the equations of a level set have none."""
+        if self._none:
+            raise self._none
+        return self._random(seed)
+
+    @cached_property
+    def _none(self) -> InvalidInputError | None:
+        """The error of a level set without random points, in its own words: a compiled program has none."""
+        if isinstance(self.manifold, LevelSet | Submanifold):
+            try:
+                self.manifold.random_point(jax.random.key(0))
+            except InvalidInputError as error:
+                return error
+        return None
 
     def point(self, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """A random point, a random tangent vector there, and the orthonormal basis of the tangent space, by rows."""

@@ -45,9 +45,11 @@ class Facts(ABC):
         self.subject = subject
         self.manifold = manifold = subject if isinstance(subject, Manifold) else subject.manifold
         self.seeds, self.tolerance = tuple(seeds), precision().tolerance if tolerance is None else tolerance
-        if not self.seeds:
+        points = tuple(points)
+        if not self.seeds and not points:
             raise InvalidInputError(
-                "the facts are measured at one sample point for each seed, got no seed; try seeds=range(6)"
+                "the facts are measured at one random point for each seed and at the points given, got no seed and no "
+                "point; try seeds=range(6)"
             )
         if not all(hasattr(leaf, "shape") and hasattr(leaf, "dtype") for leaf in jax.tree.leaves(manifold.ambient)):
             raise InvalidInputError(
@@ -123,7 +125,7 @@ class Facts(ABC):
         if not isinstance(self.manifold, LevelSet):
             return ""
         try:
-            points = [self.sampler.random(seed) for seed in self.seeds]
+            points = [site.x for site in self.sites if not site.special]
         except Exception:  # the checks that need points report it
             return ""
         return lost_rank(self.manifold, np.stack(points))

@@ -21,7 +21,7 @@ DOUBTFUL = (
 THE_VALUE = "the value"
 _TOLD = re.compile(r"EquinoxRuntimeError: (.+)")  # the line of an error of a compiled program that is for its user
 # Folders of files that errors pass through on their way from what is checked.
-_INNER = ("/jax/", "/equinox/", "/numpy/", "/retrax/testing/", "/numerics/shapes.py")
+_INNER = ("/jax/", "/equinox/", "/numpy/", "/retrax/testing/", "/numerics/shapes.py", "/level_set.py", "/functools.py")
 
 Batch = dict[str, Any]  # arrays whose first axis counts the samples
 Hint = Callable[[int], str]  # words on one sample: what it looks like, what to try; empty if there is nothing to say

@@ -10,7 +10,7 @@ import numpy as np
 from geomstats.geometry.manifold import Manifold as GeomstatsManifold
 from geomstats.geometry.riemannian_metric import RiemannianMetric
 
-from ..geometry import Geometry, require_values
+from ..geometry import Geometry
 
 ATOL = 1e-12  # the default of geomstats
 _VALUES = {"inner_product", "dist", "violation", "normal_part"}  # methods whose values are numbers
@@ -69,7 +69,8 @@ class RetraxSpace(GeomstatsManifold):
         out = "()" if method in _VALUES else core
         signature = ",".join([core] * len(arguments)) + "->" + out
         values = np.array(_kernel(method, signature)(self.geometry, *map(jnp.asarray, arguments)))
-        require_values(method, values)
+        points = (x for a in arguments[:2] for x in np.reshape(a, (-1, *self.shape)))
+        self.geometry.require_values(method, values, points)
         return values
 
 

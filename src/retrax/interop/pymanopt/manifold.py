@@ -10,7 +10,7 @@ from pymanopt.manifolds.manifold import Manifold as PymanoptManifold
 from pymanopt.tools import ndarraySequenceMixin
 
 from ..conventions import Theirs
-from ..geometry import Geometry, require_values
+from ..geometry import Geometry
 
 
 class TangentList(ndarraySequenceMixin, list):
@@ -110,7 +110,7 @@ class RetraxManifold(PymanoptManifold):
     def _host(self, method: str, *arguments: Theirs) -> Theirs:
         """A method of the geometry, compiled, on NumPy arrays."""
         values = jax.tree.map(np.array, _kernel(method)(self.geometry, *map(_plain, arguments)))
-        require_values(method, values)
+        self.geometry.require_values(method, values, arguments[:2])
         return values
 
 

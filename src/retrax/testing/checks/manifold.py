@@ -75,6 +75,20 @@ def _projection(manifold: Manifold, sample: Sample) -> dict:
     }
 
 
+def _basis(manifold: Manifold, sample: Sample) -> dict:
+    """The derivative of the basis along a unit tangent vector, and of the projection of its vectors as they are
+    there."""
+    back, x = unflat(manifold), sample["x"]
+    unit = sample["v"] / jnp.linalg.norm(sample["v"])
+
+    def projected(x: jax.Array, e: jax.Array) -> jax.Array:
+        return flat(manifold.projection(back(x), back(e)))
+
+    basis, rate = jax.jvp(lambda x: vec.flatten_frame(manifold.basis(back(x))), (x,), (unit,))
+    bent = jax.vmap(lambda e: jax.jvp(lambda x: projected(x, e), (x,), (unit,))[1])(basis)
+    return {"basis": basis, "rate": rate, "bent": bent}
+
+
 def _equations(manifold: Manifold, sample: Sample) -> dict:
     """Violations at the point, on its tangent line, and after restoring."""
     back, x, a = unflat(manifold), sample["x"], sample["a"]
@@ -114,7 +128,7 @@ def random_points_are_on_the_manifold(facts: ManifoldFacts) -> Comparison:
 def random_points_differ(facts: ManifoldFacts) -> Comparison | Inapplicable:
     """Random points from different keys are different."""
     f = facts.measure(_equations, "points")
-    if facts.manifold.dimension == 0 or len(facts.seeds) < 2:
+    if facts.manifold.dimension == 0 or len(facts.sites) < 2:
         return Inapplicable("there is one point")
     gaps = np.max(np.abs(f["x"][:, None] - f["x"][None]), axis=2)
     others = gaps[~np.eye(len(gaps), dtype=bool)].reshape(len(gaps), -1)
@@ -129,6 +143,8 @@ def random_points_spread_in_every_direction(facts: ManifoldFacts) -> Comparison 
     f, d = facts.measure(_equations, "points"), facts.manifold.dimension
     if d == 0:
         return Inapplicable("there is one point")
+    if not facts.seeds:
+        return Inapplicable("without a seed no random point is drawn")
     spread = least_spread(facts.sampler, d)
     return facts.bound(
         "the mean square of the rarest direction, relative to that of random ones,",
@@ -205,6 +221,24 @@ def basis_spans_the_image_of_the_projection(facts: ManifoldFacts) -> Comparison:
 
 
 @fact
+def derivative_of_the_basis_keeps_it_an_orthonormal_basis(facts: ManifoldFacts) -> Comparison | Inapplicable:
+    """Along curves the basis stays tangent and orthonormal: ``DE - P DE = DP E``, ``<DE_i, E_j> + <E_i, DE_j> = 0``."""
+    if facts.manifold.dimension == 0:
+        return Inapplicable("there is no tangent vector")
+    f = facts.measure(_basis, "points")
+    turned = f["rate"] @ np.swapaxes(f["basis"], 1, 2)
+    normal = f["rate"] - turned @ f["basis"]
+    got = np.concatenate([normal, turned + np.swapaxes(turned, 1, 2)], axis=2)
+    expected = np.concatenate([f["bent"], np.zeros_like(turned)], axis=2)
+
+    def hint(k: int) -> str:
+        constant = "the basis is constant to JAX, as behind stop_gradient or a callback: its derivative is zero"
+        return "" if np.any(f["rate"][k]) else constant
+
+    return facts.compare("|D E - P D E - D P E|", f, got, expected, 10 * facts.tolerance, hint=hint)
+
+
+@fact
 def derivative_of_the_projection_is_that_of_differences(facts: ManifoldFacts) -> Comparison:
     """Automatic differentiation of ``P_x a`` by ``x`` gives its derivative: the frames of the bundles stand on it."""
     f = facts.measure(_projection, "points")
@@ -268,9 +302,13 @@ def generators_of_the_action_span_the_tangent_spaces(facts: ManifoldFacts) -> Co
     normal = largest_entries(f["generators"] - coordinates @ f["basis"])
     reached = np.linalg.pinv(coordinates) @ coordinates
     missed = largest_entries(reached - np.eye(reached.shape[1]))
-    return facts.bound(
-        "the larger of normal part and missed directions", f, np.maximum(normal, missed), 10 * facts.tolerance
-    )
+
+    def hint(k: int) -> str:
+        parts = np.max(np.abs(f["generators"][k] - coordinates[k] @ f["basis"][k]), axis=1)
+        return f"generator {np.argmax(parts)} is not tangent" if normal[k] >= missed[k] else ""
+
+    what = "the larger of normal part and missed directions"
+    return facts.bound(what, f, np.maximum(normal, missed), 10 * facts.tolerance, hint=hint)
 
 
 @fact
@@ -294,6 +332,7 @@ MANIFOLD_CHECKS = (
     basis_is_orthonormal,
     basis_spans_the_image_of_the_projection,
     derivative_of_the_projection_is_that_of_differences,
+    derivative_of_the_basis_keeps_it_an_orthonormal_basis,
     tangent_lines_touch_the_manifold,
     equations_see_normal_displacements,
     restore_is_the_identity_on_the_manifold,
