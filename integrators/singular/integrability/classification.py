@@ -20,6 +20,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ...problem import OptimalControlProblem, is_same_problem
 from ..integrability_result import IntegrabilityResult, Signature
 from .final import FinalEquations
+from .hulls import PieceEquations
 from .lagrangian_submanifolds import immersed_dynamics
 from .levels import Level
 from .points import APPROACHED
@@ -54,7 +55,8 @@ class Stratum:
     points. ``k_f`` and ``k_f_base``: the levels at which ``S`` and ``P`` stop changing there. ``determined_at``: for
     each component of the control the level that determines it, None if it is free. ``q``, ``p``, ``u``: a point of it
     and a control there. ``kernel``: basis of the kernel of ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs
-    ``(dq, dp)``. ``states``: all its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``.
+    ``(dq, dp)``. ``states``: all its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``. ``equations`` may vanish on
+    other pieces too; ``piece``: equations that do not, None where the piece lies in no affine space of its own.
     """
 
     signature: Signature
@@ -69,6 +71,7 @@ class Stratum:
     kernel: Ambient
     states: Ambient
     equations: FinalEquations
+    piece: PieceEquations | None
     feedback: FinalEquations
 
     @property
@@ -182,7 +185,7 @@ class Classification(IntegrabilityResult[Stratum]):
         """
         self.require_reliable()
         bundle = CotangentBundle(self.problem.manifold)
-        return Submanifold(bundle, self.equations) if self.codimension else bundle
+        return Submanifold(bundle, self.equations, self.stratum.piece) if self.codimension else bundle
 
     @property
     def presymplectic(self) -> PresymplecticManifold:
