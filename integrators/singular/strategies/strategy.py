@@ -8,9 +8,7 @@ import equinox as eqx
 from jaxtyping import Array, ArrayLike
 
 from ....manifolds import InvalidInputError, NotOnManifoldError
-from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import CotangentLift
 from ...initial_value.integrator import LiftedIntegrator
 from ...initial_value.step import StepResult
@@ -57,7 +55,7 @@ class SingularIntegrator(LiftedIntegrator):
     def check(self, system: Any, q: Ambient, p: Ambient) -> None:
         if self.hull is not None and not self.hull.holds((q, p)):
             raise NotOnManifoldError(
-                f"start is not on the piece of P_f that the integrator is for: equations of it are {self.hull((q, p))}, "
+                f"start is not on the piece of P_f that the integrator is for: its equations are {self.hull((q, p))}, "
                 "expected 0; classification.manifold.nearby((q, p)) is a point of it, and classification.choose(i) "
                 "another piece"
             )
