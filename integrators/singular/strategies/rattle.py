@@ -40,11 +40,10 @@ from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 
 class _Memory(NamedTuple):
-    """Unknowns of the stage, the singular controls of the last step, and the sign of ``det {psi, phi}`` at its end."""
+    """Unknowns of the stage, and the singular controls of the last step."""
 
     stage: Any
     singular: Array
-    sign: Array
 
 
 @final
@@ -100,10 +99,8 @@ class RattleIntegrator(SingularIntegrator):
             raise InvalidInputError(obstacle)
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> _Memory:
-        split = ControlAffineSplitting(system, self.singular)
-        regular = split.regular_problem()
-        w = extremal_control(regular, q, p)
-        return _Memory((q, w), jnp.zeros(len(self.singular)), _sign(split, (q, p), w))
+        regular = ControlAffineSplitting(system, self.singular).regular_problem()
+        return _Memory((q, extremal_control(regular, q, p)), jnp.zeros(len(self.singular)))
 
     def unchecked_step(
         self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: _Memory
@@ -140,11 +137,8 @@ class RattleIntegrator(SingularIntegrator):
         last, arrived = find_root(rate, jnp.zeros(m), times)
         q2, p2 = flow(near, last)
         begun = equations.begins(root[m:], flow(begin, root[:m])[0])
-        memory = _Memory(unknowns, (2 * moved + last) / h, _sign(split, (q2, p2), w))
-        # Across a pole of the controls there is a step where it is long, and no motion.
-        held = jnp.abs(2 * moved + last) <= default_tolerance() * times
-        passed = (memory.sign * previous.sign < 0) & ~jnp.all(held)
-        new = restored(self.manifold, StepResult(q2, p2, memory, landed & begun & arrived & ~passed))
+        memory = _Memory(unknowns, (2 * moved + last) / h)
+        new = restored(self.manifold, StepResult(q2, p2, memory, landed & begun & arrived))
         # A move along a leaf too long for the accuracy of its flow, as by a control without bound, leaves Q.
         stayed = vec.size(vec.subtract(new.q, q2)) <= default_tolerance() * (1 + vec.size(new.q))
         return new._replace(converged=new.converged & stayed)
@@ -160,17 +154,6 @@ class RattleIntegrator(SingularIntegrator):
 
     def control(self, unknowns: _Memory) -> Array:
         return merge_controls(unknowns.stage[1], unknowns.singular, self.singular)
-
-
-def _sign(split: ControlAffineSplitting, z: Point, w: Array) -> Array:
-    """The sign of the determinant of the rates of ``psi`` along the leaf, where the singular controls have poles."""
-    z, w = jax.lax.stop_gradient((z, w))
-
-    def along(t: Array) -> Array:
-        step = ambient_field(lambda q, p: t @ split.primary(q, p), z)
-        return split.secondary(*vec.add(z, step), w)
-
-    return jnp.sign(jnp.linalg.det(jax.jacfwd(along)(jnp.zeros(len(split.singular)))))
 
 
 def _leaf_times(split: ControlAffineSplitting, z: Point) -> Array:
