@@ -1,5 +1,6 @@
 """The immutable record of a classified optimal control problem."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -193,12 +194,18 @@ class Classification(IntegrabilityResult[Stratum]):
         return PresymplecticManifold(self.manifold, CotangentBundle(self.problem.manifold).two_form)
 
     def control(self, q: Ambient, p: Ambient, gauge: ArrayLike | None = None) -> Ambient:
-        """The control at a point of ``P_f``, a JAX function.
+        """The control at a point of ``P_f``, a JAX function: compiled at its first call, with the values that the
+        problem's functions read then.
 
         ``gauge``, shape ``(gauge controls,)``, gives the components ``gauge_components``; by default those at the point
         of the stratum. Entries are NaN where the equations cannot be solved for the others.
         """
-        return self.stratum.feedback.control((q, p), gauge)
+        return self._control((q, p), gauge)
+
+    @cached_property
+    def _control(self) -> Callable[..., Ambient]:
+        feedback = self.stratum.feedback
+        return jax.jit(lambda z, gauge: feedback.control(z, gauge))
 
     @property
     def dynamics(self) -> Immersion:
