@@ -78,7 +78,7 @@ class FinalEquations(eqx.Module):
         return self.values(z, jet)[jnp.array(self.pivots.kept, int)]
 
     def conormals(self, points: Points) -> np.ndarray:
-        """Their derivatives along the state, in units, at the one point of a batch that they are those of."""
+        """Derivatives of the equations along the state, in units, at the point of a batch that they were made from."""
         by_state, by_jet = (part[0] for part in points.matrices(len(self.jet) - 1))
         solved, unknown, kept, _ = map(list, self.pivots)
         moved = np.linalg.solve(by_jet[np.ix_(solved, unknown)], by_state[solved])

@@ -24,7 +24,7 @@ FEWEST = 3  # points that show a piece
 
 @final
 class AffineHull(eqx.Module):
-    """The least affine space of the ambient one that holds a piece: ``normals @ z = levels``, in units of its size."""
+    """The least affine subspace of the ambient space that holds a piece: ``normals @ z = levels``, in units of its size."""
 
     normals: Float[Array, "k N"]
     levels: Float[Array, " k"]
@@ -69,7 +69,7 @@ class AffineHull(eqx.Module):
 
 @final
 class PieceEquations(eqx.Module):
-    """As many independent equations as a piece has: those of its hull, and those of ``P_f`` that are not of them.
+    """Independent equations of a piece: the equations of its hull, and as many of ``P_f`` as are missing.
 
     They vanish on no piece that leaves the hull, and do not degenerate where one crosses.
     """
