@@ -24,7 +24,7 @@ FEWEST = 3  # points that show a piece
 
 @final
 class AffineHull(eqx.Module):
-    """The least affine subspace of the ambient space that holds a piece: ``normals @ z = levels``, in units of its size."""
+    """The least affine subspace of the ambient space that holds a piece, ``normals @ z = levels`` in units."""
 
     normals: Float[Array, "k N"]
     levels: Float[Array, " k"]
