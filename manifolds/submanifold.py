@@ -14,7 +14,7 @@ from .numerics.ambient import Ambient, Frame
 from .numerics.errors import InvalidInputError, shapes_of
 from .numerics.frames import null_frame
 from .numerics.root import solve_small
-from .numerics.tolerances import tolerance
+from .numerics.tolerances import HALF, tolerance
 
 
 @final
@@ -87,11 +87,10 @@ class Submanifold(Manifold):
             raise InvalidInputError(wrong)
         if self.piece is not None:
             y = Submanifold(self.parent, self.piece).nearby(x)
-            # The derivative by what the equations depend on, which the piece was found with, is theirs.
-            moved = self.restore(jax.lax.stop_gradient(y))
-            return jax.tree.map(
-                lambda a, b: a + jnp.where(jnp.isfinite(b), b - jax.lax.stop_gradient(b), 0.0), y, moved
-            )
+            moved = self.restore(y)
+            # Rounding is taken away, and what the equations depend on enters; where another piece crosses, neither can.
+            near = vec.size(vec.subtract(moved, y)) <= tolerance(vec.size(y), HALF) * (1 + vec.size(y))
+            return jax.tree.map(lambda a, b: jnp.where(near, b, a), y, moved)
 
         def step(state: tuple[Ambient, Array], _: None) -> tuple[tuple[Ambient, Array], None]:
             return jax.lax.cond(state[1], moved, lambda y: (y, jnp.array(False)), state[0]), None
