@@ -46,6 +46,9 @@ class Free:
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"Free is frozen; make a new one to change {name}")
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Free, (self.guess, self.lower, self.upper)
+
     def __repr__(self) -> str:
         return f"Free({self.guess!r}, lower={self.lower!r}, upper={self.upper!r})"
 

@@ -1,8 +1,6 @@
 """Records: how they print, and their files, checked as a whole against the annotations of the fields before they are
 used."""
 
-import io
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, is_dataclass
 from pathlib import Path
@@ -13,6 +11,7 @@ import equinox as eqx
 import numpy as np
 
 from ..manifolds import InvalidInputError
+from .archives import archived_arrays
 
 LOADERS = {"Solution": "load_solution", "Trajectory": "load_trajectory"}  # what reads the files of which class
 LONGEST_TEXT = 100  # characters
@@ -72,7 +71,7 @@ class RecordFile:
         """Values of the fields, those that are dataclasses made; raises ``InvalidInputError`` if the file is something
         else."""
         try:
-            return self._require(self._values(_entries(_path(path))))
+            return self._require(self._values(archived_arrays(_path(path))))
         except (InvalidInputError, RecursionError) as error:  # the second for tuples in tuples, a thousand deep
             expected = f"expected a file from {self.name}.save"
             raise InvalidInputError(f"{path} is not a saved {self.name.lower()}: {error}; {expected}") from error
@@ -154,33 +153,6 @@ def not_finite(values: dict[str, Any]) -> str:
     flat = _flattened(values)
     bad = [name for name, a in flat.items() if a.dtype.kind in "fc" and not np.all(np.isfinite(a))]
     return f"{bad[0]} has entries that are NaN or infinite" if bad else ""
-
-
-def _entries(path: Path) -> dict[str, np.ndarray]:
-    """The arrays in a file by their names."""
-    if path.is_dir():
-        raise InvalidInputError("it is a folder")
-    content = path.read_bytes()
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            names = archive.namelist()
-            entries = {name.removesuffix(".npy"): _array(archive.read(name)) for name in names}
-    except Exception as error:  # zipfile, zlib and NumPy raise about everything for bytes that they did not write
-        raise InvalidInputError(
-            f"it is damaged, or not an archive of arrays ({type(error).__name__}: {error})"
-        ) from error
-    if len(entries) != len(names):
-        raise InvalidInputError("it has several entries of one name")
-    return entries
-
-
-def _array(content: bytes) -> np.ndarray:
-    """The array in an ``.npy`` file; never an object."""
-    stream = io.BytesIO(content)
-    array = np.lib.format.read_array(stream, allow_pickle=False)
-    if stream.read(1):
-        raise ValueError("an entry is longer than its array")
-    return array
 
 
 def _flattened(values: dict[str, Any]) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from .numerics.ambient import Ambient, Frame
 from .numerics.errors import InvalidInputError, shapes_of
 from .numerics.frames import null_frame
 from .numerics.root import solve_small
-from .numerics.tolerances import tolerance
+from .numerics.tolerances import HALF, tolerance
 
 
 @final
@@ -23,6 +23,7 @@ class Submanifold(Manifold):
     ``M``.
 
     The equations must be independent: the differentials of the ``m`` components along ``M`` have rank ``m`` on the set.
+    Where that is several pieces, ``piece``, as many equations that hold on one of them alone, makes it that one.
 
     >>> print(Submanifold(Euclidean(2), lambda x: x[1:]).dimension)
     1
@@ -30,6 +31,7 @@ class Submanifold(Manifold):
 
     parent: Manifold
     equations: Callable[[Any], Any]
+    piece: Callable[[Any], Any] | None = None
 
     def __check_init__(self) -> None:
         values = shapes_of(self.equations, "the function of a submanifold's equations", self.parent.ambient)
@@ -83,6 +85,12 @@ class Submanifold(Manifold):
         wrong = self.describe_mismatch(x, "a point beside it")
         if wrong:
             raise InvalidInputError(wrong)
+        if self.piece is not None:
+            y = Submanifold(self.parent, self.piece).nearby(x)
+            moved = self.restore(y)
+            # Rounding is taken away, and what the equations depend on enters; where another piece crosses, neither can.
+            near = vec.size(vec.subtract(moved, y)) <= tolerance(vec.size(y), HALF) * (1 + vec.size(y))
+            return jax.tree.map(lambda a, b: jnp.where(near, b, a), y, moved)
 
         def step(state: tuple[Ambient, Array], _: None) -> tuple[tuple[Ambient, Array], None]:
             return jax.lax.cond(state[1], moved, lambda y: (y, jnp.array(False)), state[0]), None
@@ -95,7 +103,7 @@ class Submanifold(Manifold):
         return jax.lax.scan(step, (x, jnp.array(True)), length=GAUSS_NEWTON_STEPS)[0][0]
 
     def violations(self, x: Ambient) -> dict[str, Array]:
-        values, normals = self.values(x)
+        values, normals = self.values(x) if self.piece is None else Submanifold(self.parent, self.piece).values(x)
         lengths = jnp.sqrt(jax.vmap(lambda normal: vec.pairing(normal, normal))(normals))
         off = values / jnp.where(lengths > 0, lengths, 1.0)
         return {

@@ -4,10 +4,11 @@ import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from ...manifolds import InvalidInputError, Manifold
 from ...retractions import Retraction
+from ..archives import archived
 
 if TYPE_CHECKING:
     from .solution import Solution
@@ -51,22 +52,15 @@ def load_solutions(
 
 def _unpacked(path: Path, folder: Path) -> list[Path]:
     """The files of the members, written to a folder."""
-    content: dict[str, Any] = {}
     try:
-        with zipfile.ZipFile(path) as archive:
-            names = archive.namelist()
-            content = {name: archive.read(name) for name in names}
-    except (zipfile.BadZipFile, IsADirectoryError, NotImplementedError, RuntimeError, EOFError) as error:
-        raise InvalidInputError(f"{path} is not a saved batch: it is damaged, or not an archive ({error})") from error
+        content = archived(path)
+    except InvalidInputError as error:
+        raise InvalidInputError(f"{path} is not a saved batch: {error}; expected a file from Solutions.save") from error
+    names = list(content)
     count = len(content) - 1
     expected = [f"{k}.npz" for k in range(count)]
     head = content.pop(HEAD, b"").decode("utf-8", errors="replace")
-    if (
-        head != f"{SCHEMA}\n{count} members\n"
-        or sorted(content) != sorted(expected)
-        or len(names) != count + 1
-        or not count
-    ):
+    if head != f"{SCHEMA}\n{count} members\n" or sorted(content) != sorted(expected) or not count:
         begins = head.partition("\n")[0]
         raise InvalidInputError(
             f"{path} is not a saved batch: it begins with {begins!r:.60} and has {len(names)} entries, expected "

@@ -114,6 +114,17 @@ class Solver:
         other._regularity = self._regularity.on(other._posing)
         return other
 
+    def __copy__(self) -> "Solver":
+        other = object.__new__(Solver)
+        vars(other).update(vars(self))
+        return other
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise TypeError(
+            "a Solver can be neither pickled nor copied by copy.deepcopy: it holds traced functions and compiled code; "
+            "pickle or copy the problem and the method, and make another one, Solver(problem, method, steps)"
+        )
+
     @property
     def steps(self) -> int:
         """Number of steps N."""

@@ -1,5 +1,6 @@
 """Files of batches: what is read is what was written, and what is no whole batch is refused in one sentence."""
 
+import tracemalloc
 import zipfile
 from dataclasses import replace
 
@@ -9,7 +10,7 @@ import pytest
 from retrax.integrators import Solutions, load_solution, load_solutions
 from retrax.manifolds import InvalidInputError
 
-from .test_record_files import RECORDS
+from .test_record_files import RECORDS, load_trajectory
 
 REGULAR, _ = RECORDS["regular solution"]
 
@@ -80,7 +81,7 @@ def test_other_files_are_refused(written, tmp_path):
         load_solutions(tmp_path / "one.npz")
     with pytest.raises(InvalidInputError, match="is not a saved solution"):
         load_solution(path)
-    with pytest.raises(InvalidInputError, match="is not a saved batch: it is damaged"):
+    with pytest.raises(InvalidInputError, match="is not a saved batch: it is a folder"):
         load_solutions(tmp_path)
 
 
@@ -100,3 +101,45 @@ def test_members_of_other_shapes_are_no_batch(written):
             archive.writestr(name, path.with_name("1.npz").read_bytes() if name == "1.npz" else content)
     with pytest.raises(InvalidInputError, match="is not a saved batch"):
         load_solutions(path)
+
+
+def damaged(content, rng, kind):
+    """The bytes with a piece cut out, or with a bit that is another."""
+    place = int(rng.integers(len(content)))
+    if kind == "cut":
+        return content[:place] + content[place + int(rng.integers(1, 2000)) :]
+    return content[:place] + bytes([content[place] ^ 1 << int(rng.integers(8))]) + content[place + 1 :]
+
+
+@pytest.mark.parametrize("kind", ["cut", "flip"])
+@pytest.mark.parametrize("load", [load_solutions, load_solution])
+def test_damaged_files_are_refused_or_read_as_they_were(written, kind, load, tmp_path):
+    path, right = written[0], 0
+    if load is load_solution:
+        REGULAR.save(path)
+    content, rng = path.read_bytes(), np.random.default_rng(0)
+    for _ in range(100):
+        path.write_bytes(damaged(content, rng, kind))
+        try:
+            found = load(path)  # a bit may mean nothing, as in the time of a file
+        except InvalidInputError as error:
+            right += (str(path) in str(error)) and "expected" in str(error)
+        else:
+            right += kind == "flip" and np.ravel(found.cost)[0] == REGULAR.cost
+    assert right == 100
+
+
+@pytest.mark.parametrize("load", [load_solutions, load_solution, load_trajectory])
+@pytest.mark.parametrize("size", [10**5, 10**7, 10**8])
+def test_a_small_file_that_declares_much_is_refused_before_it_is_read(load, size, tmp_path):
+    path = tmp_path / "small.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("times.npy", bytes(size))
+    tracemalloc.start()
+    with pytest.raises(
+        InvalidInputError, match=rf"small\.npz is not .* have {size} bytes, more than the .* of the file"
+    ):
+        load(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 10 * path.stat().st_size + 10**5

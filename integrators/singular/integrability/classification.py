@@ -1,5 +1,6 @@
 """The immutable record of a classified optimal control problem."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -20,6 +21,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ...problem import OptimalControlProblem, is_same_problem
 from ..integrability_result import IntegrabilityResult, Signature
 from .final import FinalEquations
+from .hulls import PieceEquations
 from .lagrangian_submanifolds import immersed_dynamics
 from .levels import Level
 from .points import APPROACHED
@@ -54,7 +56,8 @@ class Stratum:
     points. ``k_f`` and ``k_f_base``: the levels at which ``S`` and ``P`` stop changing there. ``determined_at``: for
     each component of the control the level that determines it, None if it is free. ``q``, ``p``, ``u``: a point of it
     and a control there. ``kernel``: basis of the kernel of ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs
-    ``(dq, dp)``. ``states``: all its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``.
+    ``(dq, dp)``. ``states``: all its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``. ``equations`` may vanish on
+    other pieces too; ``piece``: equations that do not, None where the piece lies in no affine space of its own.
     """
 
     signature: Signature
@@ -69,6 +72,7 @@ class Stratum:
     kernel: Ambient
     states: Ambient
     equations: FinalEquations
+    piece: PieceEquations | None
     feedback: FinalEquations
 
     @property
@@ -182,7 +186,7 @@ class Classification(IntegrabilityResult[Stratum]):
         """
         self.require_reliable()
         bundle = CotangentBundle(self.problem.manifold)
-        return Submanifold(bundle, self.equations) if self.codimension else bundle
+        return Submanifold(bundle, self.equations, self.stratum.piece) if self.codimension else bundle
 
     @property
     def presymplectic(self) -> PresymplecticManifold:
@@ -190,12 +194,18 @@ class Classification(IntegrabilityResult[Stratum]):
         return PresymplecticManifold(self.manifold, CotangentBundle(self.problem.manifold).two_form)
 
     def control(self, q: Ambient, p: Ambient, gauge: ArrayLike | None = None) -> Ambient:
-        """The control at a point of ``P_f``, a JAX function.
+        """The control at a point of ``P_f``, a JAX function: compiled at its first call, with the values that the
+        problem's functions read then.
 
         ``gauge``, shape ``(gauge controls,)``, gives the components ``gauge_components``; by default those at the point
         of the stratum. Entries are NaN where the equations cannot be solved for the others.
         """
-        return self.stratum.feedback.control((q, p), gauge)
+        return self._control((q, p), gauge)
+
+    @cached_property
+    def _control(self) -> Callable[..., Ambient]:
+        feedback = self.stratum.feedback
+        return jax.jit(lambda z, gauge: feedback.control(z, gauge))
 
     @property
     def dynamics(self) -> Immersion:

@@ -187,14 +187,15 @@ def _through(
         level = len(levels)
         if level > points.array.order:
             points = _lengthened(points, first, levels)
-        points = _without_crossings(_known(make_consistent(points, level, unit_costate)), unit_costate)
+        points = _known(make_consistent(points, level, unit_costate))
+        if level == 0 and points.consistent.any():
+            morse = _morse(points)
+        points = _without_crossings(points, unit_costate)
         # Where equations are irregular at all points, what is read off there is shown, as not reliable.
         reliable = np.flatnonzero(points.regular if found or points.regular.any() else points.consistent)
         histories = _histories(select(points, reliable))
         levels.append(summarise(points, [item.ranks for item in found], [history[-1] for history in histories]))
         _require_finite(points, levels[-1])
-        if level == 0 and histories:
-            morse = _morse(select(points, points.consistent))
         settled = [level > 0 and _new_equations(history) == 0 for history in histories]
         ended = [
             Found(select(points, [i]), h) for i, h, stops in zip(reliable, histories, settled, strict=True) if stops
@@ -272,10 +273,13 @@ def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:
 
 
 def _morse(points: Points) -> MorseTest:
-    """The Morse family test and the test of regularity, at points with ``dH/du = 0``.
+    """The Morse family test and the test of regularity, at points with ``dH/du = 0`` and clear ranks, if there are any.
 
-    Where these are irregular equations, ``D(dH/du)`` is singular on them though not near them.
+    Where these are irregular equations, ``D(dH/du)`` is singular on them though not near them. Where pieces cross, or
+    the rank of the form changes, it need not be.
     """
+    clear = points.consistent & ~points.unclear
+    points = select(points, clear if clear.any() else points.consistent)
     by_state, by_jet = points.matrices(0)
     ranks = point_ranks(points, 0)
     values = [

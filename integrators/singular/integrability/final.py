@@ -77,6 +77,13 @@ class FinalEquations(eqx.Module):
         jet = self.jet.reshape(-1) if self.explicit else self.eliminate(z)
         return self.values(z, jet)[jnp.array(self.pivots.kept, int)]
 
+    def conormals(self, points: Points) -> np.ndarray:
+        """Derivatives of the equations along the state, in units, at the point of a batch that they were made from."""
+        by_state, by_jet = (part[0] for part in points.matrices(len(self.jet) - 1))
+        solved, unknown, kept, _ = map(list, self.pivots)
+        moved = np.linalg.solve(by_jet[np.ix_(solved, unknown)], by_state[solved])
+        return by_state[kept] - by_jet[np.ix_(kept, unknown)] @ moved
+
     def control(self, z: Pair, gauge: ArrayLike | None = None) -> Ambient:
         """The control at a point of ``P_f``; ``gauge`` gives the free components, shape ``(free controls,)``."""
         return self.array.problem.steer(self.center, self.eliminate(z, gauge)[: self.jet.shape[-1]])

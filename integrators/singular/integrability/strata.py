@@ -11,13 +11,11 @@ from ....manifolds.numerics import ambient as vec
 from ..integrability_result import Signature
 from .classification import Stratum
 from .final import final_equations
+from .hulls import APART, FEWEST, SAME_DIRECTION, AffineHull, piece_equations
 from .levels import PointRanks
 from .points import Points
 
 VANISHING_COSTATE = 1e-6
-SAME_DIRECTION = 1e-9  # largest difference of directions that are the same, in units
-FEWEST = 3  # points that show a piece
-APART = 1e-7  # larger differences of directions are clear: between, a curved piece may be nearly flat
 
 
 class Found(NamedTuple):
@@ -56,8 +54,8 @@ def _told_apart(group: list[Found]) -> list[list[Found]]:
 
     The rank of two tangent spaces together is the same for almost all pairs of points of one analytic piece. Where it
     is not, points whose least rank with any other is theirs together are on one piece: a flat one, or one in fewer
-    dimensions than it could bend in. Few points show no piece: beside a single one they are where that is flat to
-    rounding.
+    dimensions than it could bend in. Few points show no piece: beside a single one, unless that has most, they are
+    where it is flat to rounding.
     """
     joint, clear = _joint_ranks([item.ranks.tangents for item in group])
     if not clear:
@@ -71,7 +69,7 @@ def _told_apart(group: list[Found]) -> list[list[Found]]:
         else:
             clusters.append([i])
     told = [cluster for cluster in clusters if len(cluster) >= FEWEST]
-    if len(told) < 2:
+    if sum(map(len, told)) <= len(group) / 2 and len(told) < 2:
         return [group]
     rest = [i for i in range(len(group)) if not any(i in cluster for cluster in told)]
     return [[group[i] for i in cluster] for cluster in (*told, rest) if cluster]
@@ -99,6 +97,7 @@ def _stratum(members: list[Found]) -> Stratum:
     )
     ranks, tangents = history[-1], np.array([item.ranks.tangents for item in members])
     z, u, frame = jax.tree.map(jnp.asarray, vec.taken((points.at.z, points.at.control, points.at.frame), 0))
+    equations, hull = final_equations(points, base, history[base]), AffineHull.of(members)
     return Stratum(
         signature=ranks.signature,
         count=len(members),
@@ -113,7 +112,8 @@ def _stratum(members: list[Found]) -> Stratum:
         u=u,
         kernel=jax.tree.map(lambda leaf: np.tensordot(ranks.kernel, leaf, 1), frame),
         states=vec.joined([item.points.at.z for item in members]),
-        equations=final_equations(points, base, history[base]),
+        equations=equations,
+        piece=None if hull is None else piece_equations(hull, equations, points),
         feedback=final_equations(points, k_f, history[k_f]),
     )
 

@@ -71,7 +71,9 @@ class DirectIntegrator(DynamicsIntegrator):
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
         return self.dynamics.begin()
 
-    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory) -> StepResult:
+    def unchecked_step(
+        self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory
+    ) -> StepResult:
         dynamics = self.dynamics.on(system)
         end, departure, unknowns, solved = _stepped(dynamics, self.lift, h, (q, p), previous)
         allowed = jnp.where(previous.time == 0, tolerance(departure, STARTED), tolerance(departure, STAYED))

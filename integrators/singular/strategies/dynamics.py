@@ -61,8 +61,9 @@ class FinalDynamics(eqx.Module):
         not."""
 
         def problems(dynamics: Any) -> list[OptimalControlProblem]:
-            holders = [dynamics, dynamics.manifold] if isinstance(self.manifold, Submanifold) else [dynamics]
-            return [holder.equations.array.problem for holder in holders]
+            final = dynamics.manifold if isinstance(self.manifold, Submanifold) else None
+            holders = [dynamics, final, getattr(final, "piece", None)]
+            return [holder.equations.array.problem for holder in holders if holder is not None]
 
         return eqx.tree_at(problems, self, [system] * len(problems(self)))
 

@@ -37,7 +37,9 @@ class ProjectedIntegrator(DynamicsIntegrator):
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Memory:
         return self.dynamics.begin()
 
-    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory) -> StepResult:
+    def unchecked_step(
+        self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Memory
+    ) -> StepResult:
         dynamics = self.dynamics.on(system)
         new, final = dynamics.step(self.lift, h, q, p, previous), dynamics.manifold
         if not isinstance(final, Submanifold):

@@ -88,6 +88,7 @@ class RattleIntegrator(SingularIntegrator):
         return cls(lift=lift, singular=singular), reason
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
+        super().check(system, q, p)
         check_splitting(system, self.singular)
         system.check_discretization(self.lift.discretization)
         facts = _facts(ControlAffineSplitting(system, self.singular), (q, p), resting_control(system.controls))
@@ -101,7 +102,7 @@ class RattleIntegrator(SingularIntegrator):
         regular = ControlAffineSplitting(system, self.singular).regular_problem()
         return _Memory((q, extremal_control(regular, q, p)), jnp.zeros(len(self.singular)))
 
-    def step(
+    def unchecked_step(
         self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: _Memory
     ) -> StepResult:
         split = ControlAffineSplitting(system, self.singular)

@@ -105,7 +105,7 @@ class ReducedIntegrator(SingularIntegrator):
         control, _ = find_control(chain.reduced, *z, near)
         return _Memory((z[0], control), chain.up(z, control).u)
 
-    def step(
+    def unchecked_step(
         self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: _Memory
     ) -> StepResult:
         chain = self.chain.of(system)

@@ -59,7 +59,9 @@ class StageIntegrator(DynamicsIntegrator):
     def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage:
         return ControlStage(problem=system, discretization=self.lift.discretization, step=h)
 
-    def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
+    def unchecked_step(
+        self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any
+    ) -> StepResult:
         return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
 
     def control(self, unknowns: Any) -> Ambient:

@@ -1,6 +1,6 @@
 """The choice of a strategy from the classification of a problem."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import final
 
 import jax.numpy as jnp
@@ -107,6 +107,9 @@ def _first(
         except NotApplicableError as error:
             refusals[name] = str(error)
             continue
+        piece = classification.stratum.piece
+        if piece is not None and found.keeps_nodes:
+            found = replace(found, hull=piece.hull)
         remarks = *_gauge(classification, gauge), *_piece(classification)
         return (found, Choice(name, reason, remarks, refusals)), refusals
     return None, refusals

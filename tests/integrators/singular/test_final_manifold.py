@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import L_H, S_H
-from retrax.manifolds import InvalidInputError, NotOnManifoldError, is_lagrangian
+from retrax.integrators import L_H, S_H, OptimalControlProblem, classify
+from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, is_lagrangian
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Projection
 
@@ -117,3 +117,24 @@ def test_the_necessary_conditions_of_a_dummy_control_are_not_lagrangian():
     submanifold = L_H(known("dummy control").problem)
     with pytest.raises(InvalidInputError, match="no point of Submanifold"):
         submanifold.source.random_point(jax.random.key(0))
+
+
+def test_the_control_is_compiled_once():
+    """Of one classification, at all points and for both kinds of gauge; a piece that is chosen compiles its own."""
+    calls = []
+
+    def cost(q, u):
+        calls.append(q)
+        return q @ q / 2 + q @ u + u[0] ** 2 / 2
+
+    drift = lambda q, u: jnp.stack([jnp.sin(q[0]) + u[0], q[1]])  # noqa: E731
+    found = classify(OptimalControlProblem(Euclidean(2), drift, cost, 2))
+    for gauge in (None, jnp.array([0.7])):
+        counts = []
+        for k in range(3):
+            q, p = jnp.array([0.7 + k, 0.0]), jnp.array([-0.3, 0.2 * k])
+            u = found.control(q, p, gauge)
+            np.testing.assert_allclose(u[0], p[0] - q[0], atol=1e-14)
+            assert gauge is None or u[1] == 0.7
+            counts.append(len(calls))
+        assert counts[0] == counts[1] == counts[2], counts

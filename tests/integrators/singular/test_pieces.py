@@ -113,6 +113,29 @@ def test_flat_pieces_are_told_apart_by_their_tangent_spaces():
     assert not found["circle"].stratified
 
 
+class Engel(eqx.Module):
+    """``u1 d/dx + u2 (d/dy + x d/dz + x^2/2 d/dw)``."""
+
+    def __call__(self, q, u):
+        return jnp.stack([u[0], u[1], q[0] * u[1], q[0] ** 2 / 2 * u[1]])
+
+
+def test_the_morse_family_is_one_where_the_rank_of_the_form_drops():
+    """``D(dH/du)`` has rank 2 wherever ``p`` is not zero; that of the form drops where ``p3 + x p4 = 0``."""
+    problem = OptimalControlProblem(Euclidean(4), Engel(), lambda q, u: u @ u / 2, 2, abnormal=True)
+    for away in (0.0, 1e-12, 1e-6, 1e-3, 1.0):
+        near = jnp.array([0.5, 0, 0, 0]), jnp.array([0, 0.125 - away / 2, away - 0.5, 1.0])
+        c = classify(problem, near=near, seed=1)
+        (x, *_), (_, _, p3, p4) = (np.transpose(part) for part in c.morse.states)
+        exact = [
+            np.linalg.svd([[0, 1, 0, 0, 0], [h, 0, 1, a, a**2 / 2]])[1] for a, h in zip(x, p3 + x * p4, strict=True)
+        ]
+        assert np.min(exact) > 0.9
+        assert c.morse.family, str(c)
+        assert c.morse.count >= 15
+        assert "is a Morse family" in str(c)
+
+
 class Crossing(eqx.Module):
     """``x^2 y^2 (1 + share (y - 1)) / 2``."""
 
