@@ -52,7 +52,7 @@ def appraisal(
     """The appraisal of iterates.
 
     ``units``: those that success is judged by, and those of steps; ``mean``: the mean steps; ``limits``: the survey of
-    the inequalities, shape (11, B), their barrier and its unit, if there are any.
+    the inequalities, shape (10, B), their barrier and its unit, if there are any.
     """
     from . import extent_kernels
 
