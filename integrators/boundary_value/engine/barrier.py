@@ -57,7 +57,9 @@ class Barrier(NamedTuple):
 
     def _inside(self, held: Held) -> Held:
         """The inequalities, of which those that no iterate leaves hold by rounding at least."""
-        return held._replace(values=np.where(self.kept[:, None, None], np.minimum(held.values, -EPS * self.unit), held.values))
+        return held._replace(
+            values=np.where(self.kept[:, None, None], np.minimum(held.values, -EPS * self.unit), held.values)
+        )
 
     def first(self, held: Held) -> Slacks:
         """The slacks to begin with: those of inequalities that do not hold by enough are elastic."""
@@ -88,7 +90,9 @@ class Barrier(NamedTuple):
     def softened(self, held: Held, slacks: Slacks, where: np.ndarray) -> Slacks:
         """The slacks with all inequalities elastic in some members."""
         price = np.where(where[:, None, None, None], np.minimum(slacks.price, PRICE * self.price), slacks.price)
-        fresh = central(self._inside(held), np.where(where, np.maximum(slacks.barrier, FIRST * self.rate), slacks.barrier), price)
+        fresh = central(
+            self._inside(held), np.where(where, np.maximum(slacks.barrier, FIRST * self.rate), slacks.barrier), price
+        )
         return Slacks(
             *(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True))
         )
