@@ -95,7 +95,7 @@ class JointConditions:
         self.units = JointUnits(units, self.phases[0].measured.cost)
         begun = [started(phase, *own, pay) for phase, own, pay in zip(self.phases, first, paid, strict=True)]
         parts, systems = zip(*begun, strict=True)
-        return JointIterate(parts, guess.multipliers), JointAssembled(systems, coupled)
+        return JointIterate(parts, guess.multipliers), JointAssembled(self._in_scale(systems, coupled), coupled)
 
     def _measure(self, coupled: Coupled, first: list[tuple[Iterate, Assembled]]) -> None:
         """Units of the phases in which the equations between the ends ask for no more than a trajectory of size one."""
@@ -131,7 +131,20 @@ class JointConditions:
         """The KKT system at an iterate."""
         coupled, paid = self._coupled(iterate)
         parts = (phase.assemble(part, pay) for phase, part, pay in zip(self.phases, iterate.parts, paid, strict=True))
-        return JointAssembled(tuple(parts), coupled)
+        return JointAssembled(self._in_scale(tuple(parts), coupled), coupled)
+
+    def _in_scale(self, systems: tuple[Assembled, ...], coupled: Coupled) -> tuple[Assembled, ...]:
+        """The systems of the phases with what the cost of all curves by, those of their ends among them.
+
+        Where it is least by itself, as where all measured points are met, costates vanish, also in phases without one.
+        """
+        ends = np.concatenate([phase.judging.nodes for phase in self.phases for _ in range(2)], axis=1)
+        found = [np.abs(np.diagonal(coupled.curvature, axis1=1, axis2=2)) * ends**2]
+        for phase, system in zip(self.phases, systems, strict=True):
+            if system.blocks.held is None:  # with a barrier it has no bound
+                found.append(system.extent.curvature * phase.judging.unknowns**2)
+        scale = np.concatenate(found, axis=1).max(axis=1, initial=0.0)
+        return tuple(system._replace(curved=scale) for system in systems)
 
     def move(
         self, iterate: JointIterate, assembled: JointAssembled, step: JointStep, fraction: np.ndarray
