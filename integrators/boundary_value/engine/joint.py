@@ -15,6 +15,7 @@ from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
 from .elimination import MANY
 from .first_units import first_units, reached
+from .inequalities import VALUE
 from .joint_system import JointAssembled, JointIterate, JointStep, JointUnits
 from .kkt_system import Assembled, Iterate, Residuals, Step
 
@@ -138,8 +139,12 @@ class JointConditions:
 
         Where it is least by itself, as where all measured points are met, costates vanish, also in phases without one.
         """
-        ends = np.concatenate([phase.judging.nodes for phase in self.phases for _ in range(2)], axis=1)
-        found = [np.abs(np.diagonal(coupled.curvature, axis1=1, axis2=2)) * ends**2]
+        sizes = [
+            own * np.maximum(own, VALUE * system.extent.sizes)
+            for own, system in zip((phase.judging.nodes for phase in self.phases), systems, strict=True)
+        ]
+        ends = np.concatenate([size for size in sizes for _ in range(2)], axis=1)
+        found = [np.abs(np.diagonal(coupled.curvature, axis1=1, axis2=2)) * ends]
         for phase, system in zip(self.phases, systems, strict=True):
             if system.blocks.held is None:  # with a barrier it has no bound
                 found.append(system.extent.curvature * phase.judging.unknowns**2)
