@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..errors import TRACEABLE
-from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision

@@ -284,8 +284,8 @@ def _stationarity(
 ) -> tuple:
     """The derivative of the Lagrangian relative to the parts that cancel in it, and the scale of these.
 
-    ``along``: the sizes of the states, where these exceed their units. ``units``: what sets the scale where all parts vanish, zero where the curvature does, and the share of the scale
-    that a part is at least measured by.
+    ``along``: the sizes of the states, where these exceed their units. ``units``: what sets the scale where all parts
+    vanish, zero where the curvature does, and the share of the scale that a part is at least measured by.
     """
     (least, share), found = units, 0.0
     scale = least
@@ -344,9 +344,7 @@ def measure(
     share = shares[1]
     for m in range(nodes.shape[0]):
         _measures((highest, lowest, support), nodes, shares, m, along, entries)
-        found[1, m], scale = _stationarity(
-            parts[m], slope[m], curvature[m], unknowns[m], along[m], (least[m], share)
-        )
+        found[1, m], scale = _stationarity(parts[m], slope[m], curvature[m], unknowns[m], along[m], (least[m], share))
         for e in range(entries.shape[1]):
             found[0, m] = larger(found[0, m], distance[m, e] / (entries[m, e] if entries[m, e] > 0 else 1.0))
         for a in range(nodes.shape[1]):

@@ -48,7 +48,8 @@ def survey(
     multiplier comes near to it with, and the highest one, both relative to their units. ``out``, shape ``(10, B)``,
     comes as zeros: the largest violation and excess; the largest of ``nu s`` and ``zeta t``, and the least; ``sum w
     |g + s - t|``, in units; ``sum w (rho t - mu (log s + log t))``; ``sum w nu (g + s - t)``; the highest price,
-    relative to the first one; 1 where a multiplier comes near to a price below the highest; the largest excess whose multiplier comes near to the highest price.
+    relative to the first one; 1 where a multiplier comes near to a price below the highest; the largest excess
+    whose multiplier comes near to the highest price.
     """
     (values, _, weights), (s, nu, t, rho, mu), (limits, rate, room) = held, slacks, units
     _, steps, stages, size = values.shape
