@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from retrax.integrators import (
     Free,
+    Guess,
     OptimalControlProblem,
     Phase,
     Solver,
@@ -15,6 +16,8 @@ from retrax.integrators import (
 )
 from retrax.manifolds import ConvergenceError, Euclidean
 from retrax.retractions import Exponential, Gauss
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
 
 PLANE = Euclidean(2)
 METHOD = Gauss(2, Exponential(PLANE))
@@ -118,3 +121,49 @@ def test_a_slope_and_a_start_are_fitted_at_an_end(size, noise):
     method = Gauss(2, Exponential(line))
     found = solve(problem, method, Free(np.zeros(1)), None, 1.0, 2, parameters=Free(0.5))
     np.testing.assert_allclose([found.states[0, 0], found.parameters], expected, rtol=1e-8)
+
+
+RATES, POPULATION = np.array([1.0, 0.5, 0.8, 0.3]), np.array([2.0, 1.0])
+OFF = {"one half": (np.full(2, 2.0), np.full(4, 0.5)), "one": (np.ones(2), np.ones(4))}
+
+
+def preying(q, rates):
+    """Growth of prey and predators, Lotka and Volterra's."""
+    return [rates[0] * q[0] - rates[1] * q[0] * q[1], -rates[2] * q[1] + rates[3] * q[0] * q[1]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OFF)
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_predators_and_prey_are_fitted_from_a_constant_guess(name, noise):
+    """Four rates and both beginnings from ten measurements, as `scipy.optimize.least_squares` finds them."""
+    times, space = np.linspace(0.0, 5.0, 10), Euclidean(6)
+
+    def moved(begin, rates):
+        options = {"t_eval": times, "rtol": 1e-10, "atol": 1e-12}
+        return solve_ivp(lambda _, q: preying(q, rates), (0, 5), begin, **options).y.T
+
+    data = moved(POPULATION, RATES) + noise * np.random.default_rng(1).standard_normal((10, 2))
+    guess = np.concatenate(OFF[name])
+    judge = least_squares(lambda z: (moved(z[:2], z[2:]) - data).ravel(), guess)
+
+    def met(place):
+        return lambda q: jnp.sum((q[:2] - data[place]) ** 2) / 2
+
+    phases = []
+    for k in range(9):
+        first = {"initial_cost": met(0)} if k == 0 else {}
+        problem = OptimalControlProblem(
+            space,
+            lambda q, u: jnp.stack([*preying(q, q[2:]), *(0 * q[2:])]),
+            lambda q, u: 0.0,
+            0,
+            terminal_cost=met(k + 1),
+            **first,
+        )
+        constant = Guess(np.tile(guess, (8, 1)), np.zeros((8, 0)))
+        start = Free(guess) if k == 0 else None
+        phases.append(Phase(problem, Gauss(2, Exponential(space)), 4, 5 / 9, start=start, guess=constant))
+    found = solve_phases(phases)
+    assert found.cost == pytest.approx(judge.cost, rel=1e-5, abs=1e-11)
+    np.testing.assert_allclose(found.phases[0].states[0], judge.x, rtol=1e-5)
