@@ -85,6 +85,13 @@ class Inequalities(eqx.Module):
         break no symmetry."""
         return bool(self.node_names) or not self.at_first.issuperset(self.names)
 
+    def once(self, sizes: Mapping[str, int | None]) -> np.ndarray:
+        """Which entries at a point hold at the first one only, bounds of what is free; ``sizes``: of the functions."""
+        found = [False for side in self.bounded.values() for _ in side]
+        return np.array(
+            found + [name in self.at_first for name, size in sizes.items() for _ in range(count(size))], bool
+        )
+
     @property
     def every_name(self) -> tuple[str, ...]:
         """The names of all functions."""

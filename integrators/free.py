@@ -105,6 +105,14 @@ def near(value: Any, found: Any) -> Any:
     return Free(np.clip(found, value.lower, value.upper), value.lower, value.upper) if is_free(value) else value
 
 
+def inside(guess: np.ndarray, lower: np.ndarray, upper: np.ndarray, share: float) -> np.ndarray:
+    """Guesses strictly between their bounds: off each by a share of its size, and of the room between both."""
+    sides = [np.where(np.isfinite(side), side, guess) for side in (lower, upper)]
+    sizes = [np.maximum(np.abs(side), np.abs(guess)) for side in sides]
+    off = [share * np.minimum(np.where(size > 0, size, 1.0), upper - lower) for size in sizes]
+    return np.clip(guess, lower + off[0], upper - off[1])
+
+
 def scaled(value: Any, factor: float) -> Any:
     """What may be free, a number, guessed so many times as large; None where that is outside its bounds."""
     if not is_free(value):

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, final
 import jax
 import numpy as np
 
-from ..manifolds import InvalidInputError, NotOnManifoldError, RetraxError
+from ..manifolds import Euclidean, InvalidInputError, NotOnManifoldError, RetraxError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import default_tolerance, working_precision
 from .compilation import call_compiled
 from .control_jumps import require_no_jumps
+from .controls import resting_control, within_bounds
 from .probing import (
     CURVATURES,
     FAILURES,
@@ -29,19 +30,47 @@ from .probing import (
     flats,
     kink_words,
     probe,
-    require_finite,
+    undefined_words,
 )
 from .stopped import require_true_derivatives
 
 if TYPE_CHECKING:
     from .problem import OptimalControlProblem
 
+NEARER = 1.0, 0.1, 1e-2  # shares of a guessed control: how near to it the functions are looked at
 
-def probes(problem: "OptimalControlProblem") -> tuple[np.ndarray, Ambient]:
-    """Random coordinates of controls and random ambient covectors, the same at every call."""
-    draw = np.random.default_rng(0).standard_normal
+
+def probes(problem: "OptimalControlProblem", u: Ambient, near: float | None = None) -> tuple[np.ndarray, Ambient]:
+    """Random coordinates of controls around ``u`` and random ambient covectors, the same at every call.
+
+    The controls are inside the bounds, at most half of the way to these; ``near``: a share of ``u`` that is the size
+    of the coordinates, which else is one.
+    """
+    draw, m = np.random.default_rng(0).standard_normal, problem.controls.dimension
     covectors = jax.tree.map(lambda s: draw((CURVATURES, *s.shape)).astype(s.dtype), problem.manifold.ambient)
-    return SPREAD * draw((CURVATURES, problem.controls.dimension)).astype(working_precision()), covectors
+    moves = SPREAD * draw((CURVATURES, m))
+    if isinstance(problem.controls, Euclidean) and m:
+        flat = np.ravel(np.asarray(u, float))
+        if near is not None:
+            moves *= near * np.where(flat != 0, np.abs(flat), 1.0)
+        if problem.limits.lower:
+            rooms = [np.abs(np.array(side) - flat) / 2 for side in (problem.limits.lower, problem.limits.upper)]
+            moves = np.clip(moves, -rooms[0], rooms[1])
+    return moves.astype(working_precision()), covectors
+
+
+def inspected(problem: "OptimalControlProblem", q: Ambient, guessed: Ambient | None = None) -> "Inspection":
+    """A look at the functions at a state, at rest or inside the bounds; near a guessed control where they are not
+    finite there."""
+    found = Inspection(problem, q, within_bounds(problem.limits, resting_control(problem.controls)))
+    if guessed is None or not found.undefined:
+        return found
+    u = within_bounds(problem.limits, guessed)
+    for near in NEARER:
+        found = Inspection(problem, q, u, near)
+        if not found.undefined:
+            break
+    return found
 
 
 @final
@@ -52,9 +81,10 @@ class Inspection:
     What several questions need is evaluated once, at the first of them.
     """
 
-    def __init__(self, problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
+    def __init__(self, problem: "OptimalControlProblem", q: Ambient, u: Ambient, near: float | None = None) -> None:
+        """``near``: a share of ``u`` within which other controls are, else of one."""
         self.problem, self.q, self.u = problem, q, u
-        self._directions, self._covectors = probes(problem)
+        self.directions, self._covectors = probes(problem, u, near)
 
     def require_sound(self) -> None:
         """Raise if the functions return something of the wrong kind, or are not smooth in the controls."""
@@ -63,7 +93,8 @@ class Inspection:
 
     def require_tangent(self) -> None:
         """Raise if the functions are not finite, or ``dynamics`` leaves the tangent space."""
-        require_finite(self.problem.limits.function_words, self._probed, self.q)
+        if self.undefined:
+            raise InvalidInputError(self.undefined)
         normal, size = np.max(self._probed.normals), np.max(self._probed.sizes)
         if not normal <= default_tolerance() * (1 + size):
             raise NotOnManifoldError(
@@ -99,6 +130,11 @@ class Inspection:
         counts = np.cumsum([0, *map(len, self._flats)])
         return any(all(bent is not None for bent in self._bends[a:b]) for a, b in pairwise(counts))
 
+    @cached_property
+    def undefined(self) -> str:
+        """Words on functions that are not finite here; empty if all are."""
+        return undefined_words(self.problem.limits.function_words, self._probed, self.q)
+
     @property
     def _is_curved(self) -> bool:
         return not all(self._flats)
@@ -107,7 +143,7 @@ class Inspection:
     def _probed(self) -> Probed:
         """The functions in NumPy arrays; raises if they fail."""
         try:
-            return probe(self.problem, self.q, self.u, self._directions, self._covectors)
+            return probe(self.problem, self.q, self.u, self.directions, self._covectors)
         except RetraxError:
             raise
         except FAILURES as error:
@@ -115,7 +151,7 @@ class Inspection:
 
     @cached_property
     def _flats(self) -> list[list[Flat]]:
-        return flats(self._probed, self._directions)
+        return flats(self._probed, self.directions)
 
     @cached_property
     def _every(self) -> list[Flat]:
@@ -126,7 +162,7 @@ class Inspection:
         """The functions along the lines of all flat directions, in NumPy arrays."""
         bases, ways = (np.stack([getattr(flat, name) for flat in self._every]) for name in ("bases", "direction"))
         given = vec.taken(self._covectors, np.array([flat.sample for flat in self._every]))
-        ladder = LADDER.astype(self._directions.dtype)
+        ladder = LADDER.astype(self.directions.dtype)
         return jax.device_get(call_compiled(along_lines, self.problem, self.q, self.u, given, bases, ways, ladder)[0])
 
     @cached_property

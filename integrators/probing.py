@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..errors import TRACEABLE
-from ..manifolds import InvalidInputError
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
@@ -293,25 +292,28 @@ def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool
     return True
 
 
-def require_finite(words: Sequence[str], probed: Probed, q: Ambient) -> None:
-    """Raise if the functions, or their derivatives by the controls, are not finite where they were probed."""
+def undefined_words(words: Sequence[str], probed: Probed, q: Ambient) -> str:
+    """Words on functions, or derivatives by the controls, that are not finite where they were probed; empty if all
+    are."""
     first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
     u, size = vec.taken(probed.controls, first), probed.sizes[first]
     if not np.all(np.isfinite((size, *probed.costs))):
-        raise InvalidInputError(
+        return (
             f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
-            f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there"
+            f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there, or pass a guess, or "
+            "control_bounds, where they are finite"
         )
     if not np.all(np.isfinite(probed.slopes[0])):
-        raise InvalidInputError(
+        return (
             f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions "
             "that are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
         )
     for name, values, slopes in zip(words, *probed.limits, strict=True):
         if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
             what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
-            raise InvalidInputError(
+            return (
                 f"{name} {what} at q = {q}, u = {u}, where "
                 f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in "
                 "place of sqrt(u @ u) - a"
             )
+    return ""

@@ -20,7 +20,7 @@ from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import digest
 from .constraints import Constraint, Inequalities, constraint_words, node_words
-from .controls import resting_control
+from .controls import resting_control, within_bounds
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number, shapes_in, with_last
 from .inspection import Inspection, probes
@@ -364,7 +364,8 @@ class OptimalControlProblem(eqx.Module):
 
         The terminal one at points of which the arrays that are ``fixed`` at the end are those of ``end``.
         """
-        require_cost(self, (q, resting_control(self.controls), probes(self)[0]), end, fixed)
+        u = within_bounds(self.limits, resting_control(self.controls))
+        require_cost(self, (q, u, probes(self, u)[0]), end, fixed)
 
     def is_steep_at(self, fixed: tuple[bool, ...] = ()) -> bool:
         """Whether the differential of the terminal cost vanishes nowhere, because an entry of it is one number, not

@@ -209,7 +209,8 @@ class Formulated:
         """
         given, horizon = request.given, float(request.horizons[0])
         formulation, solver = self.of(given.horizon, given.parameters)
-        constants, times = formulation.guesses(given.horizon, given.parameters), request.horizons + (begins or 0.0)
+        own = request.guess_of(0)
+        constants, times = formulation.guesses(given.horizon, given.parameters, own), request.horizons + (begins or 0.0)
         start, end = formulation.start(given.start, constants, begins), formulation.end(given.end, times)
         guess = self._guess(formulation, request, 0, constants, begins or 0.0)
         if isinstance(request.guess, Solution) and guess is not None:
@@ -222,7 +223,7 @@ class Formulated:
         members = [request.member(k) for k in range(len(request))]
         each = [(member.given.horizon, member.given.parameters) for member in members]
         formulation, solver = self.of(*each[0])
-        constants = np.stack([formulation.guesses(*own) for own in each])
+        constants = np.stack([formulation.guesses(*own, request.guess_of(k)) for k, own in enumerate(each)])
         parameters = [formulation.parameters(*own) for own in each]
         stacked = vec.stacked(parameters) if formulation.takes else None
         guesses = [self._guess(formulation, request, k, c) for k, c in enumerate(constants)]

@@ -16,7 +16,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Addition, DiscretizationMap, Gauss, ProductRetraction, Retraction, Theta
 from ..boundary_conditions import BoundaryConditions
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER, Inequalities
-from ..free import Free, guessed, is_free
+from ..free import Free, guessed, inside, is_free
 from ..problem import OptimalControlProblem
 from .arguments import Method
 from .checks import Checks
@@ -25,6 +25,8 @@ from .interpolation import Interpolant
 from .sensitivity import Derivative, Sensitivity
 from .solution import Solution
 
+OFF, ROUNDED = 1e-2, 1e-8  # of a bound's size: a guess is no nearer to it; the same where its multiplier is known
+BOUNDS = {HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER}
 OWN = "factor 0, "  # how the names of the factors of Q begin in the product with the added states
 
 
@@ -119,10 +121,20 @@ class Formulation:
         """The end with free constants and time, guessed as these."""
         return end, *([None] if self.constants else []), *([Free(times)] if self.own.time_dependent else [])
 
-    def guesses(self, horizon: Any, parameters: Any) -> np.ndarray:
-        """The constants that are guessed."""
-        leaves = jax.tree.leaves(parameters, is_leaf=is_free)
-        return np.concatenate([_rows(leaves, "guess"), np.full(int(is_free(horizon)), self.at_guess)])
+    def guesses(self, horizon: Any, parameters: Any, guess: Guess | None = None) -> np.ndarray:
+        """The constants that are guessed, strictly inside their bounds; by little where a guess knows multipliers of
+        these."""
+        leaves, share = jax.tree.leaves(parameters, is_leaf=is_free), OFF
+        if guess is not None and not BOUNDS.isdisjoint(guess.multipliers or {}):
+            share = ROUNDED
+        rows = [np.append(_rows(leaves, name), self._in_log(horizon, name)) for name in ("guess", "lower", "upper")]
+        return inside(*rows, share)
+
+    def _in_log(self, horizon: Any, name: str) -> np.ndarray:
+        """The guess, or a bound, of a free horizon as that of the constant that stands for it."""
+        free, none = is_free(horizon), name == "lower" and is_free(horizon) and horizon.lower <= 0
+        own = -np.inf if none else np.log(getattr(horizon, name) / horizon.guess) if free else 0.0
+        return np.full(int(free), self.at_guess + own)
 
     def parameters(self, horizon: Any, parameters: Any) -> Any:
         """The parameters of the formulation: those that are not free, and the bounds; None if there are none."""
@@ -132,8 +144,7 @@ class Formulation:
         sides = ("lower", self.kind.below), ("upper", self.kind.above)
         below, above = (_rows(leaves, name)[list(entries)] for name, entries in sides)
         both = zip(self.kind.horizon_bounds, ("lower", "upper"), strict=True)
-        times = [self.at_guess + np.log(getattr(horizon, name) / horizon.guess) for bounded, name in both if bounded]
-        bounds = np.concatenate([np.array(times, float), below, above])
+        bounds = np.concatenate([*(self._in_log(horizon, name) for bounded, name in both if bounded), below, above])
         return [leaf for leaf in leaves if not is_free(leaf)], ([bounds] if bounds.size else [])
 
     def guess(self, guess: Guess, constants: np.ndarray, times: tuple[np.ndarray, np.ndarray]) -> Guess:

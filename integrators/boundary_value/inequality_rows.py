@@ -47,9 +47,7 @@ class InequalityRows:
         if not self._any:
             return None
         holds = np.zeros((steps, self.places, self.own + 2 * self.nodes), bool)
-        once = [False for side in self.limits.bounded.values() for _ in side]
-        once += [name in self.limits.at_first for name, size in self.sizes.items() for _ in range(count(size))]
-        holds[:, : self.stages, : self.own] = ~np.array(once, bool)
+        holds[:, : self.stages, : self.own] = ~self.limits.once(self.sizes)
         holds[0, 0, : self.own] = True
         if not self.nodes:
             return holds

@@ -8,7 +8,7 @@ import numpy as np
 
 from ...retractions import Gauss, Midpoint
 from ...undisturbed import undisturbed
-from ..controls import resting_control
+from ..controls import resting_control, within_bounds
 from ..evaluated import Evaluator
 from ..layout import Layout
 from ..problem import OptimalControlProblem
@@ -118,13 +118,28 @@ class Posing:
         asked = None if mask is None else for_all(mask.astype(float)[None], len(request))
         data = Data(request.horizons[:, None] * self.fractions, request.rows, asked)
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
-        return Posed(
-            traced, Conditions(traced.steps, traced.nodes, own, data), self._guess(traced, request, rows, data)
-        )
+        conditions = Conditions(traced.steps, traced.nodes, own, data)
+        return Posed(traced, conditions, self._finite(conditions, self._guess(traced, request, rows, data)))
 
     @cached_property
     def _resting(self) -> np.ndarray:
         return self.control.rows(resting_control(self.problem.controls), 0)
+
+    @cached_property
+    def _inside(self) -> np.ndarray:
+        """The control at rest, or inside the bounds if it is not."""
+        return self.control.rows(within_bounds(self.problem.limits, resting_control(self.problem.controls)), 0)
+
+    def _finite(self, conditions: Conditions, guess: Iterate) -> Iterate:
+        """The guess, with controls inside the bounds where all are at rest and the functions are not finite there."""
+        controls = guess.unknowns.controls
+        resting = np.all(controls == self._resting, axis=(1, 2, 3))
+        if not resting.any() or np.array_equal(self._inside, self._resting):
+            return guess
+        blocks = conditions.assemble(guess.bare).blocks
+        resting &= ~np.all(np.isfinite(blocks.hessian), axis=(1, 2, 3))
+        controls = np.where(resting[:, None, None, None], self._inside, controls)
+        return guess._replace(unknowns=guess.unknowns._replace(controls=controls))
 
     def _guess(self, traced: Traced, request: Request, rows: tuple[np.ndarray, np.ndarray], data: Data) -> Iterate:
         """The guesses that are given, or curves from start to end with controls at rest and costates zero."""

@@ -7,10 +7,9 @@ import numpy as np
 
 from ...manifolds import DomainError, InvalidInputError, NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
-from ..controls import resting_control
 from ..evaluated import Evaluator
 from ..evaluator import Automatic
-from ..inspection import Inspection
+from ..inspection import inspected
 from ..problem import OptimalControlProblem
 from .arguments import Given, Method, Options, fractions_of
 from .engine.found import Found
@@ -141,8 +140,9 @@ def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases, re
             formulation, inner, own = outer.formulated.formulated(request, begins if number else None)
         equations = inner.posing.posed(own, repeated)
         bound, guess = own.problem, own.guess_of(0)
-        first = own.conditions_of(0)[0].point if guess is None else vec.taken(guess.states, 0)
-        inspection = Inspection(bound, first, resting_control(bound.controls))
+        ends = own.conditions_of(0)[0].point, None
+        first, control = ends if guess is None else vec.taken((guess.states, guess.controls), 0)
+        inspection = inspected(bound, first, control)
         inspection.require_sound()
         regular = inspection.is_regular or bound.limits.along
     except NAMED as error:

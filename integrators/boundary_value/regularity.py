@@ -7,8 +7,9 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics import ambient as vec
-from ..controls import resting_control
-from ..inspection import Inspection, probes
+from ..controls import resting_control, within_bounds
+from ..costs import require_cost
+from ..inspection import inspected, probes
 from ..singular import Classification, classify
 from .iteration_table import say
 from .posed import Posing
@@ -39,14 +40,14 @@ class Regularity:
         key, values = self._key(request), request.rows[k].tobytes()
         if key not in self._classes or self._classes[key][0] != values:
             problem, (first, last), guess = request.problem_of(k), request.conditions_of(k), request.guess_of(k)
-            known = first.point if guess is None else vec.taken(guess.states, 0)
-            inspection = Inspection(problem, known, resting_control(problem.controls))
+            known, control = (first.point, None) if guess is None else vec.taken((guess.states, guess.controls), 0)
+            inspection = inspected(problem, known, control)
             inspection.require_sound()
             # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.
             regular = inspection.is_regular or problem.limits.along
             if not regular and self.refusal:
                 raise InvalidInputError(self.refusal)
-            problem.require_cost(known, last.point, last.fixed_leaves)
+            require_cost(problem, (known, inspection.u, inspection.directions), last.point, last.fixed_leaves)
             excluded = None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False
             if not regular:
                 say(request.options.callback, CLASSIFYING)
@@ -120,7 +121,8 @@ class Regularity:
     def _probes(self) -> tuple[np.ndarray, np.ndarray]:
         """Flat controls around the resting one, and covectors, random and the same at every call."""
         problem = self._posing.problem
-        rest, (moves, covectors) = resting_control(problem.controls), probes(problem)
+        rest = within_bounds(problem.limits, resting_control(problem.controls))
+        moves, covectors = probes(problem, rest)
         controls = np.stack([self._posing.control.rows(problem.steer(rest, move), 0) for move in moves])
         return controls, self._posing.state.rows(covectors, 1)
 

@@ -5,14 +5,19 @@ import numpy as np
 import pytest
 from retrax.integrators import (
     Free,
+    Guess,
     OptimalControlProblem,
+    Phase,
     Solver,
     discretization_error,
     solve,
+    solve_phases,
     step_errors,
 )
 from retrax.manifolds import ConvergenceError, Euclidean
 from retrax.retractions import Exponential, Gauss
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
 
 PLANE = Euclidean(2)
 METHOD = Gauss(2, Exponential(PLANE))
@@ -66,3 +71,99 @@ def test_without_controls_a_start_and_a_horizon_are_found(place):
     np.testing.assert_allclose(begun.states[0], place / (1 + DECAYED), rtol=1e-6)
     halved = solve(decaying(0), METHOD, START, START / 2, Free(1.0, 0.1, 3.0), 8)
     assert halved.horizon == pytest.approx(np.log(2), rel=1e-6)
+
+
+def falling(measured):
+    """The square of what an end misses a measured height by."""
+    return lambda q: (q[0] - measured) ** 2
+
+
+@pytest.mark.parametrize("count", [2, 3, 5])
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("noise", [0.0, 1e-9, 1.0])
+def test_a_line_through_measured_points(count, size, noise):
+    """A phase between each two of them; where all points are on the line all costates vanish."""
+    times = np.linspace(0.0, 1.0, count)
+    heights = size * (1 + 2 * times + noise * np.cos(7 * np.arange(count)))
+    expected, *_ = np.linalg.lstsq(np.stack([np.ones(count), times], axis=1), heights)
+    method, phases = Gauss(2, Exponential(PLANE)), []
+    for k in range(count - 1):
+        first = {"initial_cost": falling(heights[0])} if k == 0 else {}
+        problem = OptimalControlProblem(
+            PLANE,
+            lambda q, u: jnp.stack([q[1], 0 * q[1]]),
+            lambda q, u: 0.0,
+            0,
+            terminal_cost=falling(heights[k + 1]),
+            **first,
+        )
+        start = Free(np.zeros(2)) if k == 0 else None
+        phases.append(Phase(problem, method, 1, times[k + 1] - times[k], start=start))
+    found = solve_phases(phases)
+    np.testing.assert_allclose(found.phases[0].states[0], expected, rtol=1e-8)
+    assert found.phases[0].statistics.iterations < 10
+
+
+@pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
+@pytest.mark.parametrize("noise", [0.0, 1e-9, 1.0])
+def test_a_slope_and_a_start_are_fitted_at_an_end(size, noise):
+    """All measured points as a cost of the end, from which the line goes back: there its costate vanishes."""
+    times, line = np.linspace(0.0, 1.0, 5), Euclidean(1)
+    heights = size * (1 + 2 * times + noise * np.cos(7 * np.arange(5)))
+    expected, *_ = np.linalg.lstsq(np.stack([np.ones(5), times], axis=1), heights)
+
+    def missed(q, slope):
+        return jnp.sum((q[0] - slope * (1 - times) - heights) ** 2) / 2
+
+    problem = OptimalControlProblem(
+        line, lambda q, u, slope: jnp.reshape(slope, (1,)), lambda q, u, slope: 0.0, 0, terminal_cost=missed
+    )
+    method = Gauss(2, Exponential(line))
+    found = solve(problem, method, Free(np.zeros(1)), None, 1.0, 2, parameters=Free(0.5))
+    np.testing.assert_allclose([found.states[0, 0], found.parameters], expected, rtol=1e-8)
+
+
+RATES, POPULATION = np.array([1.0, 0.5, 0.8, 0.3]), np.array([2.0, 1.0])
+OFF = {"one half": (np.full(2, 2.0), np.full(4, 0.5)), "one": (np.ones(2), np.ones(4))}
+
+
+def preying(q, rates):
+    """Growth of prey and predators, Lotka and Volterra's."""
+    return [rates[0] * q[0] - rates[1] * q[0] * q[1], -rates[2] * q[1] + rates[3] * q[0] * q[1]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OFF)
+@pytest.mark.parametrize("noise", [0.0, 0.05])
+def test_predators_and_prey_are_fitted_from_a_constant_guess(name, noise):
+    """Four rates and both beginnings from ten measurements, as `scipy.optimize.least_squares` finds them."""
+    times, space = np.linspace(0.0, 5.0, 10), Euclidean(6)
+
+    def moved(begin, rates):
+        options = {"t_eval": times, "rtol": 1e-10, "atol": 1e-12}
+        return solve_ivp(lambda _, q: preying(q, rates), (0, 5), begin, **options).y.T
+
+    data = moved(POPULATION, RATES) + noise * np.random.default_rng(1).standard_normal((10, 2))
+    guess = np.concatenate(OFF[name])
+    judge = least_squares(lambda z: (moved(z[:2], z[2:]) - data).ravel(), guess)
+
+    def met(place):
+        return lambda q: jnp.sum((q[:2] - data[place]) ** 2) / 2
+
+    phases = []
+    for k in range(9):
+        first = {"initial_cost": met(0)} if k == 0 else {}
+        problem = OptimalControlProblem(
+            space,
+            lambda q, u: jnp.stack([*preying(q, q[2:]), *(0 * q[2:])]),
+            lambda q, u: 0.0,
+            0,
+            terminal_cost=met(k + 1),
+            **first,
+        )
+        constant = Guess(np.tile(guess, (8, 1)), np.zeros((8, 0)))
+        start = Free(guess) if k == 0 else None
+        phases.append(Phase(problem, Gauss(2, Exponential(space)), 4, 5 / 9, start=start, guess=constant))
+    found = solve_phases(phases)
+    assert found.cost == pytest.approx(judge.cost, rel=1e-5, abs=1e-11)
+    np.testing.assert_allclose(found.phases[0].states[0], judge.x, rtol=1e-5)

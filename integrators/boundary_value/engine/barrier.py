@@ -27,19 +27,23 @@ LOWERING = SOLVED, LESS, FASTER, REACHED, TELLS
 
 @final
 class Barrier(NamedTuple):
-    """Units of the cost per time, shape (B,), and of the inequalities, (B, c)."""
+    """Units of the cost per time, shape (B,), and of the inequalities, (B, c); which of these no iterate leaves.
+
+    The price of an excess of the latter, which are bounds of what is free, is infinite.
+    """
 
     rate: np.ndarray
     limits: np.ndarray
+    kept: np.ndarray
 
     @classmethod
-    def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray) -> "Barrier":
+    def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray, kept: np.ndarray) -> "Barrier":
         """The units where the unknowns of the points have these sizes: what these change an inequality by to first
         order, or its value where that is next to nothing, as that of a ball where its derivative vanishes."""
         size = (np.abs(held.jacobian) * sizes[:, :, :, None]).sum(axis=4).max(axis=(1, 2))
         value = np.abs(held.values).max(axis=(1, 2))
         size = np.where(size > VALUE * value, size, value)  # what is next to nothing tells nothing of how it bends
-        return cls(rate, np.where((size > 0) & np.isfinite(size), size, 1.0))
+        return cls(rate, np.where((size > 0) & np.isfinite(size), size, 1.0), np.broadcast_to(kept, size.shape))
 
     @property
     def unit(self) -> np.ndarray:
@@ -49,10 +53,17 @@ class Barrier(NamedTuple):
     @property
     def price(self) -> np.ndarray:
         """The unit of the prices."""
-        return self.rate[:, None, None, None] / self.unit
+        return np.where(self.kept[:, None, None], np.inf, self.rate[:, None, None, None] / self.unit)
+
+    def _inside(self, held: Held) -> Held:
+        """The inequalities, of which those that no iterate leaves hold by rounding at least."""
+        return held._replace(
+            values=np.where(self.kept[:, None, None], np.minimum(held.values, -EPS * self.unit), held.values)
+        )
 
     def first(self, held: Held) -> Slacks:
         """The slacks to begin with: those of inequalities that do not hold by enough are elastic."""
+        held = self._inside(held)
         price = np.where(held.values < -INSIDE * self.unit, np.inf, PRICE * self.price)
         return central(held, FIRST * self.rate, price)
 
@@ -61,20 +72,27 @@ class Barrier(NamedTuple):
         known multipliers, where ``k`` makes them of one unit.
 
         ``barrier``: relative to the unit of the cost rate. Nothing is elastic: an inequality that pulls and does not
-        hold is left so.
+        hold is left so. The slack of a bound that no iterate leaves is ``-g``, and its multiplier the known one.
         """
+        held, kept = self._inside(held), self.kept[:, None, None]
         mu, k = (barrier * self.rate)[:, None, None, None], self.unit / self.price
         apart = -held.values - k * multipliers
         root = np.sqrt(apart * apart + 4 * k * mu)
         more = (root + np.abs(apart)) / 2
         slacks = np.where(held.asked, np.where(apart > 0, more, k * mu / more), 1.0)
-        own = np.where(held.asked, mu / slacks, 0.0)
+        own = np.where(held.asked, np.maximum(mu / slacks, np.where(kept, multipliers, 0.0)), 0.0)
         return Slacks(slacks, own, np.zeros_like(own), np.full_like(own, np.inf), barrier * self.rate)
+
+    def is_hard(self, held: Held, slacks: Slacks) -> np.ndarray:
+        """Whether there are inequalities that are not elastic and can be, shape (B,)."""
+        return np.any(held.asked & ~slacks.elastic & ~self.kept[:, None, None], axis=(1, 2, 3))
 
     def softened(self, held: Held, slacks: Slacks, where: np.ndarray) -> Slacks:
         """The slacks with all inequalities elastic in some members."""
         price = np.where(where[:, None, None, None], np.minimum(slacks.price, PRICE * self.price), slacks.price)
-        fresh = central(held, np.where(where, np.maximum(slacks.barrier, FIRST * self.rate), slacks.barrier), price)
+        fresh = central(
+            self._inside(held), np.where(where, np.maximum(slacks.barrier, FIRST * self.rate), slacks.barrier), price
+        )
         return Slacks(
             *(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True))
         )

@@ -33,7 +33,8 @@ def started(
     if first.slacks is None:
         return first, assembled
     held, rate = assembled.blocks.inequalities, conditions.measured.cost / conditions.mean_step
-    conditions.barrier = Barrier.of(held, conditions.transcription.sizes(conditions.measured), rate)
+    sizes = conditions.transcription.sizes(conditions.measured)
+    conditions.barrier = Barrier.of(held, sizes, rate, conditions.transcription.kept)
     slacks = conditions.barrier.first(held)
     if np.any(first.slacks.multipliers):
         slacks = _nearer(conditions, first, held, slacks, paid)

@@ -20,7 +20,7 @@ from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full
 from .extent import OF_POINTS
 from .inequalities import Held, Slacks, raised
 from .scaling import Units
-from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes, inequalities_of, is_kept
+from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes, inequalities_of, is_kept, kept_of
 
 
 class GaussUnknowns(NamedTuple):
@@ -74,6 +74,7 @@ class Collocation:
         self._ends = evaluator.values(self._ends_of, e, n)
         bound = problem.with_parameters(parameters)
         self.inequalities, self.own = inequalities_of(bound), len(bound.inequality_names)
+        self.kept = kept_of(bound)
         self.at_nodes = self.inequalities - self.own
         self.places = self.stages + (self.at_nodes > 0)
         self._point = evaluator.derivatives(self._point_of, 3 * n + m, e, n, n, u, e, 1, k, self.own)

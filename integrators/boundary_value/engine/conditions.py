@@ -263,10 +263,10 @@ class Conditions:
         return is_isolated_minimum(self, iterate, assembled)
 
     def is_hard(self, iterate: Iterate, assembled: Assembled) -> np.ndarray:
-        """Whether a member has inequalities that are not elastic."""
-        if iterate.slacks is None:
+        """Whether a member has inequalities that are not elastic and can be."""
+        if self.barrier is None or iterate.slacks is None:
             return np.zeros(len(assembled.gap), bool)
-        return self._surveyed(iterate, assembled).hard > 0
+        return self.barrier.is_hard(assembled.blocks.inequalities, iterate.slacks)
 
     def is_met(self, iterate: Iterate, assembled: Assembled, tolerance: float) -> np.ndarray:
         """Whether nothing is lacking at a node in any coordinate, by what gaps are measured by, and at a point no more

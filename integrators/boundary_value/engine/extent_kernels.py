@@ -279,18 +279,20 @@ def _measures(extent: tuple, nodes: np.ndarray, shares: tuple, m: int, along: np
 
 
 @inner
-def _stationarity(parts: np.ndarray, slope: np.ndarray, curvature: np.ndarray, d: np.ndarray, units: tuple) -> tuple:
+def _stationarity(
+    parts: np.ndarray, slope: np.ndarray, curvature: np.ndarray, d: np.ndarray, along: np.ndarray, units: tuple
+) -> tuple:
     """The derivative of the Lagrangian relative to the parts that cancel in it, and the scale of these.
 
-    ``units``: what sets the scale where all parts vanish, zero where the curvature does, and the share of the scale
-    that a part is at least measured by.
+    ``along``: the sizes of the states, where these exceed their units. ``units``: what sets the scale where all parts
+    vanish, zero where the curvature does, and the share of the scale that a part is at least measured by.
     """
     (least, share), found = units, 0.0
     scale = least
     for i in range(d.size):
         scale = larger(scale, d[i] * parts[i])
         if least == 0:
-            scale = larger(scale, d[i] * d[i] * curvature[i])
+            scale = larger(scale, d[i] * (larger(d[i], along[i]) if i < along.size else d[i]) * curvature[i])
     for i in range(d.size):
         size = larger(d[i] * parts[i], share * scale)
         found = larger(found, slope[i] * d[i] / (size if size > 0 else 1.0))
@@ -342,7 +344,7 @@ def measure(
     share = shares[1]
     for m in range(nodes.shape[0]):
         _measures((highest, lowest, support), nodes, shares, m, along, entries)
-        found[1, m], scale = _stationarity(parts[m], slope[m], curvature[m], unknowns[m], (least[m], share))
+        found[1, m], scale = _stationarity(parts[m], slope[m], curvature[m], unknowns[m], along[m], (least[m], share))
         for e in range(entries.shape[1]):
             found[0, m] = larger(found[0, m], distance[m, e] / (entries[m, e] if entries[m, e] > 0 else 1.0))
         for a in range(nodes.shape[1]):

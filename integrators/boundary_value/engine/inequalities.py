@@ -122,7 +122,6 @@ class Surveyed(NamedTuple):
     held: np.ndarray  # the weighted sum of nu (g + s - t)
     dear: np.ndarray  # the highest price, relative to the first one; zero where nothing is elastic
     cheap: np.ndarray  # 1 where a multiplier comes near to its price, and that may still rise
-    hard: np.ndarray  # 1 where an inequality is not elastic
     left: np.ndarray  # the largest excess whose multiplier comes near to the highest price, in units
 
 

@@ -34,7 +34,7 @@ def _dearest(price: float, nu: float, excess: float, unit: float, prices: tuple,
         if price < most * unit:
             out[8, m] = 1.0
         else:
-            out[10, m] = larger(out[10, m], excess)
+            out[9, m] = larger(out[9, m], excess)
 
 
 @compiled
@@ -45,11 +45,11 @@ def survey(
 
     ``units``: of the inequalities and of the cost rate, and room for what inequalities are measured by; ``share``: of
     the largest value, which measures them where it is more; ``prices``: the first one, what share of its price a
-    multiplier comes near to it with, and the highest one, both relative to their units. ``out``, shape ``(11, B)``,
+    multiplier comes near to it with, and the highest one, both relative to their units. ``out``, shape ``(10, B)``,
     comes as zeros: the largest violation and excess; the largest of ``nu s`` and ``zeta t``, and the least; ``sum w
     |g + s - t|``, in units; ``sum w (rho t - mu (log s + log t))``; ``sum w nu (g + s - t)``; the highest price,
-    relative to the first one; 1 where a multiplier comes near to a price below the highest; 1 where an inequality is
-    hard; the largest excess whose multiplier comes near to the highest price.
+    relative to the first one; 1 where a multiplier comes near to a price below the highest; the largest excess
+    whose multiplier comes near to the highest price.
     """
     (values, _, weights), (s, nu, t, rho, mu), (limits, rate, room) = held, slacks, units
     _, steps, stages, size = values.shape
@@ -78,8 +78,6 @@ def survey(
                         cost += rho[m, n, j, i] * t[m, n, j, i] - mu[m] * math.log(t[m, n, j, i] / limits[m, i])
                         excess, unit = t[m, n, j, i] / limits[m, i], rate[m] / limits[m, i]
                         _dearest(rho[m, n, j, i], nu[m, n, j, i], excess, unit, prices, out, m)
-                    else:
-                        out[9, m] = 1.0
                     out[4, m] += w * abs(missing) / limits[m, i]
                     out[5, m] += w * cost
                     out[6, m] += w * nu[m, n, j, i] * missing

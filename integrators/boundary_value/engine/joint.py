@@ -15,6 +15,7 @@ from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
 from .elimination import MANY
 from .first_units import first_units, reached
+from .inequalities import VALUE
 from .joint_system import JointAssembled, JointIterate, JointStep, JointUnits
 from .kkt_system import Assembled, Iterate, Residuals, Step
 
@@ -95,7 +96,7 @@ class JointConditions:
         self.units = JointUnits(units, self.phases[0].measured.cost)
         begun = [started(phase, *own, pay) for phase, own, pay in zip(self.phases, first, paid, strict=True)]
         parts, systems = zip(*begun, strict=True)
-        return JointIterate(parts, guess.multipliers), JointAssembled(systems, coupled)
+        return JointIterate(parts, guess.multipliers), JointAssembled(self._in_scale(systems, coupled), coupled)
 
     def _measure(self, coupled: Coupled, first: list[tuple[Iterate, Assembled]]) -> None:
         """Units of the phases in which the equations between the ends ask for no more than a trajectory of size one."""
@@ -131,7 +132,24 @@ class JointConditions:
         """The KKT system at an iterate."""
         coupled, paid = self._coupled(iterate)
         parts = (phase.assemble(part, pay) for phase, part, pay in zip(self.phases, iterate.parts, paid, strict=True))
-        return JointAssembled(tuple(parts), coupled)
+        return JointAssembled(self._in_scale(tuple(parts), coupled), coupled)
+
+    def _in_scale(self, systems: tuple[Assembled, ...], coupled: Coupled) -> tuple[Assembled, ...]:
+        """The systems of the phases with what the cost of all curves by, those of their ends among them.
+
+        Where it is least by itself, as where all measured points are met, costates vanish, also in phases without one.
+        """
+        sizes = [
+            own * np.maximum(own, VALUE * system.extent.sizes)
+            for own, system in zip((phase.judging.nodes for phase in self.phases), systems, strict=True)
+        ]
+        ends = np.concatenate([size for size in sizes for _ in range(2)], axis=1)
+        found = [np.abs(np.diagonal(coupled.curvature, axis1=1, axis2=2)) * ends]
+        for phase, system in zip(self.phases, systems, strict=True):
+            if system.blocks.held is None:  # with a barrier it has no bound
+                found.append(system.extent.curvature * phase.judging.unknowns**2)
+        scale = np.concatenate(found, axis=1).max(axis=1, initial=0.0)
+        return tuple(system._replace(curved=scale) for system in systems)
 
     def move(
         self, iterate: JointIterate, assembled: JointAssembled, step: JointStep, fraction: np.ndarray

@@ -37,6 +37,7 @@ class Assembled(NamedTuple):
     paid: Paid
     distance: np.ndarray  # largest distance between ends that should meet, entry by entry, shape (B, E)
     extent: Extent
+    curved: np.ndarray | None = None  # what the cost of all phases curves by in their units, shape (B,); None: alone
 
 
 class Step(NamedTuple):

@@ -129,5 +129,5 @@ def jams(
     """Whether inequalities contradict each other or the ends, or a step jams at them; ``near``: a barrier, and an
     excess, relative; ``jammed``: a share of a step."""
     barrier, rate, numbers = barrier_of(written, rows)[0], limits_of(given, rows)[1][0], numbers_of(written, rows)
-    left = barrier <= near * rate and numbers[6, 0] <= tolerance and surveyed_of(written, rows)[10, 0] > near
+    left = barrier <= near * rate and numbers[6, 0] <= tolerance and surveyed_of(written, rows)[9, 0] > near
     return left or part_of(written, rows)[0] <= jammed

@@ -21,7 +21,7 @@ class Appraisal(NamedTuple):
     An entry of a gap is measured by the spread of the trajectory in it, by a share of its value, or, where it rests, of
     its unit, or, where the manifold's equations hold it, of one; the derivative of the Lagrangian by the parts that
     cancel in it, coordinate by coordinate, or, where all parts vanish, as the costates do at an optimum of the cost
-    itself, by its curvature in any coordinate.
+    itself, by its curvature in any coordinate of any phase.
     """
 
     along: Float[np.ndarray, "B n"]  # in the coordinates of the nodes
@@ -52,7 +52,7 @@ def appraisal(
     """The appraisal of iterates.
 
     ``units``: those that success is judged by, and those of steps; ``mean``: the mean steps; ``limits``: the survey of
-    the inequalities, shape (11, B), their barrier and its unit, if there are any.
+    the inequalities, shape (10, B), their barrier and its unit, if there are any.
     """
     from . import extent_kernels
 
@@ -61,7 +61,7 @@ def appraisal(
     along, entries = np.empty((batch, n)), np.empty(extent.highest.shape)
     points = np.zeros((batch, OF_POINTS, n)) if inner is None else inner.extent
     # With a barrier the curvature of the Hessian has no bound.
-    least = np.zeros(batch) if limits is None else judging.cost
+    least = judging.cost if limits is not None else np.zeros(batch) if assembled.curved is None else assembled.curved
     none = np.zeros((len(Surveyed._fields), batch)), np.zeros(batch), np.ones(batch)
     extent_kernels.measure(
         (*extent[:3], *extent[4:]),

@@ -316,7 +316,7 @@ class Trial(ABC):
             if slacks is not None and conditions.barrier is not None:
                 v["least"][...] = judging.cost  # with a barrier the curvature of the Hessian has no bound
                 v["price"][...], v["weighed"][...] = slacks.price, weights
-                v["rate"][...], v["bounds"][...] = conditions.barrier
+                v["rate"][...], v["bounds"][...] = conditions.barrier[:2]
         return given
 
     def _run(
