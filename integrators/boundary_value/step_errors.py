@@ -19,6 +19,7 @@ from .control_curvature import ControlCurvature
 from .propagation import UNRESOLVED, Propagator
 from .solution import Solution
 
+ROUGH = 0.1  # of the size of the controls
 POINTS = 4  # for each stage: where inequalities are looked at between the stages
 
 
@@ -34,13 +35,16 @@ class StepErrors(NamedTuple):
     switch anywhere in the step costs. No less than the squared relative excess over a limit that depends on the
     controls, times the share. ``violations``: of each of the inequalities the largest between the stages, in its own
     unit. ``inequalities``: the largest violation of those that do not depend on the controls, relative to the largest
-    value, or to what the spread of the states and the size of the controls change it by.
+    value, or to what the spread of the states and the size of the controls change it by. ``rough``: whether the
+    controls of a step are more than a tenth of their size apart from those of a neighbour where both meet: they jump
+    there, or nearly, and the error shrinks with the square of the step alone.
     """
 
     states: np.ndarray
     controls: np.ndarray
     inequalities: np.ndarray
     violations: dict[str, np.ndarray]
+    rough: np.ndarray
 
     @property
     def each(self) -> np.ndarray:
@@ -84,9 +88,10 @@ class Estimator:
             excess, free, violations = self._inequalities(solution, parameters)
             share = np.diff(solution.times) / (solution.times[-1] - solution.times[0])
             over = share * np.max(excess[:, ~free], axis=1, initial=0.0) ** 2
-            controls = np.maximum(self._controls(solution, parameters, switches), over)
+            controls, rough = self._controls(solution, parameters, switches)
             alone = np.max(excess[:, free], axis=1, initial=0.0)
-            return StepErrors(self._states(solution, parameters), controls, alone, violations)
+            controls = np.maximum(controls, over)
+            return StepErrors(self._states(solution, parameters), controls, alone, violations, rough)
 
     def _states(self, solution: Solution, parameters: Any) -> np.ndarray:
         own = solution.times, solution.states, solution.stage_times, solution.controls
@@ -112,7 +117,9 @@ class Estimator:
             sizes[place] = np.max(sizes[place], initial=0.0)
         return spreads, sizes
 
-    def _controls(self, solution: Solution, parameters: Any, switches: np.ndarray | None) -> np.ndarray:
+    def _controls(
+        self, solution: Solution, parameters: Any, switches: np.ndarray | None
+    ) -> tuple[np.ndarray, np.ndarray]:
         times, count = solution.times, solution.steps
         at = solution.stage_times.reshape(count, -1)
         rows = self.propagator.control.rows(solution.controls, 1).reshape(*at.shape, self.propagator.control.size)
@@ -133,9 +140,11 @@ class Estimator:
             found[own] = np.minimum(found[own], np.max(weights[own] * apart**2, axis=1, initial=0.0))
         ends = _through(at, rows, np.stack([times[:-1], times[1:]], axis=1))
         jumps = np.abs(ends[k + 1, 0] - ends[k, 1]) / np.where(size > 0, 2 * size, 1.0)
+        rough = np.zeros(count, bool)
         for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
             found[own] = np.maximum(found[own], np.max(weights[own] * jumps**2, axis=1, initial=0.0))
-        return found
+            rough[own] |= np.max(2 * jumps, axis=1, initial=0.0) > ROUGH
+        return found, rough
 
     def _inequalities(
         self, solution: Solution, parameters: Any
