@@ -28,6 +28,7 @@ MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
 PARTS, MOST_PARTS = 4, 16  # of a step, at most: where many err, and where few do
 ROUNDING = 1e-9  # of the number of parts
+SHARE, LOOSEST = 1e-3, 1e-5  # of the error of a mesh, and at most: the tolerance of what follows
 BETTER, AGAIN = 0.1, 0.01  # times the error: what arcs are worth, and what they are tried again at
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
@@ -64,6 +65,7 @@ class Refinement:
     solver: Solver  # on the mesh to begin with
     request: Request
     accuracy: float
+    loosely: bool = True  # whether meshes that err are solved no more exactly than that
 
     def __post_init__(self) -> None:
         self.problem, self.given = self.solver.problem, self.request.given
@@ -74,6 +76,7 @@ class Refinement:
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
         self._most, self._vain, self._stopped = MOST_STAGES, np.inf, False
         options = self.request.options
+        self._tolerance = options.tolerance
         if options.callback is not None:
             self._callback = options.callback
             self.request = replace(self.request, options=options._replace(callback=self._told))
@@ -142,7 +145,9 @@ class Refinement:
         """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than
         rounding."""
         errors, checks = found.errors, found.solution.checks
-        left = (checks.gap, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.gap,)
+        left = checks.gap, checks.stationarity
+        if isinstance(checks, RegularChecks):
+            left = *left, checks.complementarity
         return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))
 
     def _on(self, problem: OptimalControlProblem, steps: Any, given: Given, guess: Any) -> Solution:
@@ -152,7 +157,8 @@ class Refinement:
             solver = self._solvers[key].with_steps(steps)
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
-        return self._counted(solver, self.request.again(solver.reader, given, guess))
+        request = replace(self.request, options=self.request.options._replace(tolerance=self._tolerance))
+        return self._counted(solver, request.again(solver.reader, given, guess))
 
     def _counted(self, solver: Solver, request: Request) -> Solution:
         """The solution, with its effort added to that of all; none follows one that was stopped."""
@@ -171,7 +177,11 @@ class Refinement:
         if self._estimator is None:
             self._estimator = Estimator(self.problem, self.method.retraction, solution.parameters)
         found = _Found(solution, None, structure, arcs)  # pyright: ignore[reportArgumentType]
-        return found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
+        found = found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
+        if self.loosely:  # what follows is a finer mesh, or the same one solved further
+            own = self.request.options.tolerance
+            self._tolerance = max(own, min(SHARE * self.error(found), LOOSEST))
+        return found
 
     def _refined(self, found: _Found) -> "_Found | str":
         """The solution on a finer mesh, or why there is none."""
