@@ -192,7 +192,10 @@ class Refinement:
             if not isinstance(finer, str) and self.error(finer) < self.error(found):
                 return finer
             self.method, self._most = method, method.stages
-        return self._finer(found, parts)
+        finer = self._finer(found, parts)
+        if isinstance(finer, str) and np.max(parts) > 2 and not self._stopped:  # one that is nearer may be solved
+            finer = self._finer(found, np.minimum(parts, 2))
+        return finer
 
     def _finer(self, found: _Found, parts: np.ndarray) -> "_Found | str":
         """The solution with each step in some parts, or why there is none."""
@@ -224,17 +227,19 @@ class Refinement:
     def _parts(self, found: _Found) -> np.ndarray:
         """Into how many parts each step is divided: a step that errs less than the worst one will is left for later.
 
-        Where few steps err, these are divided into more parts, so that there are about as many steps more.
+        Where controls jump in few steps, these are divided into more parts, so that there are about as many steps
+        more.
         """
         errors, count = found.errors, found.solution.steps
         order = np.where(errors.rough, 2, 2 * len(found.solution.stage_times) / count)
         each, alone = self._each(errors), np.minimum(errors.inequalities, 1.0)
-        most, parts = PARTS, np.ones(count)
+        most, parts = np.full(count, PARTS), np.ones(count)
         for _ in range(2):
             goal = max(self.accuracy / count, np.max(each / most**order))
-            between = max(self.accuracy, np.max(alone) / most**2)
+            between = max(self.accuracy, np.max(alone / most**2))
             parts = np.ceil(np.maximum((each / goal) ** (1 / order), np.sqrt(alone / between)) - ROUNDING)
-            most = np.clip(count // max(np.sum(parts > 1), 1), PARTS, MOST_PARTS)
+            more = np.clip(count // max(np.sum(parts > 1), 1), PARTS, MOST_PARTS)
+            most = np.where(errors.rough, more, PARTS)
         return np.clip(parts, 1, most).astype(int)
 
     def _raised(self, errors: StepErrors) -> Method:
