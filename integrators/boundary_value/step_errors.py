@@ -163,7 +163,8 @@ class Estimator:
         bound = self.problem.with_parameters(parameters).at_time(0.0)
         violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes | bound.node_sizes)
         state, room = self._sizes(solution)[0], np.max(np.abs(u), axis=(0, 1), initial=0.0)
-        size = np.max(np.maximum(np.abs(values), by_state @ state + by_control @ room), axis=(0, 1))
+        changes = np.max(by_state * state, axis=3), np.max(by_control * room, axis=3, initial=0.0)
+        size = np.max([np.abs(values), *changes], axis=(0, 1, 2))
         free = np.max(np.abs(by_control), axis=(0, 1, 3), initial=0.0) == 0
         relative = np.max(excess, axis=1) / np.where(size > 0, size, 1.0)
         return relative, free, {name: np.max(rows, axis=1) for name, rows in violations.items()}
