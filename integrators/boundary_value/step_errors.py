@@ -19,6 +19,7 @@ from .control_curvature import ControlCurvature
 from .propagation import UNRESOLVED, Propagator
 from .solution import Solution
 
+HELD = 0.01  # of what the unknowns change it by: an inequality that comes no farther off its bound is held all along
 ROUGH = 0.1  # of the size of the controls
 POINTS = 4  # for each stage: where inequalities are looked at between the stages
 
@@ -35,9 +36,9 @@ class StepErrors(NamedTuple):
     switch anywhere in the step costs. No less than the squared relative excess over a limit that depends on the
     controls, times the share. ``violations``: of each of the inequalities the largest between the stages, in its own
     unit. ``inequalities``: the largest violation of those that do not depend on the controls, relative to the largest
-    value, or to what the spread of the states and the size of the controls change it by. ``rough``: whether the
-    controls of a step are more than a tenth of their size apart from those of a neighbour where both meet: they jump
-    there, or nearly, and the error shrinks with the square of the step alone.
+    value, or to what the spread of a state or the size of a control changes one that is held all along. ``rough``:
+    whether the controls of a step are more than a tenth of their size apart from those of a neighbour where both meet:
+    they jump there, or nearly, and the error shrinks with the square of the step alone.
     """
 
     states: np.ndarray
@@ -164,7 +165,8 @@ class Estimator:
         violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes | bound.node_sizes)
         state, room = self._sizes(solution)[0], np.max(np.abs(u), axis=(0, 1), initial=0.0)
         changes = np.max(by_state * state, axis=3), np.max(by_control * room, axis=3, initial=0.0)
-        size = np.max([np.abs(values), *changes], axis=(0, 1, 2))
+        size, change = np.max(np.abs(values), axis=(0, 1)), np.max(changes, axis=(0, 1, 2))
+        size = np.where(size > HELD * change, size, change)
         free = np.max(np.abs(by_control), axis=(0, 1, 3), initial=0.0) == 0
         relative = np.max(excess, axis=1) / np.where(size > 0, size, 1.0)
         return relative, free, {name: np.max(rows, axis=1) for name, rows in violations.items()}
