@@ -10,7 +10,7 @@ curvature beside it that is small relative to its entries, and lost in their rou
 the system has no large entries and the inertia of the other with one negative eigenvalue more for each inequality.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -39,19 +39,19 @@ def of_lagrangian(conditions: "Conditions", iterate: Iterate, assembled: Assembl
 
 
 def solved(
-    conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray, softly: bool = False
+    conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray
 ) -> BlockSolution:
     """The solution for right-hand sides, with steps of the inequalities' multipliers behind those of the unknowns of a
     step.
 
     ``blocks``: those ``of_lagrangian``; ``slope``: with rows of the inequalities, if there are any, shape (B, N, z + c,
-    k). ``softly``: as ``augmented``, in the units that success is judged in, which no step has made wider.
+    k).
     """
-    units = conditions.judging if softly else conditions.measured
+    units = conditions.measured
     system = BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *conditions.fixed_ends)
     if iterate.slacks is not None:
         limits = conditions.transcription.limits(blocks, conditions.data.steps)
-        system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks, softly)
+        system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks)
     return eliminate(system, units)
 
 
@@ -72,15 +72,19 @@ def is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: A
 def _is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:
     """The same of members that are looked at together."""
     blocks, held = of_lagrangian(conditions, iterate, assembled), assembled.blocks.inequalities
-    batch, count, stages, c = held.values.shape
-    slope = np.zeros((batch, count, blocks.hessian.shape[3] + stages * c, 1))
-    found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)))
-    others, size = count * stages * c, assembled.gap[0].size  # each of the others has a negative eigenvalue of its own
+    limits, slacks = conditions.transcription.limits(blocks, conditions.data.steps), cast(Slacks, iterate.slacks)
+    right = np.zeros((*limits.shape[:2], sum(limits.shape[2:]), 1)), np.zeros((*assembled.gap.shape, 1))
+    system = BlockSystem(blocks.hessian, blocks.left, blocks.right, *right, *conditions.fixed_ends)
+    del blocks  # what it was condensed from takes more memory than all that follows
+    # Each of the others has a negative eigenvalue of its own.
+    others, size = limits[0, :, :, 0].size, assembled.gap[0].size
+    found = eliminate(*augmented(system, conditions.measured, limits, held, slacks))
     found = found._replace(negative=found.negative - others)
     strict = is_strict_minimum(found, size)
     if np.all(strict | (found.negative != size)):
         return strict
-    found = solved(conditions, iterate, blocks, slope, np.zeros((*assembled.gap.shape, 1)), softly=True)
+    # In the units that success is judged in, which no step has made wider.
+    found = eliminate(*augmented(system, conditions.judging, limits, held, slacks, softly=True))
     return strict | is_strict_minimum(found._replace(negative=found.negative - others), size)
 
 

@@ -147,7 +147,8 @@ class Descent:
         if guess is not bare[0]:
             assembled = conditions.assemble(guess)
             step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)
-        self.first, residuals = lambda: (guess, assembled), conditions.residuals(guess, assembled)
+        residuals = conditions.residuals(guess, assembled)
+        self.first = lambda: (guess, conditions.assemble(guess))  # again where it is wanted: a system takes most memory
         merit = self.funnel.value(conditions, guess, assembled)
         if not self.lost.size:
             looked = not (conditions.joint or self.as_it_is)
