@@ -11,10 +11,13 @@ from .aside import aside
 from .batches import put
 from .conditions import Conditions
 from .descent import Descent
+from .acceptance import WIDE
 from .found import Found, Iteration
 from .kkt_system import Iterate
 from .own_units import judged_loosely
+from .restoration import NARROW, Restoration
 
+NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
     "iterate", "assembled", "residuals", "strict_minimum", "iterations", "limited", "claimed", "solvable", "missing",
@@ -52,6 +55,7 @@ def newton(
         found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
+    found = _restored(search, _crawled(search, found), guess)
     for _ in range(AGAIN):
         loose = judged_loosely(search.conditions, found)
         if not loose.size or found.stopped:
@@ -60,13 +64,46 @@ def newton(
     return found
 
 
-def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
+def _crawled(search: Descent, found: Found) -> Found:
+    """What is found from where the iteration limit came near to an extremal, by a step of Newton's own.
+
+    To an extremal that is no minimum, shifted steps come nearer by the same share each.
+    """
+    near = ~found.claimed & found.limited & (found.residuals.largest <= NEAR)
+    return _again(search, found, found.iterate, np.flatnonzero(near))
+
+
+def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
+    """What is found from feasible trajectories near the guesses, where nothing else has found anything."""
+    members = np.flatnonzero(~found.claimed)
+    if found.stopped or not members.size:
+        return found
+    phase = Restoration(search.conditions.of(members), taken(guess, members), search.tolerance, _seen(search, members))
+    try:
+        feasible = phase.run(search.max_iterations)
+    except KeyboardInterrupt:
+        return found._replace(stopped=True)
+    iterations = np.array(found.iterations)
+    iterations[members] += phase.trials
+    found = found._replace(iterations=iterations, stopped=phase.stopped)
+    trajectories = put(taken(guess, slice(None)), members, phase.iterate.bare)
+    return _again(search, found, trajectories, members[feasible], width=NARROW)
+
+
+def _seen(search: Descent, members: np.ndarray) -> Callable[[Iteration], Any] | None:
+    """The callback of some members."""
+    callback = search.callback
+    return callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
+
+
+def _again(
+    search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False, width: float = WIDE
+) -> Found:
     """What is found where some members begin once more, from guesses as they are, if that is better, or anyhow."""
     if found.stopped or not members.size:
         return found
-    callback = search.callback
-    seen = callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
-    alone = Descent(search.conditions.of(members), search.tolerance, search.max_iterations, seen, as_it_is=True)
+    options = search.tolerance, search.max_iterations, _seen(search, members)
+    alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width)
     again = alone.ended(taken(guess, members))
     again = again._replace(iterations=found.iterations[members] + again.iterations)
     claimed, cost = found.claimed[members], found.assembled.cost[members]
