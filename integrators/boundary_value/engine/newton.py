@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
+from .acceptance import WIDE
 from .aside import aside
 from .batches import put
 from .conditions import Conditions
 from .descent import Descent
-from .acceptance import WIDE
 from .found import Found, Iteration
 from .kkt_system import Iterate
 from .own_units import judged_loosely
@@ -20,7 +20,7 @@ from .restoration import NARROW, Restoration
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
-    "iterate", "assembled", "residuals", "strict_minimum", "iterations", "limited", "claimed", "solvable", "missing",
+    "iterate", "assembled", "residuals", "strict_minimum", "limited", "claimed", "solvable", "missing",
     "contradictory", "unit", "falling",
 )  # fmt: skip
 
@@ -69,25 +69,27 @@ def _crawled(search: Descent, found: Found) -> Found:
 
     To an extremal that is no minimum, shifted steps come nearer by the same share each.
     """
-    near = ~found.claimed & found.limited & (found.residuals.largest <= NEAR)
-    return _again(search, found, found.iterate, np.flatnonzero(near))
+    near = np.flatnonzero(~found.claimed & found.limited & (found.residuals.largest <= NEAR))
+    return _tried(search, found, taken(found.iterate, near), near)
 
 
 def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
-    """What is found from feasible trajectories near the guesses, where nothing else has found anything."""
+    """What is found from feasible trajectories near the guesses, where nothing else has found anything; inequalities
+    that hold on such a trajectory do not contradict each other."""
     members = np.flatnonzero(~found.claimed)
     if found.stopped or not members.size:
         return found
     phase = Restoration(search.conditions.of(members), taken(guess, members), search.tolerance, _seen(search, members))
     try:
-        feasible = phase.run(search.max_iterations)
+        feasible = np.flatnonzero(phase.run(search.max_iterations))
     except KeyboardInterrupt:
         return found._replace(stopped=True)
-    iterations = np.array(found.iterations)
-    iterations[members] += phase.trials
-    found = found._replace(iterations=iterations, stopped=phase.stopped)
-    trajectories = put(taken(guess, slice(None)), members, phase.iterate.bare)
-    return _again(search, found, trajectories, members[feasible], width=NARROW)
+    counts, contradictory = found.iterations.copy(), found.contradictory.copy()
+    counts[members] += phase.trials
+    found = found._replace(iterations=counts, stopped=phase.stopped)
+    found = _tried(search, found, taken(phase.iterate.bare, feasible), members[feasible], width=NARROW)
+    contradictory[members] &= ~phase.holds
+    return found._replace(contradictory=contradictory)
 
 
 def _seen(search: Descent, members: np.ndarray) -> Callable[[Iteration], Any] | None:
@@ -96,20 +98,32 @@ def _seen(search: Descent, members: np.ndarray) -> Callable[[Iteration], Any] | 
     return callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
 
 
-def _again(
-    search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False, width: float = WIDE
-) -> Found:
+def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
     """What is found where some members begin once more, from guesses as they are, if that is better, or anyhow."""
+    anything = anyhow | ~(found.claimed | found.contradictory)[members]  # elsewhere nothing but a success says more
+    return _tried(search, found, taken(guess, members), members, anything)
+
+
+def _tried(
+    search: Descent,
+    found: Found,
+    guess: Iterate,
+    members: np.ndarray,
+    anything: np.ndarray | bool = False,
+    width: float = WIDE,
+) -> Found:
+    """What is found where some members begin once more from their guesses, if that is a success and costs less, or
+    anything; ``width``: of the funnel."""
     if found.stopped or not members.size:
         return found
     options = search.tolerance, search.max_iterations, _seen(search, members)
     alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width)
-    again = alone.ended(taken(guess, members))
-    again = again._replace(iterations=found.iterations[members] + again.iterations)
+    again = alone.ended(guess)
+    counts = found.iterations.copy()
+    counts[members] += again.iterations
     claimed, cost = found.claimed[members], found.assembled.cost[members]
-    known = claimed | found.contradictory[members]  # nothing but a success says more
-    better = np.flatnonzero(anyhow | np.where(known, again.claimed & ~(claimed & (again.assembled.cost >= cost)), True))
+    better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}
     if better.size:
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
-    return found._replace(stopped=again.stopped, **chosen)
+    return found._replace(stopped=again.stopped, iterations=counts, **chosen)

@@ -45,6 +45,12 @@ class Restoration:
                 step = self.conditions.least_step(self.iterate, self.assembled)
             step = None if self._tried(step) else step
 
+    @property
+    def holds(self) -> np.ndarray:
+        """Whether all equations and inequalities hold."""
+        excess = self.conditions.residuals(self.iterate, self.assembled).excess
+        return np.maximum(self.infeasibility, excess) <= np.sqrt(self.tolerance)
+
     def _tried(self, step: Any) -> bool:
         """Whether a trial is accepted by a member, which then needs another step."""
         self.trials += 1
