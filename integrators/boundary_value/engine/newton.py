@@ -76,7 +76,7 @@ def _crawled(search: Descent, found: Found) -> Found:
 def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
     """What is found from feasible trajectories near the guesses, where nothing else has found anything; inequalities
     that hold on such a trajectory do not contradict each other."""
-    members = np.flatnonzero(~found.claimed)
+    members = np.flatnonzero(~(found.claimed | found.falling))
     if found.stopped or not members.size:
         return found
     phase = Restoration(search.conditions.of(members), taken(guess, members), search.tolerance, _seen(search, members))

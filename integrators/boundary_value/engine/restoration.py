@@ -38,7 +38,7 @@ class Restoration:
         """Whether members have become feasible after at most so many trials."""
         step = None
         while True:
-            self.going &= ~(self.infeasibility <= np.sqrt(self.tolerance)) & (self.fraction >= SHORTEST)
+            self.going &= ~(self.infeasibility <= self.tolerance) & (self.fraction >= SHORTEST)
             if not self.going.any() or self.trials >= most or self.stopped:
                 return self.infeasibility <= np.sqrt(self.tolerance)
             if step is None:
@@ -49,7 +49,7 @@ class Restoration:
     def holds(self) -> np.ndarray:
         """Whether all equations and inequalities hold."""
         excess = self.conditions.residuals(self.iterate, self.assembled).excess
-        return np.maximum(self.infeasibility, excess) <= np.sqrt(self.tolerance)
+        return np.maximum(self.infeasibility, excess) <= self.tolerance
 
     def _tried(self, step: Any) -> bool:
         """Whether a trial is accepted by a member, which then needs another step."""
