@@ -47,7 +47,7 @@ def box(q: Any, u: Any, wind: Any) -> Any:
 
 @pytest.fixture(scope="module")
 def soaring():
-    """The least wind that carries an albatross around, Y. J. Zhao, Optimal Control Applications and Methods 25, 2004."""
+    """The least wind that carries an albatross around: Y. J. Zhao, Optimal Control Appl. Methods 25, 2004."""
     space = Product(Euclidean(3), Euclidean(3))
     around = {"around": lambda a, b: b[1] - a[1] + jnp.array([0, 0, 2 * jnp.pi])}
     problem = OptimalControlProblem(
@@ -65,7 +65,10 @@ def soaring():
 
 @pytest.mark.parametrize(
     "period",
-    [pytest.param(t, marks=[] if t in (20.0, 24.0) else pytest.mark.slow) for t in (16.0, 18.0, 20.0, 22.0, 24.0, 28.0)],
+    [
+        pytest.param(t, marks=[] if t in (20.0, 24.0) else pytest.mark.slow)
+        for t in (16.0, 18.0, 20.0, 22.0, 24.0, 28.0)
+    ],
 )
 @pytest.mark.parametrize("wind", [pytest.param(0.03, marks=pytest.mark.slow), 0.05, 0.08, 0.12])
 def test_dynamic_soaring_is_not_contradictory(soaring, period, wind):
@@ -91,7 +94,9 @@ def test_great_circles_beyond_half_a_turn_are_found_from_guesses_on_them(angle):
         return np.stack([np.cos(angle * s), np.sin(angle * s), 0 * s], -1)
 
     solver = Solver(problem, Midpoint(default_retraction(sphere)), STEPS)
-    found = solver.solve(on_it(np.array(0.0)), on_it(np.array(1.0)), 1.0, guess=Guess(on_it(PLACES), np.zeros((STEPS, 3))))
+    found = solver.solve(
+        on_it(np.array(0.0)), on_it(np.array(1.0)), 1.0, guess=Guess(on_it(PLACES), np.zeros((STEPS, 3)))
+    )
     assert found.cost == pytest.approx(angle**2 / 2, rel=1e-8)
     assert found.checks.strict_minimum == (angle < np.pi)
 
@@ -101,18 +106,49 @@ def test_states_at_rest_that_nothing_moves_may_have_ends(resting):
     """Of a chain beside the actuator all ends are prescribed, and met: its equations say the same twice."""
 
     def chain(q: Any, u: Any) -> Any:
-        beside = jnp.append(q[3:], 0.0) if resting else q[2:]
-        return jnp.concatenate([jnp.stack([q[1], u[0]]), beside])
+        return jnp.concatenate([jnp.stack([q[1], u[0]]), q[3:], jnp.zeros(1)])
 
-    space = Euclidean(2 + resting)
-    problem = OptimalControlProblem(space, chain, lambda q, u: u @ u / 2, 1)
-    alone = OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u @ u / 2, 1)
-    start, end = np.zeros(2), np.array([1.0, 0.0])
-    least = solve(alone, Midpoint(Addition(Euclidean(2))), start, end, 1.0, 20)
-    solver, ends = Solver(problem, Midpoint(Addition(space)), 20), np.eye(2 + resting)[:2] * [[0.0], [1.0]]
-    found = solver.solve(np.zeros(2 + resting), np.eye(2 + resting)[0], 1.0)
-    assert found.cost == pytest.approx(least.cost, rel=1e-10)
-    assert len(ends) == 2
-    again = solver.solve(np.zeros(2 + resting), np.eye(2 + resting)[0], 1.0, guess=found)
-    assert again.cost == pytest.approx(least.cost, rel=1e-10)
+    space, line, method = Euclidean(2 + resting), Euclidean(2), lambda of: Midpoint(Addition(of))
+    alone = OptimalControlProblem(line, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u @ u / 2, 1)
+    least = solve(alone, method(line), np.zeros(2), np.array([1.0, 0.0]), 1.0, 20)
+    solver = Solver(OptimalControlProblem(space, chain, lambda q, u: u @ u / 2, 1), method(space), 20)
+    ends = np.zeros(2 + resting), np.eye(2 + resting)[0], 1.0
+    found = solver.solve(*ends)
+    again = solver.solve(*ends, guess=found)
+    np.testing.assert_allclose([found.cost, again.cost], least.cost, rtol=1e-10)
     assert again.statistics.iterations <= 1
+
+
+def test_a_car_at_rest_beside_its_place_parks_with_any_heading():
+    """The heading is free and guessed as it is at the start: nothing turns a car that stands, and nothing moves it
+    sideways."""
+    space = Product(Euclidean(2), Euclidean(1), Euclidean(1))
+
+    def drive(q: Any, u: Any) -> Any:
+        (heading,), (speed,) = q[1], q[2]
+        return speed * jnp.stack([jnp.cos(heading), jnp.sin(heading)]), speed * u[1:], u[:1]
+
+    problem = OptimalControlProblem(space, drive, lambda q, u: 1.0, 2, control_bounds=(-1.0, 1.0))
+    start, place = (np.zeros(2), np.zeros(1), np.zeros(1)), (np.array([0.0, 1.0]), None, np.zeros(1))
+    found = solve(problem, Midpoint(default_retraction(space)), start, place, Free(3.0), 30)
+    assert found.success
+    np.testing.assert_allclose(found.states[0][-1], [0.0, 1.0], atol=1e-9)
+
+
+def test_all_searches_are_counted_and_shown():
+    """The feasibility phase and the searches before and after it, of a batch as of one."""
+    seen = []
+    sphere, angle = Sphere(2), 6.0
+    problem = OptimalControlProblem(sphere, lambda q, u: u - q * (q @ u), lambda q, u: u @ u / 2, 3)
+    places = np.stack([np.cos(angle * PLACES), np.sin(angle * PLACES), 0 * PLACES], 1)
+    ends = np.array([1.0, 0.0, 0.0]), np.array([np.cos(angle), np.sin(angle), 0.0])
+    solver, guess = Solver(problem, Midpoint(default_retraction(sphere)), STEPS), Guess(places, np.zeros((STEPS, 3)))
+    found = solver.solve(*ends, 1.0, guess=guess, callback=lambda iteration: seen.append(iteration.number) or False)
+    assert found.success
+    searches = seen.count(0)
+    assert searches > 1
+    assert found.statistics.iterations == len(seen) - searches
+    others = np.array([[np.cos(a), np.sin(a), 0.0] for a in (angle, 1.0)])
+    many = solver.solve_many(ends[0], others, 1.0, guesses=[guess, guess])
+    assert many.success[0]
+    assert many.cost[0] == pytest.approx(found.cost, rel=1e-10)

@@ -18,6 +18,7 @@ from .found import Iteration, stops
 DECREASE = 1e-2  # of the infeasibility, times the share of a step that is made: less is no progress
 SHORTEST = 1e-3  # a share of a step
 SHORTER, LONGER = 0.25, 4.0  # times the share of a step, after one that is refused and one that is accepted
+GAINED = 0.1  # of the infeasibility: near to feasible a step that leaves more is held by rounding or by a limit
 NARROW = 1e-2  # infeasibility, in units, that no iterate exceeds which sets out from a trajectory that has none
 
 
@@ -30,17 +31,18 @@ class Restoration:
     ) -> None:
         self.conditions, self.tolerance, self.callback = conditions, tolerance, callback
         self.iterate, self.assembled = conditions.begin(without_multipliers(guess.bare))
-        self.infeasibility, count = self._missing(), len(self.assembled.cost)
+        self.infeasibility, count = conditions.merit(self.iterate, self.assembled)[0], len(self.assembled.cost)
         self.fraction, self.going = np.ones(count), np.ones(count, bool)
-        self.trials, self.stopped = 0, False
+        self.crawls, self.trials, self.stopped = np.zeros(count, bool), 0, False
 
     def run(self, most: int) -> np.ndarray:
         """Whether members have become feasible after at most so many trials."""
         step = None
         while True:
-            self.going &= ~(self.infeasibility <= self.tolerance) & (self.fraction >= SHORTEST)
+            near = self.infeasibility <= np.sqrt(self.tolerance)
+            self.going &= ~(near & (self.crawls | (self.infeasibility <= self.tolerance))) & (self.fraction >= SHORTEST)
             if not self.going.any() or self.trials >= most or self.stopped:
-                return self.infeasibility <= np.sqrt(self.tolerance)
+                return near
             if step is None:
                 step = self.conditions.least_step(self.iterate, self.assembled)
             step = None if self._tried(step) else step
@@ -54,36 +56,29 @@ class Restoration:
     def _tried(self, step: Any) -> bool:
         """Whether a trial is accepted by a member, which then needs another step."""
         self.trials += 1
-        moved = without_multipliers(self.conditions.move(self.iterate, self.assembled, step, self.fraction))
-        system = self.conditions.assemble(moved)
-        moved = self.conditions.met(moved, system)
         before, own = self.infeasibility, (self.iterate, self.assembled)
-        self.iterate, self.assembled = moved, self.conditions.assemble(moved)
-        missing = self._missing()
+        moved = without_multipliers(self.conditions.move(*own, step, self.fraction))
+        system = self.conditions.assemble(moved)
+        other = self.conditions.met(moved, system)
+        trial = (moved, system) if other is moved else (other, self.conditions.assemble(other))
+        missing = self.conditions.merit(*trial)[0]
         good = self.going & (missing <= (1 - DECREASE * self.fraction * step.reach) * before)
-        self.iterate = merged(good, self.iterate, own[0])
-        self.assembled = self.conditions.assemble(self.iterate)
+        self.iterate, self.assembled = merged(good, trial, own)
         self.infeasibility = np.where(good, missing, before)
+        self.crawls = ~good | (missing > GAINED * before)
         self._report(good)
         self.fraction = np.where(good, np.minimum(LONGER * self.fraction, 1.0), SHORTER * self.fraction)
         return bool(good.any())
-
-    def _missing(self) -> np.ndarray:
-        return self.conditions.merit(self.iterate, self.assembled)[0]
 
     def _report(self, accepted: np.ndarray) -> None:
         """Show the iterates to the callback; where that returns something true, stop."""
         if self.callback is None:
             return
-        found, barrier = (
-            self.conditions.residuals(self.iterate, self.assembled),
-            self.conditions.barriers(self.iterate),
-        )
+        found = self.conditions.residuals(self.iterate, self.assembled)
         shift, violation = np.full(len(accepted), LEAST), np.maximum(found.violation, found.excess)
-        seen = found.gap, found.stationarity, shift, self.fraction, accepted, violation, barrier
-        self.stopped = stops(
-            self.callback(Iteration(self.trials, np.arange(len(accepted)), self.assembled.cost, *seen))
-        )
+        seen = found.gap, found.stationarity, shift, self.fraction, accepted, violation
+        told = self.assembled.cost, *seen, self.conditions.barriers(self.iterate)
+        self.stopped = stops(self.callback(Iteration(self.trials, np.arange(len(accepted)), *told)))
 
 
 def without_multipliers(iterate: Any) -> Any:
