@@ -14,7 +14,7 @@ from ..controls import resting_control
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from ..records import shapes
-from .arguments import BETWEEN, LIMITS, Method, check_problem, fractions_of
+from .arguments import ALONG, BETWEEN, Method, check_problem, fractions_of
 from .end_points import EndReader
 from .engine.rollout import RollOut
 from .engine.start import Start
@@ -124,7 +124,7 @@ def rolled_out(
 ) -> Guess:
     """The guess that controls lead to."""
     check_problem(problem, method)
-    problem.require_treated("Guess.from_controls", *LIMITS, "an initial cost", *BETWEEN)
+    problem.require_treated("Guess.from_controls", *ALONG, *BETWEEN)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     begin = EndReader(problem.manifold).point(start)

@@ -409,8 +409,3 @@ def test_functions_of_time_that_fail_are_named():
     wrong = OptimalControlProblem(LINE, lambda q, u, t: u + t[0], lambda q, u, t: u @ u, 1, time_dependent=True)
     with pytest.raises(InvalidInputError, match=r"functions fail at a point q of R\^1.*dynamics, line "):
         solve(wrong, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), 1.0, 3)
-
-
-def test_a_roll_out_does_not_treat_time():
-    with pytest.raises(InvalidInputError, match=r"has an explicit time, which Guess.from_controls does not treat"):
-        Guess.from_controls(MOVING, Midpoint(Addition(LINE)), np.zeros(1), np.zeros((3, 1)), 1.0, 3)

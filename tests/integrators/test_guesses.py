@@ -12,7 +12,7 @@ from retrax.integrators.boundary_value.engine import start as start_module
 from retrax.integrators.boundary_value.engine.start import Start
 from retrax.manifolds import SO, DomainError, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import Cayley, Gauss, Midpoint, Projection, Retraction, default_retraction
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Projection, Retraction, default_retraction
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
@@ -227,3 +227,22 @@ def test_a_free_end_is_guessed_where_it_is_said(share):
         assert middle.magnitude() <= 2.5 * abs(share) / 20 + 1e-12
     last = default_guess(problem, method, start, None, 20).states[0][-1]
     np.testing.assert_allclose(last, start[0], atol=1e-12)
+
+
+def test_controls_lead_to_states_in_an_explicit_time():
+    """``x'' = u + sin t`` has the solution ``t - sin t`` from rest without a control."""
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(
+        plane,
+        lambda q, u, t: jnp.stack([q[1], u[0] + jnp.sin(t)]),
+        lambda q, u, t: u @ u / 2,
+        1,
+        time_dependent=True,
+    )
+    method, steps = Midpoint(Addition(plane)), [1.0, 2.0] * 10
+    guess = Guess.from_controls(problem, method, np.zeros(2), np.zeros((20, 1)), 3.0, steps)
+    solver = Solver(problem, method, steps)
+    times = solver.solve(np.zeros(2), None, 3.0).stage_times
+    np.testing.assert_allclose(guess.states[:, 0], times - np.sin(times), atol=1e-7)
+    ended = solver.solve(np.zeros(2), np.array([3.0 - np.sin(3.0), 1.0 - np.cos(3.0)]), 3.0, guess=guess)
+    assert ended.cost < 1e-4

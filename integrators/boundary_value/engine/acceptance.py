@@ -9,6 +9,7 @@ from .conditions import Conditions
 from .kkt_system import Assembled, Iterate, Residuals, Step
 
 ARMIJO = 1e-4
+WIDE = 1.0  # infeasibility, in units, that the funnel of a guess lets pass
 SWITCH, NARROWER = 1e-3, 1e-2
 # Of its distance to the infeasibility the funnel narrows by so much, for less cost or for less of that.
 GENTLY, FIRMLY = 0.1, 0.5
@@ -72,8 +73,8 @@ class Funnel:
     of whole steps judge by the kernel of this one.
     """
 
-    def __init__(self, tolerance: float) -> None:
-        self.tolerance = tolerance
+    def __init__(self, tolerance: float, least: float = WIDE) -> None:
+        self.tolerance, self.least = tolerance, least
 
     def value(self, conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Merit:
         """The merit of iterates."""
@@ -81,7 +82,7 @@ class Funnel:
 
     def width(self, value: Merit) -> np.ndarray:
         """The infeasibility that no iterate exceeds, where a search begins."""
-        return np.maximum(value.infeasibility, 1.0)
+        return np.maximum(value.infeasibility, self.least)
 
     def slope(
         self, conditions: Conditions, iterate: Iterate, assembled: Assembled, step: Step

@@ -10,6 +10,7 @@ import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
 from .arrays import plain
+from .batches import merged
 from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
 from .extent import alone
@@ -42,12 +43,15 @@ def is_lost(conditions: Conditions, iterate: Iterate, assembled: Assembled, step
     return lost | np.any(wide & (asked < OPPOSITE * gap), axis=1)
 
 
-def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> tuple[Iterate, np.ndarray]:
+def aside(
+    conditions: Conditions, iterate: Iterate, assembled: Assembled, rounds: int = ROUNDS
+) -> tuple[Iterate, np.ndarray]:
     """The iterates moved aside, each until half of what the controls move has moved by half its spread; and whether
     they hardly move something that is spread, shape (B,).
 
     Where that is so, as in Heisenberg's group on the way to a point above the start, until what is lacking has changed
-    by as much.
+    by as much. Where nothing that is spread moves or bends, as of a car at rest beside the place to park, the controls
+    move by half their size and the iterates are moved aside from there.
     """
     step, finite = _at_random(conditions, assembled)
     far, spread = _moves(conditions, assembled, step)
@@ -58,7 +62,12 @@ def aside(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> tup
     size, bent = np.where(np.isfinite(middle), MOVED / middle, 0.0), _bent(conditions, iterate, assembled, step)
     held = finite & (bent > 0) & np.any((spread > 0) & (np.minimum(size, bent) * far <= REACHED * spread), axis=0)
     size = np.where(held, bent, np.where(finite, size, 0.0))
-    return _moved(conditions, iterate, assembled, step, size), held
+    still = finite & (size == 0) & (rounds > 0)
+    moved = _moved(conditions, iterate, assembled, step, np.where(still, MOVED, size))
+    if not still.any():
+        return moved, held
+    again, _ = aside(conditions, moved, conditions.assemble(moved), rounds - 1)
+    return merged(still, again, moved), held | still
 
 
 def _at_random(conditions: Conditions, assembled: Assembled) -> tuple[Step, np.ndarray]:

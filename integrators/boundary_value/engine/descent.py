@@ -20,7 +20,7 @@ import numpy as np
 from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
-from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, Funnel, Judgement, State
+from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, WIDE, Funnel, Judgement, State
 from .aside import aside, is_lost
 from .batches import merged, put
 from .conditions import Conditions
@@ -52,10 +52,11 @@ class Descent:
         max_iterations: int,
         callback: Callable[[Iteration], Any] | None,
         as_it_is: bool = False,
+        width: float = WIDE,
     ) -> None:
         self.conditions, self.tolerance = conditions, tolerance
         self.max_iterations, self.callback = max_iterations, callback
-        self.funnel = Funnel(tolerance)
+        self.funnel = Funnel(tolerance, width)
         self.as_it_is, self.lost = as_it_is, np.zeros(0, bool)  # which guesses are moved aside
         self.state: State | None = None
         self._own: tuple[np.ndarray, Conditions] | None = None

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
+from .acceptance import WIDE
 from .aside import aside
 from .batches import put
 from .conditions import Conditions
@@ -14,10 +15,12 @@ from .descent import Descent
 from .found import Found, Iteration
 from .kkt_system import Iterate
 from .own_units import judged_loosely
+from .restoration import NARROW, Restoration
 
+NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
-    "iterate", "assembled", "residuals", "strict_minimum", "iterations", "limited", "claimed", "solvable", "missing",
+    "iterate", "assembled", "residuals", "strict_minimum", "limited", "claimed", "solvable", "missing",
     "contradictory", "unit", "falling",
 )  # fmt: skip
 
@@ -52,6 +55,7 @@ def newton(
         found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
+    found = _restored(search, _crawled(search, found), guess)
     for _ in range(AGAIN):
         loose = judged_loosely(search.conditions, found)
         if not loose.size or found.stopped:
@@ -60,19 +64,66 @@ def newton(
     return found
 
 
-def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
-    """What is found where some members begin once more, from guesses as they are, if that is better, or anyhow."""
+def _crawled(search: Descent, found: Found) -> Found:
+    """What is found from where the iteration limit came near to an extremal, by a step of Newton's own.
+
+    To an extremal that is no minimum, shifted steps come nearer by the same share each.
+    """
+    near = np.flatnonzero(~found.claimed & found.limited & (found.residuals.largest <= NEAR))
+    return _tried(search, found, taken(found.iterate, near), near)
+
+
+def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
+    """What is found from feasible trajectories near the guesses, where nothing else has found anything; inequalities
+    that hold on such a trajectory do not contradict each other."""
+    members = np.flatnonzero(~(found.claimed | found.falling))
     if found.stopped or not members.size:
         return found
+    phase = Restoration(search.conditions.of(members), taken(guess, members), search.tolerance, _seen(search, members))
+    try:
+        feasible = np.flatnonzero(phase.run(search.max_iterations))
+    except KeyboardInterrupt:
+        return found._replace(stopped=True)
+    counts, contradictory = found.iterations.copy(), found.contradictory.copy()
+    counts[members] += phase.trials
+    found = found._replace(iterations=counts, stopped=phase.stopped)
+    found = _tried(search, found, taken(phase.iterate.bare, feasible), members[feasible], width=NARROW)
+    contradictory[members] &= ~phase.holds
+    return found._replace(contradictory=contradictory)
+
+
+def _seen(search: Descent, members: np.ndarray) -> Callable[[Iteration], Any] | None:
+    """The callback of some members."""
     callback = search.callback
-    seen = callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
-    alone = Descent(search.conditions.of(members), search.tolerance, search.max_iterations, seen, as_it_is=True)
-    again = alone.ended(taken(guess, members))
-    again = again._replace(iterations=found.iterations[members] + again.iterations)
+    return callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
+
+
+def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
+    """What is found where some members begin once more, from guesses as they are, if that is better, or anyhow."""
+    anything = anyhow | ~(found.claimed | found.contradictory)[members]  # elsewhere nothing but a success says more
+    return _tried(search, found, taken(guess, members), members, anything)
+
+
+def _tried(
+    search: Descent,
+    found: Found,
+    guess: Iterate,
+    members: np.ndarray,
+    anything: np.ndarray | bool = False,
+    width: float = WIDE,
+) -> Found:
+    """What is found where some members begin once more from their guesses, if that is a success and costs less, or
+    anything; ``width``: of the funnel."""
+    if found.stopped or not members.size:
+        return found
+    options = search.tolerance, search.max_iterations, _seen(search, members)
+    alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width)
+    again = alone.ended(guess)
+    counts = found.iterations.copy()
+    counts[members] += again.iterations
     claimed, cost = found.claimed[members], found.assembled.cost[members]
-    known = claimed | found.contradictory[members]  # nothing but a success says more
-    better = np.flatnonzero(anyhow | np.where(known, again.claimed & ~(claimed & (again.assembled.cost >= cost)), True))
+    better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}
     if better.size:
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
-    return found._replace(stopped=again.stopped, **chosen)
+    return found._replace(stopped=again.stopped, iterations=counts, **chosen)

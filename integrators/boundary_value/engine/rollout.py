@@ -23,33 +23,35 @@ class RollOut:
     def __init__(self, problem: OptimalControlProblem, retraction: Retraction) -> None:
         self.problem, self.retraction, self.manifold = problem, retraction, problem.manifold
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
-        self._step = Automatic().values(self._step_of, self.state.size, self.control.size, 1)
+        self._step = Automatic().values(self._step_of, self.state.size, self.control.size, 2)
 
     def states(self, start: np.ndarray, controls: np.ndarray, before: np.ndarray, after: np.ndarray) -> np.ndarray:
         """Flat states, shape ``(K, E)``, where the times ``before`` of K constant controls have passed, each lasting
-        ``before + after``.
+        ``before + after``; the time begins at zero.
         """
-        q, found = start[None], []
+        q, found, begun = start[None], [], 0.0
         with np.errstate(all="ignore"):  # what is not finite is judged by the caller
             for u, *times in zip(controls, before, after, strict=True):
                 for place, time in enumerate(times):
-                    (q,) = self._step(q, u[None], np.array([[time]]))
+                    (q,) = self._step(q, u[None], np.array([[begun, time]]))
+                    begun += time
                     if place == 0:
                         found.append(q[0])
         return np.stack(found)
 
-    def _step_of(self, x: Array, u: Array, h: Array) -> tuple[Array]:
+    def _step_of(self, x: Array, u: Array, times: Array) -> tuple[Array]:
+        begun, h = times
         point, control = self.state.point(x), self.control.point(u)
         frame = self.manifold.basis(point)
 
-        def rate(c: Array) -> Array:
+        def rate(c: Array, time: Array) -> Array:
             q, push = jax.linearize(lambda c: self.retraction(point, vec.combine(frame, c)), c)
             columns = self.state.flat_frame(jax.vmap(push)(jnp.eye(c.size)))
-            velocity = self.state.flat(self.problem.velocity(q, control))
+            velocity = self.state.flat(self.problem.at_time(time).velocity(q, control))
             return cho_solve((jnp.linalg.cholesky(columns @ columns.T), True), columns @ velocity)
 
-        total, c = jnp.zeros(self.manifold.dimension), jnp.zeros(self.manifold.dimension)
-        for weight, ahead in ((1, 0.5), (2, 0.5), (2, 1.0), (1, 0.0)):
-            slope = rate(c)
-            total, c = total + weight * slope, ahead * h[0] * slope
-        return (self.state.flat(self.retraction(point, vec.combine(frame, h[0] / 6 * total))),)
+        total, slope = jnp.zeros(self.manifold.dimension), jnp.zeros(self.manifold.dimension)
+        for weight, share in ((1, 0.0), (2, 0.5), (2, 0.5), (1, 1.0)):
+            slope = rate(share * h * slope, begun + share * h)
+            total = total + weight * slope
+        return (self.state.flat(self.retraction(point, vec.combine(frame, h / 6 * total))),)
