@@ -16,7 +16,7 @@ from .numerics.ambient import Ambient, Frame
 from .numerics.attribute import attribute
 from .numerics.errors import InvalidInputError
 from .numerics.precision import default_tolerance
-from .numerics.shapes import check_shapes
+from .numerics.shapes import check_shapes, require_shapes
 
 NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
 
@@ -103,6 +103,7 @@ class Manifold(eqx.Module):
         By default ``max |a_i|``. Far out on a manifold with another geometry, an ambient length says nothing of how
         near two points are: there the length is that of its metric.
         """
+        require_shapes(self, {"a point": x, "an ambient vector": a})
         return vec.size(a)
 
     def random_tangent(self, key: Array, x: Ambient) -> Ambient:
