@@ -49,14 +49,14 @@ def natural_units(
     """
     from . import scaling_kernels
 
-    (batch, count, n, z), of = system.left.shape, (system.hessian, system.left, system.right, gradient)
+    (batch, count, n, z), (hessian, left, right, _, gap, *ends) = system.left.shape, system
     known, free, bent = np.empty((batch, z)), np.empty(controls.shape), np.empty(batch, bool)
     known[:], free[:], bent[:] = values, room, curved
     own = np.concatenate([states, controls], axis=1), known, free
     unknowns, nodes, cost = np.empty((batch, z)), np.empty((batch, n)), np.empty(batch)
     work, swaps = tuple(scratch(tuple(unit_shapes(count, n, z).values()))), np.empty(n, np.int64)
     scaling_kernels.units(
-        tuple(map(plain, of)), tuple(map(plain, own)), bent, work, swaps, EPS**HALF, (unknowns, nodes, cost)
+        tuple(map(plain, (hessian, left, right, gradient, gap, *ends))), tuple(map(plain, own)), bent, work, swaps, EPS**HALF, (unknowns, nodes, cost)
     )
     return Units(unknowns, nodes, cost)
 
@@ -65,7 +65,7 @@ def unit_shapes(count: int, n: int, z: int) -> dict[str, tuple[int, ...]]:
     """Shapes of what the kernel works in."""
     width = whole(n)
     solved = {"equations": (n, 2 * width), "lower": (n, n), "weights": (n,), "turned": (z, width)}
-    sums = {"terms": (2, z, width), "gramian": (2, n, width), "images": (n, width)}
+    sums = {"terms": (2, z, width), "gramian": (2, n, width), "images": (n, width), "drifts": (3, n), "gains": (n, n)}
     return {**solved, **sums, "of_unknowns": (5, z), "gramians": (4, count, n)}
 
 
