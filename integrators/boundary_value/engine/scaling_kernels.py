@@ -92,23 +92,24 @@ def _drift(terms: np.ndarray, gap: np.ndarray, sign: float, drift: np.ndarray) -
 
 
 @inner
-def _raise_gains(terms: np.ndarray, gains: np.ndarray) -> None:
-    """Raise the most that each coordinate is moved by per unit of another one to that of a step."""
+def _lower_gains(terms: np.ndarray, gains: np.ndarray) -> None:
+    """Lower the least that a step moves each coordinate by per unit of another one to that of this step."""
     for a in range(gains.shape[0]):
         for c in range(gains.shape[1]):
-            gains[a, c] = larger(gains[a, c], abs(terms[c, a]))
+            gains[a, c] = min(gains[a, c], abs(terms[c, a]))
 
 
 @inner
 def _balance(gains: np.ndarray, nodes: np.ndarray) -> None:
-    """Raise units until no step turns the unit of a coordinate into more than that of another one."""
+    """Raise units that are next to nothing beside what each step makes of the unit of another coordinate, as that of
+    the rate of a body between two that pull equally."""
     n = gains.shape[0]
     for _ in range(n):
         raised = False
         for a in range(n):
             for c in range(n):
                 moved = gains[a, c] * nodes[c]
-                if a != c and nodes[a] < moved < np.inf:
+                if a != c and FARTHEST * nodes[a] < moved < np.inf:
                     nodes[a], raised = moved, True
         if not raised:
             return
@@ -142,7 +143,7 @@ def _gramians(
     """
     (left, right, gap, start, end), (v, lower, weights, turned, terms, g, rows, drift, gains) = steps, work
     (count, n, _), asked = left.shape, np.inf
-    turned[:], gains[:] = 0.0, 0.0
+    turned[:], gains[:] = 0.0, np.inf
     for way in range(2):
         g[:], drift[:], sign, first = 0.0, 0.0, 2.0 * way - 1.0, count * way
         for a in range(n):
@@ -156,7 +157,7 @@ def _gramians(
             _move(v, near, far, turned, terms[0], terms[1])
             _drift(terms[0], gap[k + 1 - way, :, 0], sign, drift)
             if way == 0:
-                _raise_gains(terms[0], gains)
+                _lower_gains(terms[0], gains)
             for t in range(2):
                 _gramian(terms[t], variance, g[t], rows)
                 for a in range(n):
