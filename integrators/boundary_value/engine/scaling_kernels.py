@@ -109,7 +109,7 @@ def _balance(gains: np.ndarray, nodes: np.ndarray) -> None:
         for a in range(n):
             for c in range(n):
                 moved = gains[a, c] * nodes[c]
-                if a != c and FARTHEST * nodes[a] < moved < np.inf:
+                if a != c and nodes[a] < moved < np.inf:
                     nodes[a], raised = moved, True
         if not raised:
             return
