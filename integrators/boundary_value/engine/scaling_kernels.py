@@ -8,6 +8,7 @@ from .lu import back_substitute, decompose
 from .vectors import add, compiled, entry, filled, inner, magnitude, put, put_entry, subtract, vector
 
 FARTHEST = 1e2
+MATTERS = 1e-3  # of what changes the cost by as much as all others do: a unit is no less
 EXPLODES = 64.0  # times as far in twice the time: no chain of six integrators comes as far
 
 Work = tuple[
@@ -242,6 +243,24 @@ def _farthest(own: np.ndarray, reach: np.ndarray, a: int, n: int) -> float:
     return FARTHEST * moved * reach[a] if moved > 0 else np.inf
 
 
+@inner
+def _most(curvature: np.ndarray, slope: np.ndarray, unknowns: np.ndarray) -> float:
+    """The most that a coordinate changes the cost by that moves by its unit."""
+    most = 0.0
+    for i in range(unknowns.size):
+        most = larger(most, larger(curvature[i] * unknowns[i] * unknowns[i], slope[i] * unknowns[i]))
+    return most
+
+
+@inner
+def _costly(curvature: float, slope: float, most: float) -> float:
+    """What a coordinate moves by that changes the cost by so much; zero if its cost is not curved."""
+    if not (curvature > 0 and most < np.inf):
+        return 0.0
+    far = np.sqrt(most / curvature)
+    return min(far, most / slope) if slope > 0 else far
+
+
 @compiled
 def units(
     system: tuple, own: tuple, curved: np.ndarray, work: tuple, swaps: np.ndarray, rounding: float, out: tuple
@@ -270,16 +289,16 @@ def units(
         for a in range(n):
             reached = _reached(gramians, a, 0)
             reach[a] = reached if reached > rounding * _reached(gramians, a, 1) else 0.0
-        size, most = _size((curvature, slope), sizes[m], room[m], push, reach, asked, convex), 0.0
+        size = _size((curvature, slope), sizes[m], room[m], push, reach, asked, convex)
         for i in range(z):
             unit = larger(sizes[m, i], size * reach[i])
             if i < n and _explodes(gramians, i):
                 unit = min(unit, _farthest(sizes[m], reach, i, n))
             unknowns[m, i] = _or_one(unit if unit > 0 else values[m, i])
-        _balance(work[8], unknowns[m, :n])
+        most = _most(curvature, slope, unknowns[m])
         for i in range(z):
-            unit = unknowns[m, i]
-            most = larger(most, larger(curvature[i] * unit * unit, slope[i] * unit))
-            if i < n:
-                nodes[m, i] = unit
-        cost[m] = _or_one(most / count)
+            unknowns[m, i] = max(unknowns[m, i], MATTERS * _costly(curvature[i], slope[i], most))
+        _balance(work[8], unknowns[m, :n])
+        for a in range(n):
+            nodes[m, a] = unknowns[m, a]
+        cost[m] = _or_one(_most(curvature, slope, unknowns[m]) / count)
