@@ -125,5 +125,13 @@ def _tried(
     better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}
     if better.size:
+        _adopt(search.conditions, alone.conditions.of(better), first, len(found.claimed))
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
     return found._replace(stopped=again.stopped, iterations=counts, **chosen)
+
+
+def _adopt(conditions: Any, part: Any, members: np.ndarray, count: int) -> None:
+    """Let the conditions have the units of a part in some members."""
+    rest = np.setdiff1d(np.arange(count), members)
+    parts = [conditions.of(rest), part] if rest.size else [part]
+    conditions.adopt(parts, np.argsort(np.concatenate([rest, members])))

@@ -178,7 +178,10 @@ def _first_units(
             largest = larger(largest, abs(controls[k, i - n]))
         sizes[0, i], values[0, i], ways[0, i - n] = largest, largest, np.inf
     start, end = _fixed_ends(setting, rows, n)
-    system, (within, swaps) = (hessian, left, right, gradient, lacks_of(written, rows), start, end), unit_work_of(room, rows)
+    system, (within, swaps) = (
+        (hessian, left, right, gradient, lacks_of(written, rows), start, end),
+        unit_work_of(room, rows),
+    )
     own = (sizes, values, ways), curved, within, swaps, rounding
     units_by(calls[AT_UNITS], (system, *own, (unknowns, nodes, unit)))
     cost[0] = unit[0]

@@ -56,7 +56,13 @@ def natural_units(
     unknowns, nodes, cost = np.empty((batch, z)), np.empty((batch, n)), np.empty(batch)
     work, swaps = tuple(scratch(tuple(unit_shapes(count, n, z).values()))), np.empty(n, np.int64)
     scaling_kernels.units(
-        tuple(map(plain, (hessian, left, right, gradient, gap, *ends))), tuple(map(plain, own)), bent, work, swaps, EPS**HALF, (unknowns, nodes, cost)
+        tuple(map(plain, (hessian, left, right, gradient, gap, *ends))),
+        tuple(map(plain, own)),
+        bent,
+        work,
+        swaps,
+        EPS**HALF,
+        (unknowns, nodes, cost),
     )
     return Units(unknowns, nodes, cost)
 

@@ -213,18 +213,21 @@ def _size(
 ) -> float:
     """The size of a trajectory, what its ends, its controls and the slope of the cost ask for, within its room.
 
-    Where these ask for nothing, it moves one of its coordinates as far as the guess does.
+    It moves one of its coordinates as far as the guess does; one that the guess moves, where nothing else is asked for.
     """
-    (curvature, slope), most, n, least = sums, 0.0, own.size - room.size, np.inf
+    (curvature, slope), most, n, least, any_least = sums, 0.0, own.size - room.size, np.inf, np.inf
     for i in range(own.size):
-        if reach[i] > 0 and own[i] > 0:
-            least = min(least, own[i] / reach[i])
-            asked = larger(asked, own[i] / reach[i] if i >= n else 0.0)
+        if reach[i] > 0:
+            ratio = own[i] / reach[i]
+            asked = larger(asked, ratio if i >= n else 0.0)
+            least = min(least, ratio if i < n else np.inf)
+            any_least = min(any_least, ratio if ratio > 0 else np.inf)
         if convex:
             asked = larger(asked, slope[i] * reach[i] / (1 + curvature[i] * reach[i] * reach[i]))
     for j in range(room.size):
         most = larger(most, room[j] / push[n + j] if convex else np.inf)
-    asked = least if asked == 0 and np.isfinite(least) else asked
+    asked = max(asked, least if least < np.inf else 0.0)
+    asked = any_least if asked == 0 and any_least < np.inf else asked
     return most if 0 < most < asked else asked
 
 
