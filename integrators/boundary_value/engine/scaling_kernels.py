@@ -285,7 +285,11 @@ def units(
         for i in range(n, z):
             convex &= curvature[i] > 0
         for i in range(n, z):
-            push[i] = 1 / np.sqrt(curvature[i]) if convex else sizes[m, i]
+            push[i] = (
+                min(1 / np.sqrt(curvature[i]), room[m, i - n] if room[m, i - n] > 0 else np.inf)
+                if convex
+                else sizes[m, i]
+            )
             reach[i], variance[i - n] = push[i], count * push[i] * push[i]
         steps = left[m], right[m], gap[m], start[m], end[m]
         asked = _gramians(steps, values[m], variance[: z - n], recursion, swaps, rounding, gramians)
@@ -300,7 +304,8 @@ def units(
             unknowns[m, i] = _or_one(unit if unit > 0 else values[m, i])
         most = _most(curvature, slope, unknowns[m])
         for i in range(z):
-            unknowns[m, i] = max(unknowns[m, i], MATTERS * _costly(curvature[i], slope[i], most))
+            far = MATTERS * _costly(curvature[i], slope[i], most)
+            unknowns[m, i] = max(unknowns[m, i], far if i < n else min(far, push[i]))
         _balance(work[8], unknowns[m, :n])
         for a in range(n):
             nodes[m, a] = unknowns[m, a]
