@@ -169,19 +169,15 @@ def _first_units(
     (hessian, left, right, _, gradient), u = blocks_of(written, rows), u_of(written, rows)
     ((sizes, values, ways), curved), (_, count, n, z) = unit_sizes_of(room, rows), left.shape
     (highest, lowest, support), work = spread_of(written, rows), line_of(written, rows)
-    columns = columns_of(setting, rows)[0]
-    find_moves(highest, lowest, support, columns, rounding, 0, work, sizes, values)
+    find_moves(highest, lowest, support, columns_of(setting, rows)[0], rounding, 0, work, sizes, values)
     controls, curved[0] = view(u, 0, (count, z - n)), True
     for i in range(n, z):
         largest = 0.0
         for k in range(count):
             largest = larger(largest, abs(controls[k, i - n]))
         sizes[0, i], values[0, i], ways[0, i - n] = largest, largest, np.inf
-    start, end = _fixed_ends(setting, rows, n)
-    system, (within, swaps) = (
-        (hessian, left, right, gradient, lacks_of(written, rows), start, end),
-        unit_work_of(room, rows),
-    )
+    (start, end), (within, swaps) = _fixed_ends(setting, rows, n), unit_work_of(room, rows)
+    system = hessian, left, right, gradient, lacks_of(written, rows), start, end
     own = (sizes, values, ways), curved, within, swaps, rounding
     units_by(calls[AT_UNITS], (system, *own, (unknowns, nodes, unit)))
     cost[0] = unit[0]

@@ -264,6 +264,21 @@ def _costly(curvature: float, slope: float, most: float) -> float:
     return min(far, most / slope) if slope > 0 else far
 
 
+@inner
+def _unknowns(of: tuple, size: float, gramians: np.ndarray, out: np.ndarray) -> None:
+    """Units of the unknowns of a trajectory of this size."""
+    (sizes, values, curvature, slope, push, reach), n = of, gramians.shape[2]
+    for i in range(out.size):
+        unit = larger(sizes[i], size * reach[i])
+        if i < n and _explodes(gramians, i):
+            unit = min(unit, _farthest(sizes, reach, i, n))
+        out[i] = _or_one(unit if unit > 0 else values[i])
+    most = _most(curvature, slope, out)
+    for i in range(out.size):
+        far = MATTERS * _costly(curvature[i], slope[i], most)
+        out[i] = max(out[i], far if i < n else min(far, push[i]))
+
+
 @compiled
 def units(
     system: tuple, own: tuple, curved: np.ndarray, work: tuple, swaps: np.ndarray, rounding: float, out: tuple
@@ -271,9 +286,9 @@ def units(
     """Units of the unknowns, of the nodes, and of the cost of each member.
 
     ``system``: Hessians, left, right, gradients of the cost, what nodes lack, and which coordinates of the ends are
-    fixed; ``own``: sizes of states and controls, those of what
-    nothing moves, and how far inequalities let the controls go; ``curved``: where curvature in the controls is not
-    rounding; ``rounding``: a share of its terms by which something is not reached.
+    fixed; ``own``: sizes of states and controls, those of what nothing moves, and how far inequalities let the controls
+    go; ``curved``: where curvature in the controls is not rounding; ``rounding``: a share of its terms by which
+    something is not reached.
     """
     (hessian, left, right, gradient, gap, start, end), (sizes, values, room) = system, own
     (batch, count, n, z), numbers, gramians, (unknowns, nodes, cost) = left.shape, work[9], work[10], out
@@ -285,11 +300,8 @@ def units(
         for i in range(n, z):
             convex &= curvature[i] > 0
         for i in range(n, z):
-            push[i] = (
-                min(1 / np.sqrt(curvature[i]), room[m, i - n] if room[m, i - n] > 0 else np.inf)
-                if convex
-                else sizes[m, i]
-            )
+            way, push[i] = room[m, i - n], 1 / np.sqrt(curvature[i]) if convex else sizes[m, i]
+            push[i] = way if convex and 0 < way < push[i] else push[i]
             reach[i], variance[i - n] = push[i], count * push[i] * push[i]
         steps = left[m], right[m], gap[m], start[m], end[m]
         asked = _gramians(steps, values[m], variance[: z - n], recursion, swaps, rounding, gramians)
@@ -297,15 +309,7 @@ def units(
             reached = _reached(gramians, a, 0)
             reach[a] = reached if reached > rounding * _reached(gramians, a, 1) else 0.0
         size = _size((curvature, slope), sizes[m], room[m], push, reach, asked, convex)
-        for i in range(z):
-            unit = larger(sizes[m, i], size * reach[i])
-            if i < n and _explodes(gramians, i):
-                unit = min(unit, _farthest(sizes[m], reach, i, n))
-            unknowns[m, i] = _or_one(unit if unit > 0 else values[m, i])
-        most = _most(curvature, slope, unknowns[m])
-        for i in range(z):
-            far = MATTERS * _costly(curvature[i], slope[i], most)
-            unknowns[m, i] = max(unknowns[m, i], far if i < n else min(far, push[i]))
+        _unknowns((sizes[m], values[m], curvature, slope, push, reach), size, gramians, unknowns[m])
         _balance(work[8], unknowns[m, :n])
         for a in range(n):
             nodes[m, a] = unknowns[m, a]
