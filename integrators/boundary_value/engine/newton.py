@@ -40,8 +40,8 @@ def newton(
     the cheaper success counts; one that ends without success is moved aside where its controls hardly move what
     they have to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
     inequalities contradict each other near the guess, or the ends, the trajectory that violates them least is a guess
-    once more: its jam may be of the way there. Success is judged in units of the guess; where the cost is another one
-    at the solution, that is a guess once more.
+    once more: its jam may be of the way there. Success is judged in units of what is found: where these are far less
+    than those of the guess, that is a guess once more.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)

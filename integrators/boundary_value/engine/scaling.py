@@ -3,8 +3,10 @@
 A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest to a
 deviation ``e`` costs ``e' G^-1 e / 2`` with the Gramian ``G_{k+1} = A G_k A' + B W B'`` of the linearised steps, ``W``
 the inverse curvature of the cost in the controls; both ends are fixed, so the smaller of the Gramians from the start
-and from the end counts. One factor is left, the size of the trajectory: what its ends, its guess and the slope of the
-cost ask for.
+and from the end counts. One factor is left, the size of the trajectory: what controls have to make up for of the ends
+that a drifting trajectory misses, and what the slope of the cost asks for. What drifts by itself asks for nothing:
+controls hardly move a state at the end of a chain. No unit is next to nothing: not beside what each step makes of the
+units of others, nor beside what costs as much as all others do.
 """
 
 from typing import TYPE_CHECKING, NamedTuple, final
