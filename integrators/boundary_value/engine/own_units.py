@@ -11,7 +11,7 @@ from .beginning import in_units
 from .first_units import first_units
 
 LESS = 0.1  # of the units that a success was judged in: where its own ones are less, it is judged again
-RESTS = EPS**HALF  # of these units: a trajectory that goes no farther, and from no end to another, has none of its own
+RESTS = EPS**HALF  # of these units: what goes no farther, from no end to another or by no control, is rounding
 
 
 def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
@@ -23,10 +23,13 @@ def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
     if not places.size:
         return places
     own, iterate, assembled = conditions.of(places), taken(found.iterate, places), taken(found.assembled, places)
-    pairs = [*zip(_sizes(_measured_again(own, iterate, assembled)), _sizes(own), strict=True)]
-    shares = np.min([new / old for new, old in pairs], axis=0)
-    rests = np.all([new <= RESTS * old for new, old in pairs], axis=0) & ~_goes(own, assembled)
-    return places[(shares < LESS) & ~rests]
+    goes, acts = _goes(own, iterate, assembled)
+    loose = np.zeros(len(places), bool)
+    pairs = zip(_sizes(_measured_again(own, iterate, assembled)), _sizes(own), (True, acts), strict=True)
+    for new, old, told in pairs:
+        share = new / old
+        loose |= told & np.any(share < LESS, axis=1) & (goes | np.any(share > RESTS, axis=1))
+    return places[loose]
 
 
 def _measured_again(conditions: Any, iterate: Any, assembled: Any) -> Any:
@@ -42,16 +45,21 @@ def _measured_again(conditions: Any, iterate: Any, assembled: Any) -> Any:
     return again
 
 
-def _sizes(conditions: Any) -> list[np.ndarray]:
-    """The units of all unknowns and of the costs that success is judged by, shape (B,) each."""
+def _sizes(conditions: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The units that success is judged by: of the states, and of the controls and the cost, shape (B, k)."""
     phases = [phase.judging for phase in getattr(conditions, "phases", (conditions,))]
-    return [size for units in phases for size in (*units.unknowns.T, units.cost)]
+    controls = [units.unknowns[:, units.nodes.shape[1] :] for units in phases]
+    return np.concatenate([u.nodes for u in phases], axis=1), np.hstack([*controls, *(u.cost[:, None] for u in phases)])
 
 
-def _goes(conditions: Any, assembled: Any) -> np.ndarray:
-    """Whether a trajectory moves by more than rounding of a prescribed end, shape (B,)."""
+def _goes(conditions: Any, iterate: Any, assembled: Any) -> np.ndarray:
+    """Whether a trajectory moves by more than rounding of a prescribed end, and its controls by more than rounding of
+    its states, shape (2, B): else its own sizes are rounding."""
     if conditions.joint:
-        return np.any([_goes(*of) for of in zip(conditions.phases, assembled.parts, strict=True)], axis=0)
-    ends, extent = conditions.ends, assembled.extent
+        each = zip(conditions.phases, iterate.parts, assembled.parts, strict=True)
+        return np.any([_goes(*of) for of in each], axis=0)
+    ends, extent, n = conditions.ends, assembled.extent, assembled.gap.shape[2]
     given = np.maximum(np.abs(ends.start) * ends.start_entries, np.abs(ends.end) * ends.end_entries)
-    return np.any(extent.moves & (given > 0), axis=1)
+    pushed = np.abs(assembled.blocks.right[..., n:]).sum(axis=1) @ conditions.control_sizes(iterate)[:, :, None]
+    acts = pushed[..., 0] > RESTS * extent.moved(conditions.at_nodes.layout)[1]
+    return np.stack([np.any(extent.moves & (given > 0), axis=1), np.any(acts, axis=1)])
