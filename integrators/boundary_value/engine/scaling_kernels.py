@@ -208,26 +208,28 @@ def _sums(hessian: np.ndarray, gradient: np.ndarray, curvature: np.ndarray, slop
 
 
 @inner
-def _size(
-    sums: tuple, own: np.ndarray, room: np.ndarray, push: np.ndarray, reach: np.ndarray, asked: float, convex: bool
-) -> float:
+def _size(sums: tuple, own: tuple, reach: np.ndarray, asked: float, convex: bool, rounding: float) -> float:
     """The size of a trajectory, what its ends, its controls and the slope of the cost ask for, within its room.
 
-    It moves one of its coordinates as far as the guess does; one that the guess moves, where nothing else is asked for.
+    It moves one of its coordinates as far as the guess does; where all else asks for rounding, one that the guess
+    moves, if that costs no more than the guess.
     """
-    (curvature, slope), most, n, least, any_least = sums, 0.0, own.size - room.size, np.inf, np.inf
-    for i in range(own.size):
+    (curvature, slope), (sizes, room, push), least, any_least = sums, own, np.inf, np.inf
+    most, n, costs = 0.0, sizes.size - room.size, 0.0
+    for i in range(sizes.size):
         if reach[i] > 0:
-            ratio = own[i] / reach[i]
+            ratio = sizes[i] / reach[i]
             asked = larger(asked, ratio if i >= n else 0.0)
             least = min(least, ratio if i < n else np.inf)
-            any_least = min(any_least, ratio if ratio > 0 else np.inf)
+            any_least = min(any_least, ratio if ratio > 0 and i < n else np.inf)
         if convex:
             asked = larger(asked, slope[i] * reach[i] / (1 + curvature[i] * reach[i] * reach[i]))
+            costs = larger(costs, larger(curvature[i] * sizes[i] * sizes[i], slope[i] * sizes[i]) if i < n else 0.0)
     for j in range(room.size):
         most = larger(most, room[j] / push[n + j] if convex else np.inf)
     asked = max(asked, least if least < np.inf else 0.0)
-    asked = any_least if asked == 0 and any_least < np.inf else asked
+    any_least = min(any_least, np.sqrt(costs)) if costs > 0 else any_least
+    asked = any_least if any_least < np.inf and asked <= rounding * any_least else asked
     return most if 0 < most < asked else asked
 
 
@@ -308,7 +310,7 @@ def units(
         for a in range(n):
             reached = _reached(gramians, a, 0)
             reach[a] = reached if reached > rounding * _reached(gramians, a, 1) else 0.0
-        size = _size((curvature, slope), sizes[m], room[m], push, reach, asked, convex)
+        size = _size((curvature, slope), (sizes[m], room[m], push), reach, asked, convex, rounding)
         _unknowns((sizes[m], values[m], curvature, slope, push, reach), size, gramians, unknowns[m])
         _balance(work[8], unknowns[m, :n])
         for a in range(n):
