@@ -23,13 +23,8 @@ def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
     if not places.size:
         return places
     own, iterate, assembled = conditions.of(places), taken(found.iterate, places), taken(found.assembled, places)
-    goes, acts = _goes(own, iterate, assembled)
-    loose = np.zeros(len(places), bool)
-    pairs = zip(_sizes(_measured_again(own, iterate, assembled)), _sizes(own), (True, acts), strict=True)
-    for new, old, told in pairs:
-        share = new / old
-        loose |= told & np.any(share < LESS, axis=1) & (goes | np.any(share > RESTS, axis=1))
-    return places[loose]
+    (goes, acts), share = _goes(own, iterate, assembled), _sizes(_measured_again(own, iterate, assembled)) / _sizes(own)
+    return places[acts & np.any(share < LESS, axis=1) & (goes | np.any(share > RESTS, axis=1))]
 
 
 def _measured_again(conditions: Any, iterate: Any, assembled: Any) -> Any:
@@ -45,11 +40,10 @@ def _measured_again(conditions: Any, iterate: Any, assembled: Any) -> Any:
     return again
 
 
-def _sizes(conditions: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The units that success is judged by: of the states, and of the controls and the cost, shape (B, k)."""
+def _sizes(conditions: Any) -> np.ndarray:
+    """The units of all unknowns and of the costs that success is judged by, shape (B, k)."""
     phases = [phase.judging for phase in getattr(conditions, "phases", (conditions,))]
-    controls = [units.unknowns[:, units.nodes.shape[1] :] for units in phases]
-    return np.concatenate([u.nodes for u in phases], axis=1), np.hstack([*controls, *(u.cost[:, None] for u in phases)])
+    return np.hstack([part for units in phases for part in (units.unknowns, units.cost[:, None])])
 
 
 def _goes(conditions: Any, iterate: Any, assembled: Any) -> np.ndarray:
