@@ -269,7 +269,7 @@ def _costly(curvature: float, slope: float, most: float) -> float:
 @inner
 def _unknowns(of: tuple, size: float, gramians: np.ndarray, out: np.ndarray) -> None:
     """Units of the unknowns of a trajectory of this size."""
-    (sizes, values, curvature, slope, push, reach), n = of, gramians.shape[2]
+    (sizes, values, curvature, slope, room, reach), n = of, gramians.shape[2]
     for i in range(out.size):
         unit = larger(sizes[i], size * reach[i])
         if i < n and _explodes(gramians, i):
@@ -278,7 +278,7 @@ def _unknowns(of: tuple, size: float, gramians: np.ndarray, out: np.ndarray) -> 
     most = _most(curvature, slope, out)
     for i in range(out.size):
         far = MATTERS * _costly(curvature[i], slope[i], most)
-        out[i] = max(out[i], far if i < n else min(far, push[i]))
+        out[i] = max(out[i], far if i < n or not room[i - n] > 0 else min(far, room[i - n]))
 
 
 @compiled
@@ -301,9 +301,12 @@ def units(
         convex = curved[m]
         for i in range(n, z):
             convex &= curvature[i] > 0
+        widest = 0.0
         for i in range(n, z):
-            way, push[i] = room[m, i - n], 1 / np.sqrt(curvature[i]) if convex else sizes[m, i]
-            push[i] = way if convex and 0 < way < push[i] else push[i]
+            widest = larger(widest, room[m, i - n] * np.sqrt(curvature[i]) if convex else np.inf)
+        for i in range(n, z):
+            push[i] = 1 / np.sqrt(curvature[i]) if convex else sizes[m, i]
+            push[i] = room[m, i - n] / widest if room[m, i - n] > 0 and 0 < widest < np.inf else push[i]
             reach[i], variance[i - n] = push[i], count * push[i] * push[i]
         steps = left[m], right[m], gap[m], start[m], end[m]
         asked = _gramians(steps, values[m], variance[: z - n], recursion, swaps, rounding, gramians)
@@ -311,7 +314,7 @@ def units(
             reached = _reached(gramians, a, 0)
             reach[a] = reached if reached > rounding * _reached(gramians, a, 1) else 0.0
         size = _size((curvature, slope), (sizes[m], room[m], push), reach, asked, convex, rounding)
-        _unknowns((sizes[m], values[m], curvature, slope, push, reach), size, gramians, unknowns[m])
+        _unknowns((sizes[m], values[m], curvature, slope, room[m], reach), size, gramians, unknowns[m])
         _balance(work[8], unknowns[m, :n])
         for a in range(n):
             nodes[m, a] = unknowns[m, a]
