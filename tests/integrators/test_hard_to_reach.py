@@ -84,7 +84,7 @@ def check(system, start, horizon=1.0, weight=0.0):
     of = {"a": system[0], "b": system[1], "weight": weight}
     found = solver(len(start)).solve(start, None, horizon, parameters=of)
     assert found.cost == pytest.approx(least(*system, start, horizon, weight), rel=1e-8)
-    assert found.statistics.iterations <= 4
+    assert found.statistics.iterations <= 6  # one, and what rounding of it asks for
 
 
 def test_the_judge_is_riccatis_equation():
