@@ -180,7 +180,8 @@ def test_its_beginning_must_be_solved():
     stuck = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([u[0], 0 * q[1]]), lambda q, u: u @ u / 2, controls=1)
     with pytest.raises(ConvergenceError):
         continuation(
-            Solver(stuck, Midpoint(Exponential(PLANE)), 4), lambda place: {**swing_up(place), "parameters": None}
+            Solver(stuck, Midpoint(Exponential(PLANE)), 4),
+            lambda place: {**swing_up(place), "end": np.array([np.pi, 1.0]), "parameters": None},
         )
 
 

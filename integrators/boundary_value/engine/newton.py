@@ -40,8 +40,8 @@ def newton(
     the cheaper success counts; one that ends without success is moved aside where its controls hardly move what
     they have to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
     inequalities contradict each other near the guess, or the ends, the trajectory that violates them least is a guess
-    once more: its jam may be of the way there. Success is judged in units of the guess; where the cost is another one
-    at the solution, that is a guess once more.
+    once more: its jam may be of the way there. Success is judged in units of what is found: where these are far less
+    than those of the guess, that is a guess once more.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
@@ -125,5 +125,13 @@ def _tried(
     better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}
     if better.size:
+        _adopt(search.conditions, alone.conditions.of(better), first, len(found.claimed))
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
     return found._replace(stopped=again.stopped, iterations=counts, **chosen)
+
+
+def _adopt(conditions: Any, part: Any, members: np.ndarray, count: int) -> None:
+    """Let the conditions have the units of a part in some members."""
+    rest = np.setdiff1d(np.arange(count), members)
+    parts = [conditions.of(rest), part] if rest.size else [part]
+    conditions.adopt(parts, np.argsort(np.concatenate([rest, members])))

@@ -1,38 +1,59 @@
-"""Whether success was judged in a unit of the cost that is the solution's own."""
+"""The measure of success: units of what was found and of the data, not of the guess."""
 
+from copy import copy
 from typing import Any
 
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
 from ....manifolds.numerics.tolerances import EPS, HALF
+from .beginning import in_units
+from .first_units import first_units
 
-LESS = 0.1  # of the unit of the guess: one that is less by that much judges again
-RESTS = EPS**HALF  # of the units of the guess: a trajectory that goes no farther has no units of its own
+LESS = 0.1  # of the units that a success was judged in: where its own ones are less, it is judged again
+RESTS = EPS**HALF  # of these units: what goes no farther, from no end to another or by no control, is rounding
 
 
 def judged_loosely(conditions: Any, found: Any) -> np.ndarray:
-    """Members whose success was judged in a unit of the cost that is much larger than their own.
+    """Members whose success was judged in units far larger than those of what was found.
 
-    Products of slacks and multipliers are measured by that of the guess, which may cost much more, as a way through an
-    obstacle, or have the costates of another problem. It is measured again only where what cancels in the derivative of
-    the Lagrangian is less than it: elsewhere no evaluation is made. Trajectories whose ends are coupled are judged so
-    too, unless they are at rest, where what they move by is rounding.
+    Units of states, controls or cost: whatever the guess, success is judged by the sizes of the solution.
     """
-    if found.iterate.slacks is None and not conditions.joint:
-        return np.zeros(0, int)
-    places = np.flatnonzero(found.claimed & (_parts(conditions, found.assembled) < LESS * found.unit))
+    places = np.flatnonzero(found.claimed)
     if not places.size:
         return places
-    own = conditions.of(places)
-    least = RESTS * own.judging.nodes if conditions.joint else 0.0
-    own.begin(taken(found.iterate, places))
-    moves = np.any(own.judging.nodes > least, axis=1)
-    return places[moves & (own.judging.cost < LESS * found.unit[places])]
+    own, iterate, assembled = conditions.of(places), taken(found.iterate, places), taken(found.assembled, places)
+    (goes, acts), share = _goes(own, iterate, assembled), _sizes(_measured_again(own, iterate, assembled)) / _sizes(own)
+    return places[acts & np.any(share < LESS, axis=1) & (goes | np.any(share > RESTS, axis=1))]
 
 
-def _parts(conditions: Any, assembled: Any) -> np.ndarray:
-    """The largest of what cancels in the derivative of the Lagrangian, in the unit of the cost, shape (B,)."""
+def _measured_again(conditions: Any, iterate: Any, assembled: Any) -> Any:
+    """The conditions with the units of an iterate."""
+    again = copy(conditions)
     if conditions.joint:
-        return np.max([_parts(*of) for of in zip(conditions.phases, assembled.parts, strict=True)], axis=0)
-    return (assembled.extent.parts * conditions.judging.unknowns).max(axis=1, initial=0.0)
+        again.phases = tuple(map(copy, conditions.phases))
+        again.begin(iterate)
+    elif iterate.slacks is None:
+        again.units = first_units(again, iterate, assembled)
+    else:
+        in_units(again, iterate)
+    return again
+
+
+def _sizes(conditions: Any) -> np.ndarray:
+    """The units of all unknowns and of the costs that success is judged by, shape (B, k)."""
+    phases = [phase.judging for phase in getattr(conditions, "phases", (conditions,))]
+    return np.hstack([part for units in phases for part in (units.unknowns, units.cost[:, None])])
+
+
+def _goes(conditions: Any, iterate: Any, assembled: Any) -> np.ndarray:
+    """Whether a trajectory moves by more than rounding of a prescribed end, and its controls by more than rounding of
+    its states, shape (2, B): else its own sizes are rounding."""
+    if conditions.joint:
+        each = zip(conditions.phases, iterate.parts, assembled.parts, strict=True)
+        return np.any([_goes(*of) for of in each], axis=0)
+    ends, extent, n = conditions.ends, assembled.extent, assembled.gap.shape[2]
+    given = np.maximum(np.abs(ends.start) * ends.start_entries, np.abs(ends.end) * ends.end_entries)
+    pushed = np.abs(assembled.blocks.right[..., n:]).sum(axis=1) @ conditions.control_sizes(iterate)[:, :, None]
+    acts = pushed[..., 0] > RESTS * extent.moved(conditions.at_nodes.layout)[1]
+    return np.stack([np.any(extent.moves & (given > 0), axis=1), np.any(acts, axis=1)])

@@ -12,6 +12,7 @@ from ....manifolds.numerics.ambient import joined, taken
 from ....threads import on_its_own, parts_of
 from .found import Found
 from .newton import newton
+from .own_units import judged_loosely
 from .pursuit import arrivals
 from .trial import Arrivals
 
@@ -44,7 +45,14 @@ def newton_of_all(conditions: Any, guess: Any, shape: tuple[int, int], tolerance
     if ahead is None or not ahead.members.size:
         return _in_parts(conditions, guess, shape, options, stop)
     there = conditions.of(ahead.members)
-    arrived, rest = _arrived(there, ahead, max_iterations), np.setdiff1d(np.arange(count), ahead.members)
+    arrived = _arrived(there, ahead, max_iterations)
+    if (loose := judged_loosely(there, arrived)).size:
+        kept = np.setdiff1d(np.arange(len(ahead.members)), loose)
+        if not kept.size:
+            return _in_parts(conditions, guess, shape, options, stop)
+        ahead = taken(ahead, kept)
+        there, arrived = there.of(kept), taken(arrived._replace(stopped=None), kept)._replace(stopped=False)
+    rest = np.setdiff1d(np.arange(count), ahead.members)
     if not rest.size:
         return arrived._replace(stopped=stop.is_set())
     others = conditions.of(rest)

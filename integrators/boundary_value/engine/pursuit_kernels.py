@@ -148,6 +148,13 @@ def _may_move(a: int, by: float, support: np.ndarray, points: np.ndarray, groups
 
 
 @pasted
+def _fixed_ends(setting: np.ndarray, rows: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """1 for the coordinates of the first node that are prescribed, and for those of the last."""
+    fixed = fixed_of(setting, rows)
+    return view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
+
+
+@pasted
 def _first_units(
     calls: tuple,
     room: np.ndarray,
@@ -162,15 +169,15 @@ def _first_units(
     (hessian, left, right, _, gradient), u = blocks_of(written, rows), u_of(written, rows)
     ((sizes, values, ways), curved), (_, count, n, z) = unit_sizes_of(room, rows), left.shape
     (highest, lowest, support), work = spread_of(written, rows), line_of(written, rows)
-    columns = columns_of(setting, rows)[0]
-    find_moves(highest, lowest, support, columns, rounding, 0, work, sizes, values)
+    find_moves(highest, lowest, support, columns_of(setting, rows)[0], rounding, 0, work, sizes, values)
     controls, curved[0] = view(u, 0, (count, z - n)), True
     for i in range(n, z):
         largest = 0.0
         for k in range(count):
             largest = larger(largest, abs(controls[k, i - n]))
         sizes[0, i], values[0, i], ways[0, i - n] = largest, largest, np.inf
-    system, (within, swaps) = (hessian, left, right, gradient), unit_work_of(room, rows)
+    (start, end), (within, swaps) = _fixed_ends(setting, rows, n), unit_work_of(room, rows)
+    system = hessian, left, right, gradient, lacks_of(written, rows), start, end
     own = (sizes, values, ways), curved, within, swaps, rounding
     units_by(calls[AT_UNITS], (system, *own, (unknowns, nodes, unit)))
     cost[0] = unit[0]
@@ -223,7 +230,7 @@ def _stepped(
     slopes, lacks, steps, multipliers, finite, largest, told, _, _ = found_of(written, rows)
     curvature, sizes, (_, _, support) = curvature_of(written, rows), sizes_of(written, rows), spread_of(written, rows)
     (_, count, n, _), units, raised = left.shape, wide_of(given, rows), raising_of(given, rows)
-    limited, fixed = price_of(given, rows).shape[3] > 0, fixed_of(setting, rows)
+    limited, (start, end) = price_of(given, rows).shape[3] > 0, _fixed_ends(setting, rows, n)
     raised[0][0] = standing_of(written, rows)[SHIFT]
     if limited:  # with a barrier the curvature of the Hessian has no bound
         drive(calls[AT_DRIVE], (written, rows))
@@ -232,7 +239,6 @@ def _stepped(
     else:
         _scales(curvature, units, rules[1], raised[1])
     clear(view(largest, 0, (largest.size,)))
-    start, end = view(fixed, 0, (1, n)), view(fixed, fixed.size - n, (1, n))
     system, found = (hessian, left, right, slopes, lacks, start, end), (steps, multipliers, finite, largest)
     own = units, raised, rules[4], work_of(room, rows), factors_of(room, rows)
     solve(calls[AT_SOLVE], (0, 1, system, *own, found, told))

@@ -3,8 +3,10 @@
 A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest to a
 deviation ``e`` costs ``e' G^-1 e / 2`` with the Gramian ``G_{k+1} = A G_k A' + B W B'`` of the linearised steps, ``W``
 the inverse curvature of the cost in the controls; both ends are fixed, so the smaller of the Gramians from the start
-and from the end counts. One factor is left, the size of the trajectory: what its ends, its guess and the slope of the
-cost ask for.
+and from the end counts. One factor is left, the size of the trajectory: what controls have to make up for of the ends
+that a drifting trajectory misses, and what the slope of the cost asks for. What drifts by itself asks for nothing:
+controls hardly move a state at the end of a chain. No unit is next to nothing: not beside what each step makes of the
+units of others, nor beside what costs as much as all others do.
 """
 
 from typing import TYPE_CHECKING, NamedTuple, final
@@ -49,14 +51,20 @@ def natural_units(
     """
     from . import scaling_kernels
 
-    (batch, count, n, z), of = system.left.shape, (system.hessian, system.left, system.right, gradient)
+    (batch, count, n, z), (hessian, left, right, _, gap, *ends) = system.left.shape, system
     known, free, bent = np.empty((batch, z)), np.empty(controls.shape), np.empty(batch, bool)
     known[:], free[:], bent[:] = values, room, curved
     own = np.concatenate([states, controls], axis=1), known, free
     unknowns, nodes, cost = np.empty((batch, z)), np.empty((batch, n)), np.empty(batch)
     work, swaps = tuple(scratch(tuple(unit_shapes(count, n, z).values()))), np.empty(n, np.int64)
     scaling_kernels.units(
-        tuple(map(plain, of)), tuple(map(plain, own)), bent, work, swaps, EPS**HALF, (unknowns, nodes, cost)
+        tuple(map(plain, (hessian, left, right, gradient, gap, *ends))),
+        tuple(map(plain, own)),
+        bent,
+        work,
+        swaps,
+        EPS**HALF,
+        (unknowns, nodes, cost),
     )
     return Units(unknowns, nodes, cost)
 
@@ -65,7 +73,7 @@ def unit_shapes(count: int, n: int, z: int) -> dict[str, tuple[int, ...]]:
     """Shapes of what the kernel works in."""
     width = whole(n)
     solved = {"equations": (n, 2 * width), "lower": (n, n), "weights": (n,), "turned": (z, width)}
-    sums = {"terms": (2, z, width), "gramian": (2, n, width), "images": (n, width)}
+    sums = {"terms": (2, z, width), "gramian": (2, n, width), "images": (n, width), "drifts": (3, n), "gains": (n, n)}
     return {**solved, **sums, "of_unknowns": (5, z), "gramians": (4, count, n)}
 
 

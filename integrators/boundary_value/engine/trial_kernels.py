@@ -99,7 +99,7 @@ spread_of = laid((F2, F2, F3), OUT.index("highest"))
 (work_of, factors_of, unit_work_of, unit_sizes_of), AFTER = laid_parts(
     (F2, F2, F2, F2),
     (F2, F2, INDICES, INDICES, F2),
-    ((F2, F2, F1, F2, F3, F3, F2, F2, F3), INDICES),
+    ((F2, F2, F1, F2, F3, F3, F2, F2, F2, F2, F3), INDICES),
     ((F2, F2, F2), FLAGS),
     after=_after,
 )  # the rows of what a transcription has for itself stand after these
@@ -115,10 +115,10 @@ TRIAL = signature(TRUTH, ADDRESSES, INDICES, F1, F1, F1, F1, F1, PLACES, types.U
 COMPLETE = signature(types.none, ADDRESSES, F1, F1, PLACES)
 UNITS = signature(
     types.none,
-    types.Tuple((F4, F4, F4, F3)),
+    types.Tuple((F4, F4, F4, F3, F4, F2, F2)),
     types.UniTuple(F2, 3),
     FLAGS,
-    types.Tuple((F2, F2, F1, F2, F3, F3, F2, F2, F3)),
+    types.Tuple((F2, F2, F1, F2, F3, F3, F2, F2, F2, F2, F3)),
     INDICES,
     REAL,
     types.Tuple((F2, F2, F1)),

@@ -108,7 +108,7 @@ def test_a_batch_is_a_loop_over_its_members_to_the_last_bit(name, arrived):
 
 def test_members_that_do_not_arrive_in_passes_are_found_as_before(arrived):
     """Turns through nearly half a turn in two steps, whose ends are far apart, among others; each has its own units."""
-    solver, start, ends, horizons, _ = batch = slews(Midpoint(Cayley(RIGID)), 3)
+    solver, start, ends, horizons, _ = batch = slews(Midpoint(Cayley(RIGID)), 2)
     found = solver.solve_many(start, ends, horizons)
     assert 0 < len(arrived[0].members) < COUNT
     for k in range(COUNT):

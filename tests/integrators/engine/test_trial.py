@@ -97,14 +97,15 @@ def same(found: Any, expected: Any, atol: float = 1e-11) -> None:
 
 
 def in_terms(assembled: Assembled) -> Assembled:
-    """What is condensed with slopes by the velocities in units of the terms that cancel in them."""
+    """What is condensed with slopes in units of the terms that cancel in them."""
     inner = assembled.blocks.inner
     if inner is None:
         return assembled
     size, extent = np.max(np.abs(inner.points.slope)), np.array(inner.extent)
     extent[:, 4] /= size
-    inner = inner._replace(slope=inner.slope / size, extent=extent)
-    return assembled._replace(blocks=assembled.blocks._replace(inner=inner))
+    inner, parts = inner._replace(slope=inner.slope / size, extent=extent), max(1.0, np.max(assembled.extent.parts))
+    blocks = assembled.blocks._replace(inner=inner, slope=assembled.blocks.slope / parts)
+    return assembled._replace(blocks=blocks, extent=assembled.extent._replace(slope=assembled.extent.slope / parts))
 
 
 def one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
