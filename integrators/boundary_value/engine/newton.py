@@ -18,9 +18,10 @@ from .own_units import judged_loosely
 from .restoration import NARROW, Restoration
 
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
+PATIENT = 50  # iterations: where fewer are asked for, no other search follows one that they end
 AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
-    "iterate", "assembled", "residuals", "strict_minimum", "limited", "claimed", "solvable", "missing",
+    "iterate", "assembled", "residuals", "strict_minimum", "iterations", "limited", "claimed", "solvable", "missing",
     "contradictory", "unit", "falling",
 )  # fmt: skip
 
@@ -55,7 +56,8 @@ def newton(
         found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
-    found = _restored(search, _crawled(search, found), guess)
+    if max_iterations >= PATIENT or not found.limited.any():
+        found = _restored(search, _crawled(search, found), guess)
     for _ in range(AGAIN):
         loose = judged_loosely(search.conditions, found)
         if not loose.size or found.stopped:
@@ -119,15 +121,14 @@ def _tried(
     options = search.tolerance, search.max_iterations, _seen(search, members)
     alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width)
     again = alone.ended(guess)
-    counts = found.iterations.copy()
-    counts[members] += again.iterations
+    again = again._replace(iterations=found.iterations[members] + again.iterations)
     claimed, cost = found.claimed[members], found.assembled.cost[members]
     better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}
     if better.size:
         _adopt(search.conditions, alone.conditions.of(better), first, len(found.claimed))
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
-    return found._replace(stopped=again.stopped, iterations=counts, **chosen)
+    return found._replace(stopped=again.stopped, **chosen)
 
 
 def _adopt(conditions: Any, part: Any, members: np.ndarray, count: int) -> None:
