@@ -135,9 +135,7 @@ def _divided(v: np.ndarray, pivots: Pivots, base: int, k: int, i: int, r: int, f
 
     The inverse of a pivot of two is formed relative to the entry beside the diagonal, the largest.
     """
-    divided, rows, pivot = pivots[0], pivots[1], entry(v, i, r)
-    # An equation that is another one leaves nothing: its multiplier is zero, and what it asks for is looked at later.
-    over = 1 / pivot if pivot != 0 else 0.0
+    divided, rows, over = pivots[0], pivots[1], 1 / entry(v, i, r)
     a, c = entry(v, i, i) * over, entry(v, r, r) * over
     both = over / (a * c - 1)
     for j in range(first & -LANES, v.shape[1], LANES):

@@ -41,8 +41,9 @@ def newton(
     the cheaper success counts; one that ends without success is moved aside where its controls hardly move what
     they have to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
     inequalities contradict each other near the guess, or the ends, the trajectory that violates them least is a guess
-    once more: its jam may be of the way there. Success is judged in units of what is found: where these are far less
-    than those of the guess, that is a guess once more.
+    once more: its jam may be of the way there. Last comes a feasibility phase, from whose trajectory a search sets out
+    in a narrow funnel: nothing is contradictory where it has met everything. Success is judged in units of what is
+    found: where these are far less than those of the guess, that is a guess once more.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
@@ -69,16 +70,25 @@ def newton(
 def _crawled(search: Descent, found: Found) -> Found:
     """What is found from where the iteration limit came near to an extremal, by a step of Newton's own.
 
-    To an extremal that is no minimum, shifted steps come nearer by the same share each.
+    To an extremal that is no minimum, shifted steps come nearer by the same share each. Where the inertia is that of a
+    minimum, the limit came on the way there.
     """
-    near = np.flatnonzero(~found.claimed & found.limited & (found.residuals.largest <= NEAR))
+    near = np.flatnonzero(_is_near(found))
+    if near.size:
+        own = taken((found.iterate, found.assembled), near)
+        near = near[~search.conditions.of(near).eliminate(*own, np.zeros(len(near)))[0].convex]
     return _tried(search, found, taken(found.iterate, near), near)
+
+
+def _is_near(found: Found) -> np.ndarray:
+    """Where the iteration limit came near to an extremal."""
+    return ~found.claimed & found.limited & (found.residuals.largest <= NEAR)
 
 
 def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
     """What is found from feasible trajectories near the guesses, where nothing else has found anything; inequalities
     that hold on such a trajectory do not contradict each other."""
-    members = np.flatnonzero(~(found.claimed | found.falling))
+    members = np.flatnonzero(~(found.claimed | found.falling | _is_near(found)))
     if found.stopped or not members.size:
         return found
     phase = Restoration(search.conditions.of(members), taken(guess, members), search.tolerance, _seen(search, members))
