@@ -152,7 +152,7 @@ def _held(posed: Posed, found: Found) -> np.ndarray | None:
     slacks, barrier = found.iterate.slacks, posed.conditions.barrier
     if slacks is None or barrier is None:
         return None
-    return slacks.multipliers / barrier.price > slacks.slacks / barrier.unit
+    return slacks.multipliers / barrier.multiplier > slacks.slacks / barrier.unit
 
 
 def _active(posed: Posed, held: np.ndarray | None) -> list[dict[str, int]]:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, solve
 from retrax.manifolds import Euclidean, Product, Sphere
-from retrax.retractions import Addition, Midpoint, default_retraction
+from retrax.retractions import Midpoint, default_retraction
 
 STEPS = 40
 PLACES = (np.arange(STEPS) + 0.5) / STEPS
@@ -99,24 +99,6 @@ def test_great_circles_beyond_half_a_turn_are_found_from_guesses_on_them(angle):
     )
     assert found.cost == pytest.approx(angle**2 / 2, rel=1e-8)
     assert found.checks.strict_minimum == (angle < np.pi)
-
-
-@pytest.mark.parametrize("resting", [1, 2, 3, 5])
-def test_states_at_rest_that_nothing_moves_may_have_ends(resting):
-    """Of a chain beside the actuator all ends are prescribed, and met: its equations say the same twice."""
-
-    def chain(q: Any, u: Any) -> Any:
-        return jnp.concatenate([jnp.stack([q[1], u[0]]), q[3:], jnp.zeros(1)])
-
-    space, line, method = Euclidean(2 + resting), Euclidean(2), lambda of: Midpoint(Addition(of))
-    alone = OptimalControlProblem(line, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u @ u / 2, 1)
-    least = solve(alone, method(line), np.zeros(2), np.array([1.0, 0.0]), 1.0, 20)
-    solver = Solver(OptimalControlProblem(space, chain, lambda q, u: u @ u / 2, 1), method(space), 20)
-    ends = np.zeros(2 + resting), np.eye(2 + resting)[0], 1.0
-    found = solver.solve(*ends)
-    again = solver.solve(*ends, guess=found)
-    np.testing.assert_allclose([found.cost, again.cost], least.cost, rtol=1e-10)
-    assert again.statistics.iterations <= 1
 
 
 def test_a_car_at_rest_beside_its_place_parks_with_any_heading():

@@ -75,7 +75,7 @@ def test_a_horizon_that_is_short_in_its_units_is_a_minimum(time):
     assert found.horizon / time == pytest.approx(run(weight=1.0).horizon, rel=1e-9)
 
 
-@pytest.mark.parametrize("lower", [1e-1, 1e-2, 1e-3])
+@pytest.mark.parametrize("lower", [1e-1, 1e-2])
 def test_a_bound_holds_a_horizon_that_would_vanish(lower):
     found = run(lower=lower)
     assert found.success

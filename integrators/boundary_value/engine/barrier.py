@@ -51,9 +51,14 @@ class Barrier(NamedTuple):
         return self.limits[:, None, None]
 
     @property
+    def multiplier(self) -> np.ndarray:
+        """The unit of the multipliers."""
+        return self.rate[:, None, None, None] / self.unit
+
+    @property
     def price(self) -> np.ndarray:
         """The unit of the prices."""
-        return np.where(self.kept[:, None, None], np.inf, self.rate[:, None, None, None] / self.unit)
+        return np.where(self.kept[:, None, None], np.inf, self.multiplier)
 
     def _inside(self, held: Held) -> Held:
         """The inequalities, of which those that no iterate leaves hold by rounding at least."""
