@@ -180,7 +180,7 @@ class Refinement:
         found = found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
         if self.loosely:  # what follows is a finer mesh, or the same one solved further
             own = self.request.options.tolerance
-            self._tolerance = max(own, min(SHARE * self.error(found), LOOSEST))
+            self._tolerance = max(own, min(SHARE * min(self.error(found), self.accuracy), LOOSEST))
         return found
 
     def _refined(self, found: _Found) -> "_Found | str":

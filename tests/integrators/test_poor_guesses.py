@@ -70,7 +70,7 @@ def soaring():
         for t in (16.0, 18.0, 20.0, 22.0, 24.0, 28.0)
     ],
 )
-@pytest.mark.parametrize("wind", [pytest.param(0.03, marks=pytest.mark.slow), 0.05, 0.08, 0.12])
+@pytest.mark.parametrize("wind", [0.05, 0.08, 0.12])
 def test_dynamic_soaring_is_not_contradictory(soaring, period, wind):
     """With another wind than the least the guess jams where limits and ends seem to contradict each other."""
     t, turn = PLACES, 2 * np.pi * PLACES

@@ -18,7 +18,6 @@ from .own_units import judged_loosely
 from .restoration import NARROW, Restoration
 
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
-PATIENT = 50  # iterations: where fewer are asked for, no other search follows one that they end
 AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
     "iterate", "assembled", "residuals", "strict_minimum", "iterations", "limited", "claimed", "solvable", "missing",
@@ -57,8 +56,7 @@ def newton(
         found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
-    if max_iterations >= PATIENT or not found.limited.any():
-        found = _restored(search, _crawled(search, found), guess)
+    found = _restored(search, _crawled(search, found), guess)
     for _ in range(AGAIN):
         loose = judged_loosely(search.conditions, found)
         if not loose.size or found.stopped:
