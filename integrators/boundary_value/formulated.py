@@ -14,6 +14,7 @@ from ..evaluation import at_each
 from ..free import Free, all_guessed, guessed, is_free, scaled
 from ..results import sentence
 from .arguments import Given
+from .checks import RegularChecks
 from .formulation import Formulation, Kind
 from .guess import Guess
 from .request import Request, RequestReader
@@ -188,9 +189,9 @@ class Formulated:
 
         A strict minimum determines its horizon.
         """
-        controls = self.reader.problem.controls
-        held = solution.status != "stationary" or any(solution.checks.active.values())
-        if held or not isinstance(controls, Euclidean) or not controls.dimension:
+        controls, checks = self.reader.problem.controls, solution.checks
+        active = isinstance(checks, RegularChecks) and any(checks.active.values())
+        if active or solution.status != "stationary" or not isinstance(controls, Euclidean) or not controls.dimension:
             return solution
         _, solver, found = self._found[solution]
         curved = np.abs(solver.curvature_of_controls(found)) > FLAT * tolerance * found.checks.hamiltonian_size

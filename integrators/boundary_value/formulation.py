@@ -127,8 +127,10 @@ class Formulation:
         leaves, share = jax.tree.leaves(parameters, is_leaf=is_free), OFF
         if guess is not None and not BOUNDS.isdisjoint(guess.multipliers or {}):
             share = ROUNDED
-        rows = [np.append(_rows(leaves, name), self._in_log(horizon, name)) for name in ("guess", "lower", "upper")]
-        return inside(*rows, share)
+        first, lower, upper = (
+            np.append(_rows(leaves, name), self._in_log(horizon, name)) for name in ("guess", "lower", "upper")
+        )
+        return inside(first, lower, upper, share)
 
     def _in_log(self, horizon: Any, name: str) -> np.ndarray:
         """The guess, or a bound, of a free horizon as that of the constant that stands for it."""

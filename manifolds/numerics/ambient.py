@@ -29,7 +29,7 @@ def is_traced(*trees: object) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def shared_hash(tree: PyTree) -> int:
+def shared_hash(self: PyTree) -> int:
     """A hash that equal trees share, also with arrays in them: these by their shapes and kinds, tracers by identity."""
 
     def key(leaf: Any) -> Any:
@@ -37,7 +37,7 @@ def shared_hash(tree: PyTree) -> int:
             return id(leaf)
         return (leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray | jax.Array) else leaf
 
-    leaves, structure = jax.tree.flatten(tree)
+    leaves, structure = jax.tree.flatten(self)
     return hash((structure, *map(key, leaves)))
 
 

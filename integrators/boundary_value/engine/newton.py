@@ -73,8 +73,8 @@ def _crawled(search: Descent, found: Found) -> Found:
     """
     near = np.flatnonzero(_is_near(found))
     if near.size:
-        own = taken((found.iterate, found.assembled), near)
-        near = near[~search.conditions.of(near).eliminate(*own, np.zeros(len(near)))[0].convex]
+        iterate, system = taken((found.iterate, found.assembled), near)
+        near = near[~search.conditions.of(near).eliminate(iterate, system, np.zeros(len(near)))[0].convex]
     return _tried(search, found, taken(found.iterate, near), near)
 
 
