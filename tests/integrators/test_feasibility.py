@@ -112,7 +112,7 @@ def test_the_least_time_and_the_least_limit_belong_together():
 )
 def test_a_limit_of_torques_through_the_least(share):
     limit = least_limit() * (1 + share)
-    found = solve(limited(limit), METHOD, *ENDS, HORIZON, STEPS, throw=False)
+    found = solve(limited(limit), METHOD, *ENDS, HORIZON, STEPS, max_iterations=200, throw=False)
     check(found, limited(limit), "control_bounds", share > 0)
     assert not found.success or np.abs(found.controls).max() <= limit * (1 + 1e-9)
     assert found.success == (share > 0)
