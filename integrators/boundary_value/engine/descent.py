@@ -19,7 +19,6 @@ import numpy as np
 
 from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
-from ....manifolds.numerics.tolerances import EPS
 from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, WIDE, Funnel, Judgement, State
 from .aside import aside, is_lost
 from .batches import merged, put
@@ -30,7 +29,7 @@ from .first_multipliers import has_flat_controls, with_first_multipliers
 from .found import Found, Iteration, stops
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals, Step
-from .pursuit import CURVATURE, EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
+from .pursuit import CURVATURE, JAMMED, SHRINKS, STIFF, exact, pursued, set_out
 from .widening import rewritten
 
 SHORTER = 0.5  # what a shift has to shorten a step to
@@ -317,8 +316,9 @@ class Descent:
         claimed = isolated | (stuck & (grown <= GROWN))
         wanted = np.where(arrived, wanted, state.correction)
         # The step that is known is made if more than rounding is left: it costs an evaluation and doubles the digits.
-        exact = state.isolated | (state.residuals.largest <= EXACT * EPS)
-        return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & exact) | stuck)
+        rounding = exact(state.iterate.slacks is not None, self.tolerance)
+        last = state.isolated | (state.residuals.largest <= rounding)
+        return state._replace(correction=wanted, isolated=isolated, claimed=claimed, done=(isolated & last) | stuck)
 
     def finished(self, state: State) -> np.ndarray:
         """Which members are done, or have no reason to go on."""

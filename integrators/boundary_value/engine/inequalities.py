@@ -20,7 +20,7 @@ from ....manifolds.numerics.tolerances import EPS, HALF
 from ....threads import in_threads
 from .arrays import plain
 
-BOUNDARY = 0.99  # share of the way to the boundary that a step may go
+BOUNDARY = 0.01  # of a slack or multiplier, or of what the barrier makes it: no step leaves less
 LEFT = 0.01  # of a slack: one that would be less stays as its step made it
 ROUNDED = EPS**HALF  # of a slack: what it misses of its inequality is rounding
 KEPT = 1e10  # a multiplier stays within this factor of mu / s

@@ -131,7 +131,9 @@ def lowered(
         # The last barrier times the rate and back is rounded, to more than it was for some rates.
         if told or not own > (1 + reached) * last:
             return barrier, told
-        barrier = max(last, min(less * own, own**faster)) * rate
+        # Newton's steps leave the square of a barrier: where they are that good, the last one is within reach.
+        near = own * own <= last and few * error <= own
+        barrier = (last if near else max(last, min(less * own, own**faster))) * rate
 
 
 @compiled
@@ -152,9 +154,10 @@ def lower(
 
 
 @inner
-def _shorter(reach: float, value: float, step: float, share: float) -> float:
-    """The fraction of a step that leaves its share of a value, if that is the smallest so far."""
-    return min(reach, -share * value / step) if step < 0 else reach
+def _shorter(reach: float, value: float, step: float, central: float, share: float) -> float:
+    """The fraction of a step that leaves a share of a value, or of the central one if that is less, if it is the
+    smallest so far."""
+    return min(reach, (share * min(value, central) - value) / step) if step < 0 else reach
 
 
 @compiled
@@ -185,10 +188,10 @@ def turn(
                         if soft:
                             dt = (mu[m] + t[m, n, j, i] * dnu) / rest - t[m, n, j, i]
                             paid += (rho[m, n, j, i] - mu[m] / t[m, n, j, i]) * dt
-                            out[m, 0] = _shorter(out[m, 0], t[m, n, j, i], dt, share)
-                            out[m, 1] = _shorter(out[m, 1], rest, -dnu, share)
-                        out[m, 0] = _shorter(out[m, 0], s[m, n, j, i], ds, share)
-                        out[m, 1] = _shorter(out[m, 1], nu[m, n, j, i], dnu, share)
+                            out[m, 0] = _shorter(out[m, 0], t[m, n, j, i], dt, mu[m] / rest, share)
+                            out[m, 1] = _shorter(out[m, 1], rest, -dnu, mu[m] / t[m, n, j, i], share)
+                        out[m, 0] = _shorter(out[m, 0], s[m, n, j, i], ds, mu[m] / nu[m, n, j, i], share)
+                        out[m, 1] = _shorter(out[m, 1], nu[m, n, j, i], dnu, mu[m] / s[m, n, j, i], share)
                         out[m, 2] += w * paid
                         out[m, 3] += w * dnu * (g + s[m, n, j, i] - t[m, n, j, i])
                     moves[0][m, n, j, i], moves[1][m, n, j, i], moves[2][m, n, j, i] = ds, dnu, dt

@@ -9,7 +9,8 @@ import numpy as np
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .barrier import DEARER
-from .beginning import in_units, started
+from .batches import merged
+from .beginning import forgotten, in_units, started, warmed
 from .border import Response, Solved, responses, solve_border
 from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
@@ -94,9 +95,12 @@ class JointConditions:
         rows = np.sum(np.abs(coupled.jacobian) * ends[:, None], axis=2)
         units = np.concatenate([nodes, np.where((rows > 0) & np.isfinite(rows), rows, 1.0)], axis=1)
         self.units = JointUnits(units, self.phases[0].measured.cost)
-        begun = [started(phase, *own, pay) for phase, own, pay in zip(self.phases, first, paid, strict=True)]
-        parts, systems = zip(*begun, strict=True)
-        return JointIterate(parts, guess.multipliers), JointAssembled(self._in_scale(systems, coupled), coupled)
+        parts = tuple(started(phase, *own) for phase, own in zip(self.phases, first, strict=True))
+        iterate, fits = warmed(self, guess, JointIterate(parts, guess.multipliers), [own[1] for own in first])
+        if not fits.all():
+            parts = (forgotten(phase, part) for phase, part in zip(self.phases, guess.parts, strict=True))
+            return self.begin(merged(fits, guess, JointIterate(tuple(parts), np.zeros_like(guess.multipliers))))
+        return iterate, self.assemble(iterate)
 
     def _measure(self, coupled: Coupled, first: list[tuple[Iterate, Assembled]]) -> None:
         """Units of the phases in which the equations between the ends ask for no more than a trajectory of size one."""

@@ -9,6 +9,7 @@ from ....manifolds.numerics.ambient import taken
 from ....manifolds.numerics.tolerances import EPS
 from .acceptance import RULES, SHIFTS, Merit, State
 from .aside import FAR, MET, UNMET
+from .barrier import LAST
 from .extent import ends_meet
 from .kkt_system import Iterate
 from .scaling import SOFTEST
@@ -106,11 +107,16 @@ def pursued(
     return after._replace(member=state.member, claimed=after.claimed | state.claimed), trials, found.costs[1:]
 
 
+def exact(limited: bool, tolerance: float) -> float:
+    """The residual that is as good as none: rounding, or with inequalities what their last barrier leaves."""
+    return max(EXACT * EPS, LAST * tolerance) if limited else EXACT * EPS
+
+
 def _rules(conditions: "Conditions", tolerance: float) -> tuple[Any, ...]:
     """What decides about whole steps, as the kernel takes it."""
     share = DIAMETER / np.sqrt(max(conditions.at_nodes.dimension, 1))
     own = (CURVATURE, SOFTEST, share, UNCHANGED), (FAR, UNMET, MET), (np.sqrt(tolerance), SHRINKS)
-    return tolerance, (RULES, SHIFTS), *own, EXACT * EPS, (JAMMED, STIFF)
+    return tolerance, (RULES, SHIFTS), *own, exact(conditions.barrier is not None, tolerance), (JAMMED, STIFF)
 
 
 def _is_plain(conditions: "Conditions", state: State) -> bool:

@@ -142,7 +142,7 @@ def test_limits_of_a_pass(method, limit, pursuits, monkeypatch):
     alike(short, alone)
     assert short.success == (limit > 7.2)
     assert short.checks.active == alone.checks.active
-    assert sum(own.taken for own in pursuits) > 5
+    assert sum(own.taken for own in pursuits) > 4
 
 
 @pytest.mark.parametrize(("radius", "beside"), [(0.1, 0.05), (0.1, 0.2), (0.3, 0.2), (0.49, 1e-6), (0.55, 0.2)])
