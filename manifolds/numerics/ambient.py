@@ -29,16 +29,20 @@ def is_traced(*trees: object) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def shared_hash(self: PyTree) -> int:
-    """A hash that equal trees share, also with arrays in them: these by their shapes and kinds, tracers by identity."""
+def shared_hash(tree: PyTree) -> int:
+    """A hash that equal trees share, in which arrays count by their shapes and kinds.
 
-    def key(leaf: Any) -> Any:
-        if isinstance(leaf, Tracer):
-            return id(leaf)
-        return (leaf.shape, leaf.dtype) if isinstance(leaf, np.ndarray | jax.Array) else leaf
-
-    leaves, structure = jax.tree.flatten(self)
-    return hash((structure, *map(key, leaves)))
+    Raises
+    ------
+    TypeError
+        For a tree with arrays under ``jit``, where nothing tells whether two arrays are equal.
+    """
+    leaves, structure = jax.tree.flatten(tree)
+    of_arrays = [isinstance(leaf, np.ndarray | jax.Array) for leaf in leaves]
+    if any(of_arrays) and is_jitting():
+        raise TypeError(f"unhashable type: {type(tree).__name__!r} with arrays under jit")
+    keys = [(a.shape, a.dtype) if is_array else a for a, is_array in zip(leaves, of_arrays, strict=True)]
+    return hash((structure, *keys))
 
 
 def is_jitting() -> bool:

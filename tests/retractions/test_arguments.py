@@ -156,6 +156,13 @@ def test_methods_of_what_holds_arrays_can_be_compiled(inertia):
     np.testing.assert_allclose(jax.jit(retraction.retract)(x, v), retraction(x, v), atol=1e-14)
 
 
+def test_shapes_of_methods_of_what_holds_arrays_are_known_under_jit():
+    """Twice: the second time, JAX compares the method with the one it knows."""
+    metric, x = LeftInvariantMetric(SO(3), jnp.array([1.0, 2.0, 3.0])), jnp.eye(3)
+    found = jax.jit(lambda y: y * sum(jax.eval_shape(metric.inner_product, x, x, x).size for _ in range(2)))
+    assert found(3.0) == 6.0
+
+
 @pytest.mark.parametrize("family", [QR, Polar, Cayley, Exponential])
 def test_complex_frames_are_refused_in_words(family):
     retraction = family(Stiefel(3, 2))
