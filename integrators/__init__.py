@@ -8,6 +8,7 @@ if __package__ != "retrax.integrators":
 
 from typing import TYPE_CHECKING
 
+from ..retractions import Gauss
 from . import boundary_value, dirac, initial_value, stages
 from .boundary_value import *
 from .dirac import *
@@ -38,6 +39,7 @@ __all__ = [
     "Choice",
     "Classification",
     "Free",
+    "Gauss",
     "MorseTest",
     "OptimalControlProblem",
     "Quantities",
@@ -61,3 +63,8 @@ def __getattr__(name: str) -> type:
 
         return SymbolicClassification
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)
