@@ -294,7 +294,7 @@ def propagation():
     """The states of a slew of 20 steps to which its controls lead, all steps at once: 120 unknowns in blocks of 6."""
     known, (table, weights, places) = get("rest-to-rest-slew"), _tableau()
     retraction = Cayley(known.problem.manifold)
-    found = solve(known.problem, Midpoint(retraction), known.start, known.end, known.horizon, 20)
+    found = solve(known.problem, known.start, known.end, known.horizon, method=Midpoint(retraction), steps=20)
     discrete = found.times, found.states, found.stage_times, found.controls, None
     propagator = Propagator(known.problem, retraction)
     given = propagator._given(*discrete)

@@ -115,6 +115,8 @@ def _require_all(signature: inspect.Signature, what: str, count: int, given: tup
     except TypeError as error:
         required = [name for name, p in signature.parameters.items() if p.default is p.empty and name != "self"]
         hint = f"; {HORIZON}" if "'horizon'" in str(error) else ""
+        if "too many positional" in str(error):
+            hint = "; the options behind these are named, as steps=20"
         raise InvalidInputError(f"{what}: {error}, expected {what}({', '.join(required)}, ...){hint}") from error
 
 

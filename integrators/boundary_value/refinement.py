@@ -91,7 +91,8 @@ class Refinement:
             return solution
         if solution.singular is not None:
             raise InvalidInputError(
-                "the problem is singular, and accuracy is for regular ones, whose steps may be unequal; leave it out"
+                "the problem is singular, and only the mesh of a regular problem is refined; give a method and steps, "
+                "such as method=Midpoint(retraction), steps=50, and no accuracy"
             )
         try:
             best = self._judged(solution)

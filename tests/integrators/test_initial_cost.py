@@ -26,7 +26,7 @@ METHODS = {"Gauss": Gauss(2, Addition(LINE)), "midpoint": Midpoint(Addition(LINE
 def test_a_start_that_costs(name, weight):
     """``k (x - 3)^2 / 2`` at the start, 1 at the end of ``x' = u``: ``u = k (x(0) - 3) = (1 - x(0)) / T``."""
     paid = OptimalControlProblem(LINE, moving, half_square, 1, initial_cost=lambda q: weight * (q[0] - 3) ** 2 / 2)
-    found = solve(paid, METHODS[name], None, np.ones(1), 2.0, 4)
+    found = solve(paid, None, np.ones(1), 2.0, method=METHODS[name], steps=4)
     first = (3 * weight + 0.5) / (weight + 0.5)
     np.testing.assert_allclose(found.states[0], first, rtol=1e-10)
     np.testing.assert_allclose(found.controls, (1 - first) / 2, rtol=1e-9)
@@ -112,4 +112,4 @@ def test_a_singular_problem_with_an_initial_cost_is_refused():
     with pytest.raises(
         InvalidInputError, match="the problem has an initial cost, which solve of a singular problem does not"
     ):
-        solve(flat, Midpoint(Addition(LINE)), None, np.zeros(1), 1.0, 4)
+        solve(flat, None, np.zeros(1), 1.0, method=Midpoint(Addition(LINE)), steps=4)

@@ -54,7 +54,7 @@ def test_the_cheapest_turn_of_a_spin_is_a_one_parameter_subgroup():
     group, w = SU(2), jnp.array([0.5, -1.0, 0.8])
     problem = OptimalControlProblem(group, lambda x, u: x @ group.hat(u), lambda x, u: u @ u / 2, controls=3)
     end = Exponential(group)(group.identity, group.hat(w))
-    solution = solve(problem, Midpoint(Exponential(group)), group.identity, end, horizon=2.0, steps=4)
+    solution = solve(problem, group.identity, end, horizon=2.0, method=Midpoint(Exponential(group)), steps=4)
     assert solution.success
     np.testing.assert_allclose(solution.cost, w @ w / 4, rtol=1e-12)
     np.testing.assert_allclose(solution.controls, np.broadcast_to(w / 2, (4, 3)), atol=1e-10)

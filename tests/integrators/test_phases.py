@@ -264,7 +264,7 @@ def test_phases_are_one_trajectory():
     )
     target = np.array([[np.cos(2.0), -np.sin(2.0), 0], [np.sin(2.0), np.cos(2.0), 0], [0, 0, 1.0]])
     start, end, method = (np.eye(3), np.zeros(3)), (target, np.zeros(3)), Gauss(2, Cayley(body))
-    one = solve(slew, method, start, end, 2.0, 10)
+    one = solve(slew, start, end, 2.0, method=method, steps=10)
     found = solve_phases([Phase(slew, method, 4, 0.8, start=start), Phase(slew, method, 6, 1.2, end=end)])
     assert found.cost == pytest.approx(one.cost, rel=1e-9)
     for own, whole in zip(found.phases[1].costates, one.costates, strict=True):

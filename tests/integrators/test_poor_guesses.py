@@ -112,7 +112,7 @@ def test_a_car_at_rest_beside_its_place_parks_with_any_heading():
 
     problem = OptimalControlProblem(space, drive, lambda q, u: 1.0, 2, control_bounds=(-1.0, 1.0))
     start, place = (np.zeros(2), np.zeros(1), np.zeros(1)), (np.array([0.0, 1.0]), None, np.zeros(1))
-    found = solve(problem, Midpoint(default_retraction(space)), start, place, Free(3.0), 30)
+    found = solve(problem, start, place, Free(3.0), method=Midpoint(default_retraction(space)), steps=30)
     assert found.success
     np.testing.assert_allclose(found.states[0][-1], [0.0, 1.0], atol=1e-9)
 

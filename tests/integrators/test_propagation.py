@@ -292,7 +292,8 @@ def test_the_error_of_a_solution_falls_with_the_order_of_its_method(stages: int)
     rest, method = np.zeros(3), Gauss(stages, Cayley(RIGID))
     ends = (np.eye(3), rest), (rotation([1.0, -0.4, 0.7]), rest)
     coarse, fine = (
-        discretization_error(problem(), Cayley(RIGID), solve(problem(), method, *ends, 1.0, n)) for n in (8, 16)
+        discretization_error(problem(), Cayley(RIGID), solve(problem(), *ends, 1.0, method=method, steps=n))
+        for n in (8, 16)
     )
     for name in NAMES:
         assert np.log2(coarse.largest[name] / fine.largest[name]) == pytest.approx(2 * stages, abs=0.25)

@@ -68,7 +68,7 @@ def test_the_default_guess_follows_the_retraction_that_was_given():
     for degrees in (1, 89.9, 90.1, 180):
         a = np.deg2rad(degrees)
         end = np.array([np.cos(a), np.sin(a), 0.0])
-        solution = solve(turning, Midpoint(Rescaling(DIRECTIONS)), np.array([1.0, 0.0, 0.0]), end, 1.0, 10)
+        solution = solve(turning, np.array([1.0, 0.0, 0.0]), end, 1.0, method=Midpoint(Rescaling(DIRECTIONS)), steps=10)
         assert solution.cost == pytest.approx(a * a / 2, rel=0.02)
 
 
@@ -77,7 +77,7 @@ def test_controls_on_it_are_steered():
     """``H = p . u - (u - e)^2 / 2 - q^2 / 2`` is largest at the unit vector along ``p + e``."""
     e = jnp.array([0.0, 0.0, 1.0])
     aimed = OptimalControlProblem(SPACE, lambda q, u: u, lambda q, u: (u - e) @ (u - e) / 2 + q @ q / 2, DIRECTIONS)
-    solution = solve(aimed, Midpoint(Addition(SPACE)), np.array([1.0, 0.0, 0.0]), None, 1.0, 10)
+    solution = solve(aimed, np.array([1.0, 0.0, 0.0]), None, 1.0, method=Midpoint(Addition(SPACE)), steps=10)
     along = solution.stage_costates + e
     assert norm(solution.controls - along / np.linalg.norm(along, axis=1, keepdims=True)) < 1e-9
 

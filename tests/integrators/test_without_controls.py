@@ -49,27 +49,35 @@ def test_controls_that_hardly_help_and_no_controls_give_the_same(controls):
 
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-8])
 def test_without_controls_an_accuracy_is_met(accuracy):
-    solution = solve(decaying(0), METHOD, START, None, 1.0, 5, accuracy=accuracy)
+    solution = solve(decaying(0), START, None, 1.0, method=METHOD, steps=5, accuracy=accuracy)
     assert solution.checks.error <= accuracy
     assert solution.cost == pytest.approx(5 * DECAYED, rel=accuracy)
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-3, 1.0])
 def test_without_controls_only_the_end_of_the_trajectory_is_reached(off):
-    end = solve(decaying(0), METHOD, START, None, 1.0, 8).states[-1]
+    end = solve(decaying(0), START, None, 1.0, method=METHOD, steps=8).states[-1]
     if not off:
-        assert solve(decaying(0), METHOD, START, end, 1.0, 8).cost == pytest.approx(5 * DECAYED, rel=1e-6)
+        assert solve(decaying(0), START, end, 1.0, method=METHOD, steps=8).cost == pytest.approx(5 * DECAYED, rel=1e-6)
         return
     with pytest.raises(ConvergenceError, match="cannot be reached"):
-        solve(decaying(0), METHOD, START, end + off, 1.0, 8)
+        solve(decaying(0), START, end + off, 1.0, method=METHOD, steps=8)
 
 
 @pytest.mark.parametrize("place", [0.5, 2.0])
 def test_without_controls_a_start_and_a_horizon_are_found(place):
     settled = decaying(0, initial_cost=lambda q: (q - place) @ (q - place))
-    begun = solve(settled, METHOD, None, None, 1.0, 8, guess=solve(decaying(0), METHOD, START, None, 1.0, 8))
+    begun = solve(
+        settled,
+        None,
+        None,
+        1.0,
+        method=METHOD,
+        steps=8,
+        guess=solve(decaying(0), START, None, 1.0, method=METHOD, steps=8),
+    )
     np.testing.assert_allclose(begun.states[0], place / (1 + DECAYED), rtol=1e-6)
-    halved = solve(decaying(0), METHOD, START, START / 2, Free(1.0, 0.1, 3.0), 8)
+    halved = solve(decaying(0), START, START / 2, Free(1.0, 0.1, 3.0), method=METHOD, steps=8)
     assert halved.horizon == pytest.approx(np.log(2), rel=1e-6)
 
 
@@ -119,7 +127,7 @@ def test_a_slope_and_a_start_are_fitted_at_an_end(size, noise):
         line, lambda q, u, slope: jnp.reshape(slope, (1,)), lambda q, u, slope: 0.0, 0, terminal_cost=missed
     )
     method = Gauss(2, Exponential(line))
-    found = solve(problem, method, Free(np.zeros(1)), None, 1.0, 2, parameters=Free(0.5))
+    found = solve(problem, Free(np.zeros(1)), None, 1.0, method=method, steps=2, parameters=Free(0.5))
     np.testing.assert_allclose([found.states[0, 0], found.parameters], expected, rtol=1e-8)
 
 

@@ -92,7 +92,9 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.long("docking", "slew by collocation")
 def test_ipopt_finds_the_solution(name):
-    discrete, solution = to_casadi(*CASES[name]), solve(*CASES[name])
+    problem, method, start, end, horizon, steps = CASES[name]
+    discrete = to_casadi(problem, method, start, end, horizon, steps)
+    solution = solve(problem, start, end, horizon, method=method, steps=steps)
     solver = ca.nlpsol("solver", "ipopt", discrete.nlp, QUIET)
     found = solver(**discrete.arguments)
     assert solver.stats()["success"]
