@@ -5,7 +5,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
-from ..manifolds import InvalidInputError
+from ..errors import InvalidCallError, concise
 from ..retractions import DiscretizationMap, Gauss
 
 P = ParamSpec("P")
@@ -26,18 +26,18 @@ def former_order(*names: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
                 return function(*arguments, **options)
             given: dict[str, Any] = dict(zip(names, arguments, strict=False))
             if len(arguments) > len(names) or given.keys() & options.keys():
-                raise InvalidInputError(f"{function.__name__} was given an argument twice, or too many of them")
+                raise InvalidCallError(f"{function.__name__} was given an argument twice, or too many of them")
             warnings.warn(
                 f"{function.__name__}({', '.join(names[:6])}) is deprecated; "
                 f"write {function.__name__}(problem, start, end, horizon, method=..., steps=...)",
                 DeprecationWarning,
-                stacklevel=2,
+                stacklevel=3,
             )
             given |= options
             given["method"] = given.pop("discretization", None)
             accept: Callable[..., R] = function
             return accept(**given)
 
-        return call
+        return concise(call)
 
     return accepting

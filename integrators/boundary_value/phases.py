@@ -17,7 +17,7 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..results import sentence
-from ..text import many
+from ..text import brief, many
 from .arguments import Method, Options, check_problem
 from .coupled import Own, coupling_of
 from .engine.coupling import Link
@@ -221,7 +221,7 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
     """The phases, with the guesses of a solution."""
     if not (isinstance(phases, Sequence) and len(phases) and all(isinstance(phase, Phase) for phase in phases)):
         raise InvalidInputError(
-            f"solve_phases takes a list of at least one Phase, got {phases!r:.80}; try [Phase(problem, ...)]"
+            f"solve_phases takes a list of at least one Phase, got {brief(phases)}; try [Phase(problem, ...)]"
         )
     for k, phase in enumerate(phases):
         check_problem(phase.problem, phase.method)
