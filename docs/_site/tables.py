@@ -45,7 +45,7 @@ HEAD = f"""Manifolds and retractions
 
 ``Cayley(M)`` is the retraction of that name on a manifold, ``default_retraction(M)`` the first of Exponential,
 Projection, Cayley, Polar and QR that there is; products are taken factor by factor, and powers copy by copy. A level
-set, and any other manifold with a ``restore``, has ``Projection`` or ``Restored`` by Newton's method.
+set, and any other manifold with a ``restore``, has ``Projection`` or ``ProjectionByNewton`` by Newton's method.
 
 Closed forms: of the inverse (i), of the domain (d), of midpoints (m), which ``Midpoint(R).inverse`` needs, and of
 derivatives (D); the others are derived, by Newton's method, a round trip and automatic differentiation. The last two

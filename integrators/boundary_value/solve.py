@@ -5,7 +5,7 @@ from typing import Any
 
 from ...reading import reads_once
 from ...retractions import Gauss, default_retraction
-from ..former import former_order
+from ..former_order import former_order
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem

@@ -20,7 +20,7 @@ from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from ..unchanged import Unchanged
 from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
-from .differentiable import INSTEAD, Extremal, extremal_of
+from .differentiable import INSTEAD, DifferentiableSolution, extremal_of
 from .engine.derivatives import Sensitivities
 from .engine.found import Found, Iteration
 from .engine.stopwatch import Stopwatch
@@ -329,7 +329,7 @@ class Solver:
         parameters: Any = None,
         tolerance: float | None = None,
         max_iterations: int = 100,
-    ) -> Extremal:
+    ) -> DifferentiableSolution:
         """Cost, states, costates and controls of the extremal as JAX arrays, functions of the other arguments but
         ``guess``.
 

@@ -59,7 +59,7 @@ class StiefelPolar(DifferentiatedRetraction):
         y, s = self._factors(x, v)
         return y @ lyapunov(s, 2 * _skew(y.T @ w)) + _right_divide(w - y @ (y.T @ w), s)
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         y, s = self._factors(x, v)
         turn = 2 * lyapunov(s, _skew(y.T @ xi))
         return self.manifold.projection(x, y @ turn + _right_divide(xi - y @ (y.T @ xi), s))
@@ -102,7 +102,7 @@ class StiefelQR(DifferentiatedRetraction):
         below = jnp.tril(inside, -1)
         return y @ (below - below.T) + moved - y @ inside
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         y, r = self._factors(x, v)
         inside = y.T @ xi
         # The skew part, because <y s, xi> for a skew s does not see the symmetric one.
@@ -154,7 +154,7 @@ class StiefelCayley(DifferentiatedRetraction):
         bend = (symmetric(k.T @ across) - self.manifold.skew(x, w)) / 2
         return (across - total @ bend) @ inverse
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         total, k, inverse = self._sum(x, v)
         pulled = xi @ inverse.T
         z = total.T @ pulled

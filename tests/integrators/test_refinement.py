@@ -8,11 +8,11 @@ from retrax.integrators import (
     Free,
     OptimalControlProblem,
     Solver,
-    control_structure,
     discretization_error,
     load_solution,
     solve,
     step_errors,
+    switching_structure,
 )
 from retrax.manifolds import SO, ConvergenceError, Euclidean, InvalidInputError, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
@@ -99,7 +99,7 @@ def test_a_switch_is_found_wherever_it_is(speeds):
         assert found.success or 0 < first < 1e-4  # an arc shorter than that may not be seen
         if first > 0.1 and least - first > 0.1:
             assert found.checks.hamiltonian_spread < 1e-8
-            structure = control_structure(QUICKEST, found)
+            structure = switching_structure(QUICKEST, found)
             np.testing.assert_allclose(structure.times, [0, first, least], atol=1e-10)
             assert structure.sides.tolist() == [[sign], [-sign]]
             side = found.multipliers["control_bounds upper"] - found.multipliers["control_bounds lower"]
@@ -159,7 +159,7 @@ def test_ends_on_a_set_hold_in_arcs_too(slopes):
         least = np.sqrt(2.81 - c**2) - 0.9 + c if c > 0 else c - 0.9 + np.sqrt((0.9 - c) ** 2 + 2 + 1.8 * c)
         assert found.horizon == pytest.approx(least, rel=1e-9)
         assert abs(found.states[-1, 0] - 1 - c * found.states[-1, 1]) < 1e-12
-        assert control_structure(problem, found).arcs == 1 + (c > 0)
+        assert switching_structure(problem, found).arcs == 1 + (c > 0)
         along = found.states[-1, 1] - c * (1 if c < 0 else -1)  # what the rate of the equation is at the end
         np.testing.assert_allclose(found.multipliers["line"], [-1 / along], rtol=1e-8)
         assert found.quantities.controls[0].name == "force"
@@ -214,7 +214,7 @@ def test_a_singular_arc_comes_and_goes():
         found = solve(DECAY, np.ones(1), np.array([0.5]), horizon, method=method, steps=20, accuracy=1e-8, throw=False)
         assert found.success, found.result
         assert abs(found.cost - cost) < 1e-8
-    assert control_structure(DECAY, found).sides.tolist() == [[-1], [0], [1]]
+    assert switching_structure(DECAY, found).sides.tolist() == [[-1], [0], [1]]
 
 
 def test_a_bound_that_becomes_inactive():
@@ -280,7 +280,7 @@ def test_parameters_and_time_are_kept(tmp_path):
     parameters = {"pull": 0.3, "offset": Free(0.5)}
     given, method = (problem, np.zeros(2), np.array([1.0, 0.0]), Free(2.0)), Gauss(3, Addition(PLANE))
     found = solve(*given, method=method, steps=8, parameters=parameters, accuracy=1e-9)
-    structure = control_structure(problem, found)
+    structure = switching_structure(problem, found)
     assert structure.sides.tolist() == [[1], [-1]]
     s, T = structure.times[1:]
     speed, place = 2 * s - T + 0.3 * (1 - np.cos(T)), 2 * s * T - s**2 - T**2 / 2 + 0.3 * (T - np.sin(T))
@@ -315,8 +315,8 @@ def test_what_accuracy_cannot_be():
         with pytest.raises(InvalidInputError, match="accuracy must be"):
             solve(*given, **on, accuracy=wrong)
     with pytest.raises(InvalidInputError, match="without control_bounds"):
-        control_structure(REGULATOR, solve(*given, **on))
-    for looks in (control_structure, step_errors):
+        switching_structure(REGULATOR, solve(*given, **on))
+    for looks in (switching_structure, step_errors):
         with pytest.raises(InvalidInputError, match=f"{looks.__name__} takes .* got 3; try what solve returns"):
             looks(REGULATOR, 3)
 
@@ -328,7 +328,7 @@ def test_least_times_to_ten_digits(name, steps, stages):
     entry = problems.get(name)
     found = entry.solve(steps, Gauss(stages, entry.discretization.retraction), accuracy=1e-9)
     assert abs(entry.distance(found.cost)) < 1e-9
-    assert control_structure(entry.problem, found).arcs == 6
+    assert switching_structure(entry.problem, found).arcs == 6
 
 
 @pytest.mark.slow

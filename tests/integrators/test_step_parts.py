@@ -14,14 +14,14 @@ from retrax.integrators import (
     TRIPLE_JUMP,
     YOSHIDA_6,
     Composition,
-    ControlStructure,
     Guess,
     Integrator,
     OptimalControlProblem,
     Solution,
-    control_structure,
+    SwitchingStructure,
     solve,
     step_errors,
+    switching_structure,
 )
 from retrax.integrators.boundary_value.arcs import Arcs
 from retrax.integrators.boundary_value.engine.collocation import Collocation
@@ -212,7 +212,7 @@ def test_arcs_end_by_jumps(jump):
     controls = np.where(stages < 0.5, 1.0, 1.0 - jump - 1e-3 * (stages - 0.5))[:, None]
     record = object.__new__(Solution)  # with what is looked at and nothing else
     vars(record).update(times=times, stage_times=stages, controls=controls)
-    found = control_structure(BOUNDED, record)
+    found = switching_structure(BOUNDED, record)
     assert found.arcs == (2 if jump > 0.2 else 1)
     if found.jumps:
         np.testing.assert_allclose(found.times, [0, 0.5, 1], atol=1e-15)
@@ -221,7 +221,7 @@ def test_arcs_end_by_jumps(jump):
 
 @pytest.mark.parametrize("duration", [0.0, 1e-9, 9e-7, 1.1e-6, 1e-3])
 def test_vanished_arcs_are_left_out(duration):
-    structure = ControlStructure(np.array([0, 0.5, 0.5 + duration, 1]), np.array([[1], [0], [1]])).without_vanished()
+    structure = SwitchingStructure(np.array([0, 0.5, 0.5 + duration, 1]), np.array([[1], [0], [1]])).without_vanished()
     assert structure.sides[:, 0].tolist() == ([1] if duration < 1e-6 else [1, 0, 1])
     assert structure.times[[0, -1]].tolist() == [0, 1]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from retrax.integrators import SymplecticIntegrator, form_defect
+from retrax.integrators import SymplecticIntegrator, symplecticity_defect
 from retrax.integrators.initial_value.step import lifted_step
 from retrax.manifolds import ConvergenceError, CotangentBundle, Euclidean, PresymplecticManifold, form_matrix
 from retrax.manifolds.numerics import ambient as vec
@@ -190,9 +190,9 @@ def test_the_form_after_steps_of_several_lengths():
     bundle, method = CotangentBundle(SPHERE), SymplecticIntegrator(CotangentLift(Midpoint(Projection(SPHERE))))
     space, z = PresymplecticManifold(bundle, bundle.two_form), (np.array([0.6, 0.0, 0.8]), np.array([0.8, 1.0, -0.6]))
     sizes = np.array([[0.01, 0.1], [0.3, 0.2], [0.15, 0.05]])
-    found = form_defect(space, method, pendulum_energy, z, sizes)
+    found = symplecticity_defect(space, method, pendulum_energy, z, sizes)
     assert found.shape == sizes.shape
     assert np.max(found) < 1e-13
-    assert form_defect(space, method, pendulum_energy, z, 0.1).shape == ()
+    assert symplecticity_defect(space, method, pendulum_energy, z, 0.1).shape == ()
     with pytest.raises(ConvergenceError, match=r"a step of 1000 from .* take a smaller one"):
-        form_defect(space, method, pendulum_energy, z, np.array([0.1, 1e3, 0.2]))
+        symplecticity_defect(space, method, pendulum_energy, z, np.array([0.1, 1e3, 0.2]))

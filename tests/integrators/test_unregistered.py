@@ -9,7 +9,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, solve
 from retrax.manifolds import Euclidean, Manifold, Sphere
-from retrax.retractions import Addition, Exponential, Midpoint, Restored, Retraction, default_retraction
+from retrax.retractions import Addition, Exponential, Midpoint, ProjectionByNewton, Retraction, default_retraction
 from retrax.testing import check_retraction
 
 from tests.support.numerics import norm
@@ -55,10 +55,10 @@ DIRECTIONS = Directions()
 
 
 def test_newton_steps_of_a_manifold_make_a_retraction():
-    assert check_retraction(Restored(DIRECTIONS))
-    assert isinstance(default_retraction(DIRECTIONS), Restored)
+    assert check_retraction(ProjectionByNewton(DIRECTIONS))
+    assert isinstance(default_retraction(DIRECTIONS), ProjectionByNewton)
     x = DIRECTIONS.random_point(jax.random.key(0))
-    assert np.all(np.isnan(Restored(DIRECTIONS)(x, -x)))  # from the centre they lead nowhere
+    assert np.all(np.isnan(ProjectionByNewton(DIRECTIONS)(x, -x)))  # from the centre they lead nowhere
 
 
 @pytest.mark.slow
