@@ -78,6 +78,7 @@ def test_a_solution_has_the_symbols_of_the_field(solver):
     assert found.p is found.costates
     assert found.u is found.controls
     assert found.message == found.result
+    assert found._repr_html_().startswith("<pre>result  ")
     axes = found.plot()
     assert isinstance(axes[0].figure, Figure)
 

@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
@@ -218,6 +219,10 @@ class Solution:
         from .solution_report import report_text
 
         return report_text(self)
+
+    def _repr_html_(self) -> str:
+        """The report, as a notebook shows it."""
+        return f"<pre>{escape(str(self))}</pre>"
 
     def require_success(self) -> "Solution":
         """This solution, or a ``ConvergenceError`` with its result if the conditions are not met."""
