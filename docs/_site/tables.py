@@ -29,6 +29,7 @@ EXAMPLES: tuple[Manifold, ...] = (
     m.SL(2),
     m.SPD(3),
     m.Stiefel(5, 2),
+    m.ComplexStiefel(3, 2),
     m.Grassmann(5, 2),
     m.Oblique(3, 4),
     m.FixedRank(5, 4, 2),

@@ -9,6 +9,7 @@ import pytest
 from retrax.manifolds import (
     SO,
     SPD,
+    ComplexStiefel,
     EmbeddedMetric,
     FixedRank,
     Hyperbolic,
@@ -106,6 +107,10 @@ def test_batches_by_vmap():
     ("make", "words"),
     [
         (lambda: StiefelPolar(SPD(3)), r"StiefelPolar takes a Stiefel, got SPD"),
+        (
+            lambda: StiefelCanonicalExponential(ComplexStiefel(3, 2)),
+            r"takes real frames, got ComplexStiefel\(n=3",
+        ),
         (lambda: Addition(Sphere(2)), r"Addition takes a Euclidean, got Sphere"),
         (lambda: GroupCayley(Sphere(2)), r"GroupCayley takes a MatrixLieGroup, got Sphere"),
         (lambda: Orthographic(FixedRank(3, 2, 1), 3), r"Orthographic takes a Submanifold, got FixedRank"),
@@ -171,7 +176,8 @@ def test_complex_frames_are_refused_in_words(family):
     retraction = family(Stiefel(3, 2))
     x = jnp.eye(3, 2, dtype=complex)
     for call in (retraction, retraction.inverse):
-        with pytest.raises(InvalidInputError, match=r"of Stiefel\(3, 2\) has real entries, got complex ones; try"):
+        with pytest.raises(InvalidInputError, match=r"of Stiefel\(3, 2\) has real entries, .*: ComplexStiefel"):
             call(x, x)
+    assert ComplexStiefel(3, 2).is_tangent(x, 1j * family(ComplexStiefel(3, 2))(x, 0 * x))
     with pytest.raises(InvalidInputError, match="has real entries, got complex ones"):
         retraction.manifold.projection(x, x)
