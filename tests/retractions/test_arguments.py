@@ -109,7 +109,7 @@ def test_batches_by_vmap():
         (lambda: StiefelPolar(SPD(3)), r"StiefelPolar takes a Stiefel, got SPD"),
         (
             lambda: StiefelCanonicalExponential(ComplexStiefel(3, 2)),
-            r"takes real frames, got ComplexStiefel\(n=3",
+            r"takes real frames, got ComplexStiefel",
         ),
         (lambda: Addition(Sphere(2)), r"Addition takes a Euclidean, got Sphere"),
         (lambda: GroupCayley(Sphere(2)), r"GroupCayley takes a MatrixLieGroup, got Sphere"),
