@@ -29,7 +29,7 @@ def is_traced(*trees: object) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def shared_hash(tree: PyTree) -> int:
+def shared_hash(tree: PyTree, /) -> int:
     """A hash that equal trees share, in which arrays count by their shapes and kinds.
 
     Raises

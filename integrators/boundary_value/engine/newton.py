@@ -129,7 +129,9 @@ def _tried(
     options = search.tolerance, search.max_iterations, _seen(search, members)
     alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width)
     again = alone.ended(guess)
-    again = again._replace(iterations=found.iterations[members] + again.iterations)
+    counts = found.iterations.copy()
+    counts[members] += again.iterations
+    found, again = found._replace(iterations=counts), again._replace(iterations=counts[members])
     claimed, cost = found.claimed[members], found.assembled.cost[members]
     better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}
