@@ -309,16 +309,6 @@ class Solver:
         layouts = self._posing.state, self._posing.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
 
-    def curvature_of_controls(self, solution: Solution) -> np.ndarray:
-        """Second derivatives of the Hamiltonian along the controls themselves, of a solution that this solver found:
-        ``u' H_uu u`` at the stages, shape (N s,)."""
-        kept, state, control = self._kept[solution], self._posing.state, self._posing.control
-        layouts = (state, solution.stage_states), (control, solution.controls), (state, solution.stage_costates)
-        states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)
-        given = kept.posed.conditions.data.parameters[[kept.place]]
-        _, parts = kept.posed.traced.diagnosis.in_controls((states, controls, costates), given)
-        return np.einsum("ki,kij,kj->k", controls[0], parts[0, :, 0] - parts[0, :, 1], controls[0])
-
     @known_options
     def extremal(
         self,
