@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, solve
-from retrax.manifolds import Euclidean, Product, Sphere
-from retrax.retractions import Midpoint, default_retraction
+from retrax.manifolds import SO, Euclidean, Product, Sphere, hat
+from retrax.retractions import Addition, Midpoint, default_retraction
+from scipy.spatial.transform import Rotation
 
 STEPS = 40
 PLACES = (np.arange(STEPS) + 0.5) / STEPS
@@ -101,6 +102,71 @@ def test_great_circles_beyond_half_a_turn_are_found_from_guesses_on_them(angle):
     assert found.checks.strict_minimum == (angle < np.pi)
 
 
+def resting_chain(resting: int, axes: np.ndarray, **limits: Any) -> Solver:
+    """A double integrator, and a chain beside it that nothing moves, in other axes."""
+
+    def chain(q: Any, u: Any) -> Any:
+        q = axes.T @ q
+        return axes @ jnp.concatenate([jnp.stack([q[1], u[0]]), q[3:], jnp.zeros(min(resting, 1))])
+
+    problem = OptimalControlProblem(Euclidean(2 + resting), chain, lambda q, u: u @ u / 2, 1, **limits)
+    return Solver(problem, Midpoint(Addition(problem.manifold)), 20)
+
+
+def turned(size: int, seed: int) -> np.ndarray:
+    """Random axes, for a seed of zero those that are."""
+    return np.linalg.qr(np.random.default_rng(seed).standard_normal((size, size)))[0] if seed else np.eye(size)
+
+
+@pytest.mark.parametrize("limits", [{}, {"control_bounds": (-5.0, 5.0)}])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("resting", [1, 2, 3, 5])
+def test_states_at_rest_that_nothing_moves_may_have_ends(resting, seed, limits):
+    """Of a chain beside the actuator all ends are prescribed, and met: its equations follow from each other."""
+    least = resting_chain(0, np.eye(2), **limits).solve(np.zeros(2), np.array([1.0, 0.0]), 1.0)
+    axes = turned(2 + resting, seed)
+    solver, ends = resting_chain(resting, axes, **limits), (np.zeros(2 + resting), axes[:, 0], 1.0)
+    found = solver.solve(*ends)
+    again = solver.solve(*ends, guess=found)
+    np.testing.assert_allclose([found.cost, again.cost], least.cost, rtol=1e-8)
+    np.testing.assert_allclose(found.states[-1], axes[:, 0], atol=1e-9)
+    assert again.statistics.iterations <= 3  # with limits the last barrier is reached once more
+
+
+@pytest.mark.parametrize("limits", [{}, {"control_bounds": (-5.0, 5.0)}])
+@pytest.mark.parametrize("off", [1e-9, 1e-6, 1e-3, 1.0])
+def test_states_at_rest_reach_no_other_ends(off, limits):
+    """An equation that contradicts those before it is not taken for one that follows from them."""
+    solver = resting_chain(1, np.eye(3), **limits)
+    found = solver.solve(np.zeros(3), np.array([1.0, 0.0, off]), 1.0, max_iterations=100, throw=False)
+    assert not found.success
+    assert "cannot be reached" in found.result
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_a_body_turns_about_its_one_actuated_axis(axis, seed):
+    """A principal one, about which it stays turning: of the ends of the attitude and of the rates four follow."""
+    inertia, place, along = np.array([1.0, 1.7, 2.3]), turned(3, seed), np.eye(3)[axis]
+    place = place * np.linalg.det(place)
+    space = Product(SO(3), Euclidean(3))
+
+    def turn(q: Any, u: Any) -> Any:
+        return q[0] @ hat(q[1]), (jnp.cross(inertia * q[1], q[1]) + along * u[0]) / inertia
+
+    problem = OptimalControlProblem(space, turn, lambda q, u: u @ u / 2, 1)
+    solver, h = Solver(problem, Midpoint(default_retraction(space)), 20), 2.0 / 20
+    by_torques = np.stack([h**2 * (20 - np.arange(20) - 0.5), np.full(20, h)]) / inertia[axis]
+    for rate in (0.0, 0.3, None):
+        wanted = [1.0] if rate is None else [1.0, rate]
+        torques = np.linalg.lstsq(by_torques[: len(wanted)], np.array(wanted))[0]
+        end = place @ Rotation.from_rotvec(along).as_matrix(), None if rate is None else rate * along
+        found = solver.solve((place, np.zeros(3)), end, 2.0)
+        again = solver.solve((place, np.zeros(3)), end, 2.0, guess=found)
+        np.testing.assert_allclose([found.cost, again.cost], h * torques @ torques / 2, rtol=1e-9)
+        assert again.statistics.iterations <= 1
+
+
 def test_a_car_at_rest_beside_its_place_parks_with_any_heading():
     """The heading is free and guessed as it is at the start: nothing turns a car that stands, and nothing moves it
     sideways."""
@@ -134,3 +200,56 @@ def test_all_searches_are_counted_and_shown():
     many = solver.solve_many(ends[0], others, 1.0, guesses=[guess, guess])
     assert many.success[0]
     assert many.cost[0] == pytest.approx(found.cost, rel=1e-10)
+
+
+@pytest.mark.parametrize("guessed", [-0.5, 0.0, 0.5, 1.0])
+@pytest.mark.parametrize("start", [0.0, 0.5, 0.9, 1.0, 1.1, 3.0])
+def test_an_end_that_pays_is_gone_to_as_far_as_it_pays(pushed, start, guessed):
+    """A constant control ``u = x(0)``, or a bound, from guesses with controls on the bound and inside."""
+    along = Guess(start + guessed * PLACES[:, None], np.full((STEPS, 1), guessed))
+    found = pushed.solve(np.array([start]), None, 1.0, guess=along)
+    u = min(start, 1.0)
+    assert found.cost == pytest.approx(u**2 / 2 - (start + u) ** 2 / 4, rel=1e-7, abs=1e-9)
+    assert found.checks.strict_minimum
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    line = Euclidean(1)
+    problem = OptimalControlProblem(
+        line,
+        lambda q, u: u,
+        lambda q, u: u @ u / 2,
+        1,
+        terminal_cost=lambda q: -q @ q / 4,
+        control_bounds=(-1.0, 1.0),
+    )
+    return Solver(problem, Midpoint(Addition(line)), STEPS)
+
+
+@pytest.mark.parametrize("end", [None, np.zeros(2)])
+def test_a_discount_of_any_rate_costs_nothing_of_the_search(end):
+    """Time enters the cost by a factor that may be one but for rounding; a dense linear-quadratic problem judges."""
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(
+        plane,
+        lambda q, u, t, rate: jnp.stack([q[1], u[0]]),
+        lambda q, u, t, rate: jnp.exp(-rate * t) * (q @ q + u @ u) / 2,
+        1,
+        time_dependent=True,
+    )
+    solver, h = Solver(problem, Midpoint(Addition(plane)), STEPS), 10.0 / STEPS
+    # States at the middles of the steps, and the end, by controls: x_{k+1} = x_k + h (v_k + h u_k / 2).
+    speeds = h * (np.tri(STEPS, STEPS, -1) + np.eye(STEPS) / 2)
+    places = h**2 * (np.clip(np.subtract.outer(np.arange(STEPS), np.arange(STEPS)), 0, None) + np.eye(STEPS) / 4)
+    ends = np.stack([h**2 * (STEPS - np.arange(STEPS) - 0.5), np.full(STEPS, h)])
+    for rate in (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 1e-1, 1.0):
+        root = np.sqrt(h * np.exp(-rate * 10.0 * PLACES))[:, None]
+        rows = np.concatenate([root * places, root * speeds, root * np.eye(STEPS)])
+        side = np.concatenate([-root[:, 0], np.zeros(2 * STEPS)])
+        count = 0 if end is None else 2
+        kkt = np.block([[rows.T @ rows, ends[:count].T], [ends[:count], np.zeros((count, count))]])
+        u = np.linalg.solve(kkt, np.concatenate([rows.T @ side, [-1.0, 0.0][:count]]))[:STEPS]
+        found = solver.solve(np.array([1.0, 0.0]), end, 10.0, parameters=rate)
+        assert found.cost == pytest.approx(np.sum((rows @ u - side) ** 2) / 2, rel=1e-9)
+        assert found.statistics.iterations <= 5
