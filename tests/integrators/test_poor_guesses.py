@@ -253,3 +253,12 @@ def test_a_discount_of_any_rate_costs_nothing_of_the_search(end):
         found = solver.solve(np.array([1.0, 0.0]), end, 10.0, parameters=rate)
         assert found.cost == pytest.approx(np.sum((rows @ u - side) ** 2) / 2, rel=1e-9)
         assert found.statistics.iterations <= 5
+
+
+def test_a_failure_says_which_guesses_help(pushed):
+    """Where the search is cut short, and where the ends are out of reach."""
+    cut = pushed.solve(np.array([0.5]), None, 1.0, max_iterations=1, throw=False)
+    missed = resting_chain(1, np.eye(3)).solve(np.zeros(3), np.ones(3), 1.0, throw=False)
+    for found in (cut, missed):
+        assert not found.success
+        assert all(name in found.result for name in ("Guess.from_controls", "Free(value)", "continuation"))
