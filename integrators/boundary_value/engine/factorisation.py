@@ -166,6 +166,13 @@ def _divided(v: np.ndarray, pivots: Pivots, base: int, k: int, i: int, r: int, f
 
 
 @inner
+def _smaller(a: float, b: float, c: float) -> float:
+    """Size of the smaller eigenvalue of a pivot of two."""
+    large = (abs(a + c) + math.sqrt((a - c) * (a - c) + 4 * b * b)) / 2
+    return abs(a * (c / large) - b * (b / large))
+
+
+@inner
 def _take(left: np.ndarray, r: int) -> None:
     """Row r is not left to factorise."""
     j = r & -LANES
@@ -178,12 +185,11 @@ def factorise(
 ) -> tuple[int, float]:
     """Factorise the first rows, and the number of negative pivots and the size of the smallest.
 
-    ``ends``: of the rows of unknowns, and of the equations after them. Of an equation that says nothing the pivot is
-    zero, as the limit of negative ones, and so is the multiplier; one that contradicts the others has none.
-
-    ``left``: room for two rows; ``pivots``: from row ``base`` on their rows, divided; room for as many rows as they
-    were; from ``base`` on which ones they are; and room for a number of each row of the front. ``known``: how many rows
-    before are the pivots of a front like this one, whose order is tried first.
+    ``ends``: of the rows of unknowns, and of the equations after them; of an equation that says nothing the pivot is
+    zero, as the limit of negative ones, and so is the multiplier; one that contradicts the others has none. ``left``:
+    room for two rows; ``pivots``: from row ``base`` on their rows, divided; room for as many rows as they were; from
+    ``base`` on which ones they are; and room for a number of each row of the front. ``known``: how many rows before are
+    the pivots of a front like this one, whose order is tried first.
     """
     negative, smallest, k, first, order, (z, last) = 0, np.inf, np.int64(0), np.int64(0), pivots[2], ends
     sound = True  # no multiplier is rounding so far, which the next equations are left with
@@ -211,8 +217,7 @@ def factorise(
             pivots[2][base + k] = r
             _take(left, r)
             k += 1
-            large = (abs(a + c) + math.sqrt((a - c) * (a - c) + 4 * b * b)) / 2
-            size = abs(a * (c / large) - b * (b / large))
+            size = _smaller(a, b, c)
         negative += 1 if i != r or a < 0 or empty else 0
         if size < smallest or size != size:
             smallest = size
