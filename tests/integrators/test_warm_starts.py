@@ -64,7 +64,7 @@ def test_the_nearer_the_end_the_fewer_iterations():
             assert warm.cost == pytest.approx(cold.cost, rel=SAME)
     warm, cold, bare = np.array(counts).T
     assert np.all(warm[moves < 1e-3] <= 2)
-    assert np.all(warm[moves < 1.0] <= cold[moves < 1.0] + 4)
+    assert np.all(warm <= cold + 4)
     assert np.all(warm <= bare)
 
 
