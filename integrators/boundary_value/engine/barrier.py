@@ -11,13 +11,13 @@ from .inequalities import VALUE, Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
 FIRST = 0.3  # the first barrier, relative to the unit of the cost rate
-FITS = 0.1  # such a barrier: known multipliers that ask for a higher one do not fit
-LEVELS = 1e-12, 1e-7, 1e-5, 1e-3, 1e-2  # barriers from which known multipliers are followed for a step, one by one
-FOLLOWED = 0.1  # of what slacks or multipliers lack then: its square is the barrier to begin with
 # A barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5.
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5
 REACHED = 4 * EPS  # of the last barrier: one that is above it by no more is the last
 LAST = 0.1  # of the tolerance: the last barrier, relative
+# Known multipliers are followed for a step from each of these barriers, the first the last one of a usual tolerance. Of
+# what slacks or multipliers lack then a share, squared, is the barrier to begin with; a higher one does not fit.
+LEVELS, FOLLOWED, FITS = (LAST * EPS**0.7, 1e-7, 1e-5, 1e-3, 1e-2), 0.1, 0.1
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 TELLS = 0.1  # of its unit: above this barrier excesses are left whatever they cost
 NEAR = 0.5  # of its price, a multiplier says that it is too low
