@@ -51,6 +51,23 @@ def test_no_iterate_leaves_a_bound(lower, guess):
     assert again.cost == pytest.approx(found.cost, rel=1e-9)
 
 
+GUESSES = np.geomspace(1e-6, 1e3, 149)
+
+
+@pytest.mark.parametrize("guesses", [GUESSES[4::24], pytest.param(GUESSES, marks=pytest.mark.slow)], ids=len)
+def test_a_parameter_is_found_from_guesses_of_all_sizes(solver, guesses):
+    """The cost at a guess is up to ``1e17`` times the least one, which is its unit to begin with."""
+    for guess in guesses:
+        found = solver.solve(*ENDS, 1.0, parameters=Free(guess, lower=1e-9), max_iterations=300)
+        assert found.cost == pytest.approx(paced(BEST), rel=1e-9)
+        assert found.parameters == pytest.approx(BEST, rel=1e-5)
+    given = Free(guesses, lower=np.full(len(guesses), 1e-9))
+    starts, ends = np.zeros((len(guesses), 1)), np.ones((len(guesses), 1))
+    batch = solver.solve_many(starts, ends, 1.0, parameters=given, max_iterations=300)
+    assert batch.success.all()
+    np.testing.assert_allclose(batch.cost, paced(BEST), rtol=1e-9)
+
+
 @pytest.mark.parametrize("side", ["lower", "upper"])
 @pytest.mark.parametrize("bound", [1e-3, 0.1, 0.5, 1.0, 3.0, 30.0])
 def test_a_horizon_is_found_from_its_bound(side, bound):
