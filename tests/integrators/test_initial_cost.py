@@ -36,6 +36,27 @@ def test_a_start_that_costs(name, weight):
     assert found.statistics.iterations <= 3
 
 
+@pytest.mark.parametrize("method", [Gauss, Midpoint, Euler], ids=lambda kind: kind.__name__)
+def test_a_linear_quadratic_problem_that_pays_at_both_ends_takes_one_step(method):
+    """And one that finds nothing left to do; at the ends costates are the slopes of what these cost."""
+    plane, oscillator = Euclidean(2), jnp.array([[0.0, 1.0], [-2.0, -0.3]])
+    first, last = np.array([[3.0, 1.5], [1.5, 3.0]]), 5 * np.eye(2)
+    problem = OptimalControlProblem(
+        plane,
+        lambda q, u: oscillator @ q + jnp.array([0.0, 1.0]) * u[0],
+        lambda q, u: q @ q / 2 + u @ u / 2,
+        1,
+        initial_cost=lambda q: (q - 1) @ first @ (q - 1) / 2,
+        terminal_cost=lambda q: (q - 1) @ last @ (q - 1) / 2,
+    )
+    given = method(2, Addition(plane)) if method is Gauss else method(Addition(plane))
+    found = solve(problem, given, Free(np.zeros(2)), None, 2.0, 10)
+    assert found.success
+    assert found.statistics.iterations <= 2
+    np.testing.assert_allclose(found.costates[0], first @ (found.states[0] - 1), rtol=1e-9)
+    np.testing.assert_allclose(found.costates[-1], -last @ (found.states[-1] - 1), rtol=1e-9)
+
+
 TARGET = np.asarray([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
 
 
