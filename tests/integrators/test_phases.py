@@ -338,3 +338,22 @@ def test_boundary_constraints_of_all_phases():
     np.testing.assert_allclose(found.durations, t, rtol=1e-10)
     assert set(found.multipliers) == {"same", "there"}
     assert found.multipliers["there"] == pytest.approx(-t, rel=1e-9)  # of 2 t by the length, which is 5 t^2 / 4
+
+
+def test_a_line_through_a_point_that_is_asked_for_between_two_phases():
+    """From 0 to 1 by ``x' = u`` through .3 halfway: each phase moves at one speed, and the multiplier is what the
+    costate jumps by."""
+    problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2, 1)
+    method = Midpoint(Addition(LINE))
+    phases = [
+        Phase(problem, method, 2, 1.0, start=np.zeros(1)),
+        Phase(problem, method, 3, 1.0, end=np.ones(1)),
+    ]
+    found = solve_phases(phases, boundary_constraints={"halfway": lambda ends: ends[0].end[0] - 0.3})
+    assert found.success
+    speeds = [0.3, 0.7]
+    for own, speed in zip(found.phases, speeds, strict=True):
+        np.testing.assert_allclose(own.controls, speed, rtol=1e-10)
+    assert found.cost == pytest.approx(sum(np.square(speeds)) / 2, rel=1e-12)
+    jump = found.phases[1].costates[0] - found.phases[0].costates[-1]
+    np.testing.assert_allclose(np.abs(found.multipliers["halfway"]), np.abs(jump), rtol=1e-9)

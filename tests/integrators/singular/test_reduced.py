@@ -192,6 +192,26 @@ def test_the_reduced_problem_of_one_free_control_of_two():
         np.testing.assert_allclose(q, [sign * x, reduction.directions[1, 0] * s], rtol=1e-13)
 
 
+def test_a_cost_that_is_too_rough_for_its_potential_is_refused():
+    """``cos(w x) u`` of ``x' = u`` has the potential ``sin(w x) / w``, which a quadrature finds up to some ``w``."""
+
+    def problem(rate: float) -> OptimalControlProblem:
+        return OptimalControlProblem(
+            Euclidean(2),
+            lambda q, u: jnp.stack([u[0] + q[1], -q[0]]),
+            lambda q, u: q @ q / 2 + jnp.cos(rate * q[0]) * u[0],
+            1,
+        )
+
+    for rate in (0.1, 1.0):
+        reduction = GohReduction(problem(rate), (0,))
+        for x in (-1.0, 0.0, 0.5):
+            assert reduction.potential(jnp.array([x, 0.3])) == pytest.approx(np.sin(rate * x) / rate, abs=1e-9)
+    for rate in (20.0, 40.0):
+        with pytest.raises(InvalidInputError, match=r"misses it by .* too rough along their directions"):
+            GohReduction(problem(rate), (0,))
+
+
 @cache
 def kernel(name: str) -> Callable:
     """Image of a step from a point of ``P_f``, the form before and after on a basis of its tangent space, and the
