@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from retrax.integrators.boundary_value.engine.start import PIECES, UNEVEN, Start
-from retrax.manifolds import Euclidean, Product
-from retrax.retractions import default_retraction
+from retrax.manifolds import SO, Euclidean, Product
+from retrax.retractions import Cayley, default_retraction
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 1.1, 3.0])
@@ -21,3 +21,15 @@ def test_a_curve_is_even_up_to_a_step_of_twice_the_mean_one_wherever_that_is(sha
         whole, straight = along[:, None] * direction, np.linspace(0.0, 1.0, PIECES + 1)[:, None]
         both = np.stack([np.concatenate([whole, straight], 1), np.concatenate([whole, straight], 1)[::-1]])
         assert start._even(both).tolist() == [share <= 1] * 2
+
+
+@pytest.mark.parametrize("angle", [0.5, 3.0, np.pi])
+def test_a_turn_up_to_half_a_turn_is_guessed_whichever_way_arrives(angle):
+    """The logarithm as far as there is one, and a walk beyond."""
+    group = SO(3)
+    start, fractions = Start(group, Cayley(group)), np.array([0.25, 0.5, 0.75])
+    end = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    found = start.states(np.eye(3).reshape(1, 9), end.reshape(1, 9), fractions).reshape(3, 3, 3)
+    np.testing.assert_allclose(found @ found.mT, [np.eye(3)] * 3, atol=1e-10)
+    angles = np.arccos((np.trace(found, axis1=1, axis2=2) - 1) / 2)
+    np.testing.assert_allclose(angles, fractions * angle, rtol=0.1)
