@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from retrax.integrators.boundary_value.engine.start import PIECES, UNEVEN, Start
-from retrax.manifolds import SO, Euclidean, Product
-from retrax.retractions import Cayley, default_retraction
+from retrax.manifolds import SO, Euclidean, Product, Sphere
+from retrax.retractions import Cayley, Projection, default_retraction
 
 
 @pytest.mark.parametrize("share", [0.5, 0.9, 1.1, 3.0])
@@ -33,3 +33,13 @@ def test_a_turn_up_to_half_a_turn_is_guessed_whichever_way_arrives(angle):
     np.testing.assert_allclose(found @ found.mT, [np.eye(3)] * 3, atol=1e-10)
     angles = np.arccos((np.trace(found, axis1=1, axis2=2) - 1) / 2)
     np.testing.assert_allclose(angles, fractions * angle, rtol=0.1)
+
+
+@pytest.mark.parametrize("gap", [1.0, 1e-3, 1e-9, 0.0])
+def test_points_of_a_sphere_that_are_opposite_or_nearly_so_are_led_to_by_a_walk(gap):
+    sphere = Sphere(2)
+    start, fractions = Start(sphere, Projection(sphere)), np.array([0.2, 0.5, 0.9])
+    begin, end = np.array([[0.0, 0.0, 1.0]]), np.array([[np.sin(gap), 0.0, -np.cos(gap)]])
+    (found,) = start.states(begin, end, fractions)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=1e-12)
+    np.testing.assert_allclose(np.arccos(found[:, 2]), fractions * (np.pi - gap), rtol=0.3)  # the walk is uneven
