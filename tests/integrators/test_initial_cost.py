@@ -50,7 +50,7 @@ def test_a_linear_quadratic_problem_that_pays_at_both_ends_takes_one_step(method
         terminal_cost=lambda q: (q - 1) @ last @ (q - 1) / 2,
     )
     given = method(2, Addition(plane)) if method is Gauss else method(Addition(plane))
-    found = solve(problem, given, Free(np.zeros(2)), None, 2.0, 10)
+    found = solve(problem, Free(np.zeros(2)), None, 2.0, method=given, steps=10)
     assert found.success
     assert found.statistics.iterations <= 2
     np.testing.assert_allclose(found.costates[0], first @ (found.states[0] - 1), rtol=1e-9)
