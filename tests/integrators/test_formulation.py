@@ -337,7 +337,7 @@ def test_free_is_frozen():
 def test_arguments_beside_a_free_horizon_are_checked(change, words):
     given = {"start": REST, "end": AHEAD, "steps": 6, **change}
     with pytest.raises((InvalidInputError, NotOnManifoldError), match=words):
-        solve(QUICK, GAUSS, **given)
+        solve(QUICK, method=GAUSS, **given)
 
 
 @pytest.mark.parametrize("cost", [lambda q, u: 1.0, lambda q, u: 1 + q[1] ** 2, lambda q, u: 1 + u[0]])

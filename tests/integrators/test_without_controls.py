@@ -109,7 +109,7 @@ def test_a_line_through_measured_points(count, size, noise):
         phases.append(Phase(problem, method, 1, times[k + 1] - times[k], start=start))
     found = solve_phases(phases)
     np.testing.assert_allclose(found.phases[0].states[0], expected, rtol=1e-8)
-    assert found.phases[0].statistics.iterations < 10
+    assert found.phases[0].statistics.iterations < 15  # a second search looks for a minimum
 
 
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])

@@ -140,7 +140,7 @@ def _forward(
             last += n
             _close(v, system, units)
         scale(v, sizes, k, z, last)
-        found, size = factorise(v, f[2:], (divided, rows, order, done), k * p, (z, last), p if k > 0 else 0)
+        found, size = factorise(v, f[2:], (divided, rows, order, done), k * p, last, p if k > 0 else 0)
         subtract_all(v, last, v.shape[0], last & -LANES, v.shape[1], divided, k * p, rows, 0, last)
         negative += found
         if size < smallest or size != size:

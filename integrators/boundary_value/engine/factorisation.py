@@ -40,7 +40,6 @@ from .vectors import (
 
 # Bounds the growth by one pivot of size two as by two of size one [Bunch, Kaufman 1977].
 BALANCE = (1 + math.sqrt(17)) / 8
-FOLLOWS = 1e-12  # in units: what is left of an equation that follows from the others is rounding
 
 Pivots = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -130,24 +129,13 @@ def _chosen(
 
 
 @inner
-def _says_nothing(v: np.ndarray, i: int, last: int) -> bool:
-    """Whether nothing but rounding is left of row i beside what is left to factorise, as of an equation that follows
-    from those before it, and that is met where they are."""
-    size = 0.0
-    for j in range(last, v.shape[1]):
-        size += abs(entry(v, i, j))
-    return size <= FOLLOWS
-
-
-@inner
-def _divided(v: np.ndarray, pivots: Pivots, base: int, k: int, i: int, r: int, first: int, over: float) -> None:
+def _divided(v: np.ndarray, pivots: Pivots, base: int, k: int, i: int, r: int, first: int) -> None:
     """Keep the rows of a pivot, and divided by it: a row's entries in those are what is to be subtracted from it of
     these.
 
-    The inverse of a pivot of two is formed relative to the entry beside the diagonal, the largest, whose inverse is
-    ``over``.
+    The inverse of a pivot of two is formed relative to the entry beside the diagonal, the largest.
     """
-    divided, rows = pivots[0], pivots[1]
+    divided, rows, over = pivots[0], pivots[1], 1 / entry(v, i, r)
     a, c = entry(v, i, i) * over, entry(v, r, r) * over
     both = over / (a * c - 1)
     for j in range(first & -LANES, v.shape[1], LANES):
@@ -166,13 +154,6 @@ def _divided(v: np.ndarray, pivots: Pivots, base: int, k: int, i: int, r: int, f
 
 
 @inner
-def _smaller(a: float, b: float, c: float) -> float:
-    """Size of the smaller eigenvalue of a pivot of two."""
-    large = (abs(a + c) + math.sqrt((a - c) * (a - c) + 4 * b * b)) / 2
-    return abs(a * (c / large) - b * (b / large))
-
-
-@inner
 def _take(left: np.ndarray, r: int) -> None:
     """Row r is not left to factorise."""
     j = r & -LANES
@@ -180,19 +161,14 @@ def _take(left: np.ndarray, r: int) -> None:
 
 
 @inner
-def factorise(
-    v: np.ndarray, left: np.ndarray, pivots: Pivots, base: int, ends: tuple[int, int], known: int
-) -> tuple[int, float]:
-    """Factorise the first rows, and the number of negative pivots and the size of the smallest.
+def factorise(v: np.ndarray, left: np.ndarray, pivots: Pivots, base: int, last: int, known: int) -> tuple[int, float]:
+    """Factorise the first ``last`` of the rows, and the number of negative pivots and the size of the smallest.
 
-    ``ends``: of the rows of unknowns, and of the equations after them; of an equation that says nothing the pivot is
-    zero, as the limit of negative ones, and so is the multiplier; one that contradicts the others has none. ``left``:
-    room for two rows; ``pivots``: from row ``base`` on their rows, divided; room for as many rows as they were; from
-    ``base`` on which ones they are; and room for a number of each row of the front. ``known``: how many rows before are
-    the pivots of a front like this one, whose order is tried first.
+    ``left``: room for two rows; ``pivots``: from row ``base`` on their rows, divided; room for as many rows as they
+    were; from ``base`` on which ones they are; and room for a number of each row of the front. ``known``: how many rows
+    before are the pivots of a front like this one, whose order is tried first.
     """
-    negative, smallest, k, first, order, (z, last) = 0, np.inf, np.int64(0), np.int64(0), pivots[2], ends
-    sound = True  # no multiplier is rounding so far, which the next equations are left with
+    negative, smallest, k, first, order = 0, np.inf, np.int64(0), np.int64(0), pivots[2]
     for j in range(0, left.shape[1], LANES):
         put(left, 0, j, within(filled(1.0), j, 0, last))
     for i in range(v.shape[0]):
@@ -204,11 +180,8 @@ def factorise(
         if k + 1 < known and entry(left, 0, order[base - known + k]) != 0:
             begin = order[base - known + k], order[base - known + k + 1]
         i, r = _chosen(v, left, pivots, base, k, (first, last), begin)
-        faint = i >= z and abs(entry(v, i, r)) <= FOLLOWS
-        empty = faint and sound and _says_nothing(v, i, last)
-        r, sound = i if empty else r, sound and (empty or not faint)
         a, b, c = entry(v, i, i), entry(v, i, r), entry(v, r, r)
-        _divided(v, pivots, base, k, i, r, first, 0.0 if empty else 1 / b)
+        _divided(v, pivots, base, k, i, r, first)
         pivots[2][base + k] = i
         _take(left, i)
         k += 1
@@ -217,8 +190,9 @@ def factorise(
             pivots[2][base + k] = r
             _take(left, r)
             k += 1
-            size = _smaller(a, b, c)
-        negative += 1 if i != r or a < 0 or empty else 0
+            large = (abs(a + c) + math.sqrt((a - c) * (a - c) + 4 * b * b)) / 2
+            size = abs(a * (c / large) - b * (b / large))
+        negative += 1 if i != r or a < 0 else 0
         if size < smallest or size != size:
             smallest = size
     return negative, smallest
