@@ -123,9 +123,14 @@ def fractions_of(steps: Any) -> np.ndarray:
     )
 
 
-def check_problem(problem: Any, method: Any) -> None:
+def require_problem(problem: Any) -> None:
+    """Raise if this is no problem."""
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
+
+
+def check_problem(problem: Any, method: Any) -> None:
+    require_problem(problem)
     if not isinstance(method, DiscretizationMap | Gauss):
         raise InvalidInputError(
             f"solve takes a Gauss method or a discretization map, got {brief(method)}; try "

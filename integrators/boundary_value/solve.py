@@ -10,7 +10,7 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
-from .arguments import Given, Method, Options, check_accuracy
+from .arguments import Given, Method, Options, check_accuracy, require_problem
 from .differentiable import INSTEAD
 from .engine.found import Iteration
 from .guess import Guess
@@ -114,12 +114,19 @@ def solve(
     require_concrete("solve", start, end, horizon, problem, guess, parameters, instead=INSTEAD)
     if accuracy is not None:
         check_accuracy(accuracy)
-    if method is None and isinstance(problem, OptimalControlProblem):
-        method = Gauss(DEFAULT_STAGES, default_retraction(problem.manifold))
     if steps is None:
         steps, accuracy = DEFAULT_STEPS, DEFAULT_ACCURACY if accuracy is None else accuracy
-    solver, given = Solver(problem, method, steps), Given(start, end, horizon, parameters)
+    solver, given = (
+        Solver(problem, _default_method(problem) if method is None else method, steps),
+        Given(start, end, horizon, parameters),
+    )
     options = Options.of(tolerance, max_iterations, callback, verbose)
     request = Request.of(solver.reader, given, guess, options, classification, integrator)
     found = solver.solved(request) if accuracy is None else Refinement(solver, request, accuracy).solve()
     return found.require_success() if throw else found
+
+
+def _default_method(problem: OptimalControlProblem) -> Method:
+    """The method of order 6 in the default retraction; raises ``InvalidInputError`` for what is no problem."""
+    require_problem(problem)
+    return Gauss(DEFAULT_STAGES, default_retraction(problem.manifold))
