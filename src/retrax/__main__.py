@@ -3,6 +3,7 @@
 import os
 import platform
 from importlib.metadata import PackageNotFoundError, version
+from typing import Any
 
 import jax
 
@@ -22,16 +23,17 @@ def installed(package: str) -> str:
 
 def main() -> None:
     """Print them."""
+    config: Any = jax.config
     rows = {
         "retrax": __version__,
         "Python": f"{platform.python_version()} on {platform.platform()}",
         **{package: installed(package) for package in PACKAGES},
         "evaluator": "tape" if installed("numba") != "not installed" else "xla, because Numba is not installed",
-        "precision": "double" if jax.config.read("jax_enable_x64") else "single, until jax_enable_x64 is set",
+        "precision": "double" if config.jax_enable_x64 else "single, until jax_enable_x64 is set",
         "devices of JAX": ", ".join(str(device) for device in jax.devices()),
         "threads": f"{os.cpu_count()} processors",
         "kernels kept in": os.environ.get("NUMBA_CACHE_DIR") or "__pycache__ beside the files of retrax",
-        "XLA programs kept in": jax.config.read("jax_compilation_cache_dir") or "no folder",
+        "XLA programs kept in": config.jax_compilation_cache_dir or "no folder",
         **{name: value for name, value in sorted(os.environ.items()) if name.startswith(VARIABLES)},
     }
     width = max(map(len, rows))
