@@ -6,6 +6,7 @@ from typing import Any, Self, final
 
 import numpy as np
 
+from ...former_names import former_field
 from ...manifolds.numerics.precision import default_tolerance
 from .engine.diagnosis import Diagnostics
 
@@ -22,16 +23,16 @@ def _spread(values: np.ndarray) -> float:
 class Checks(ABC):
     """What a user checks on a solution, regular or singular. Spreads are maximum minus minimum.
 
-    ``gap``: largest distance, in the ambient space, between ends of steps that should meet, boundary included, entry by
-    entry relative to the spread of the trajectory in it. ``stationarity``: by how much the other conditions of
-    optimality are violated, relative. ``violations``: of each equation of the manifold, the largest at the nodes (for a
-    rotation, the orthogonality error). ``hamiltonian``: value at the first stage, spread over the stages, and size, the
-    largest of its parts ``<p, X>`` and ``F``, no less than their rounding. ``momentum_spreads``: for each factor on
-    which a group acts, largest spread of a component of its momentum over the nodes; ``conserved``: how many of its
-    components are constant along this extremal, whose brackets ``{J, H}`` vanish there.
+    ``defect``: largest distance, in the ambient space, between the end of a step and the start of the next, boundary
+    included, entry by entry relative to the spread of the trajectory in the entry. ``stationarity``: by how much the
+    other conditions of optimality are violated, relative. ``violations``: of each equation of the manifold, the largest
+    at the nodes (for a rotation, the orthogonality error). ``hamiltonian``: value at the first stage, spread over the
+    stages, and size, the largest of its parts ``<p, X>`` and ``F``, no less than their rounding. ``momentum_spreads``:
+    for each factor on which a group acts, largest spread of a component of its momentum over the nodes; ``conserved``:
+    how many of its components are constant along this extremal, whose brackets ``{J, H}`` vanish there.
     """
 
-    gap: float
+    defect: float
     stationarity: float
     violations: dict[str, float]
     hamiltonian: float
@@ -41,11 +42,11 @@ class Checks(ABC):
     conserved: dict[str, int]
 
     @classmethod
-    def of(cls, diagnostics: Diagnostics, gap: float, stationarity: float, **more: Any) -> Self:
+    def of(cls, diagnostics: Diagnostics, defect: float, stationarity: float, **more: Any) -> Self:
         """The checks from the diagnostics of a trajectory, in NumPy arrays, and what its solver knows."""
         hamiltonians, tolerance = diagnostics.hamiltonians, default_tolerance()
         return cls(
-            gap=gap,
+            defect=defect,
             stationarity=stationarity,
             violations={name: float(value) for name, value in diagnostics.violations.items()},
             hamiltonian=float(hamiltonians[0]),
@@ -56,13 +57,16 @@ class Checks(ABC):
             **more,
         )
 
+    gap = former_field("checks", "gap", "defect")
+    constraint = former_field("checks", "constraint", "manifold_violation")
+
     @property
     @abstractmethod
     def strict_minimum(self) -> bool:
         """Whether the extremal is shown to be a strict local minimum of the discrete problem."""
 
     @property
-    def constraint(self) -> float:
+    def manifold_violation(self) -> float:
         """Largest violation of the manifold's equations at the nodes."""
         return max(self.violations.values(), default=0.0)
 

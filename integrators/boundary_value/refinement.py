@@ -141,7 +141,7 @@ class Refinement:
         """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than
         rounding."""
         errors, checks = found.errors, found.solution.checks
-        left = (checks.gap, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.gap,)
+        left = (checks.defect, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.defect,)
         return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))
 
     def _on(self, problem: OptimalControlProblem, steps: Any, given: Given, guess: Any) -> Solution:

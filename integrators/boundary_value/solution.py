@@ -207,7 +207,7 @@ class Solution:
         span = f"times={self.times[0]:.6g}..{self.times[-1]:.6g}" if len(self.times) else "times=[]"
         arrays = [f"{name}={shapes(getattr(self, name))}" for name in ("states", "costates", "controls", "momenta")]
         kind = "" if self.singular is None else f"singular, on P_f of dimension {self.singular.dimension}; "
-        checks = f"gap={self.checks.gap:.1e}, stationarity={self.checks.stationarity:.1e}"
+        checks = f"defect={self.checks.defect:.1e}, stationarity={self.checks.stationarity:.1e}"
         parts = [
             f"status={self.status!r}, cost={self.cost:.12g}, steps={self.steps}, {span}",
             *arrays,

@@ -24,11 +24,11 @@ def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
     yield "cost", f"{solution.cost:.12g}{_unit(solution, 'cost')}"
     if solution.singular is not None:
         yield from _singular(solution.singular)
-        yield "residual", f"gap {checks.gap:.1e}, equations of P_f {checks.stationarity:.1e} (relative)"
+        yield "residual", f"defect {checks.defect:.1e}, equations of P_f {checks.stationarity:.1e} (relative)"
         return
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
-    yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
+    yield "KKT residual", f"defect {checks.defect:.1e}, stationarity {checks.stationarity:.1e} (relative)"
     if isinstance(checks, RegularChecks) and checks.error is not None:
         yield "accuracy", f"error of the steps {checks.error:.1e} (relative, the sum)"
         for name, largest in checks.between.items():

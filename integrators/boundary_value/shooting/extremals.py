@@ -262,7 +262,7 @@ def _record(
         result=result,
         checks=SingularChecks.of(
             diagnostics,
-            gap=max(float(found.at.distance), *arc.conditions.values()),
+            defect=max(float(found.at.distance), *arc.conditions.values()),
             stationarity=float(outcome.residual),
         ),
         statistics=Statistics(found.iterations, *seconds, bool(found.result == Result.stopped)),

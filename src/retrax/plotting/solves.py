@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> Any:
-    """Gap, stationarity and, with inequalities, violation and barrier of each iteration of a solve.
+    """Defect, stationarity and, with inequalities, violation and barrier of each iteration of a solve.
 
     ``iterations``: what its ``callback`` was given, ``solve(..., callback=iterations.append)``; ``member`` of a batch.
     Zeros are drawn at the rounding of 1. Returns the axes; raises ``InvalidInputError`` where there is no iteration of
@@ -27,9 +27,9 @@ def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> A
             "solve(..., callback=iterations.append)"
         )
     axis, numbers = one(ax), [number for number, _, _ in kept]
-    for name in ("gap", "stationarity", "violation", "barrier"):
+    for name in ("defect", "stationarity", "violation", "barrier"):
         values = np.array([getattr(it, name)[place] for _, place, it in kept])
-        if name in ("gap", "stationarity") or np.any(values > 0):
+        if name in ("defect", "stationarity") or np.any(values > 0):
             axis.semilogy(numbers, np.maximum(values, EPS), "o-", label=name, markersize=4)
     axis.set_xlabel("iteration")
     axis.set_ylabel("relative residual")
