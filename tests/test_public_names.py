@@ -23,6 +23,7 @@ ROOMS = (
     "manifolds.symplectic",
     "retractions",
     "integrators",
+    "integrators.singular",
     "problems",
     "sweeps",
     "plotting",

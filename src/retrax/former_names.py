@@ -3,6 +3,7 @@
 import warnings
 from collections.abc import Mapping
 from importlib import import_module
+from operator import attrgetter
 from typing import Any
 
 
@@ -14,7 +15,7 @@ def former(module: str, names: Mapping[str, str], name: str) -> Any:
     if name not in names:
         raise AttributeError(f"module {module!r} has no attribute {name!r}")
     warnings.warn(f"{module}.{name} is deprecated; use {names[name]}", DeprecationWarning, stacklevel=3)
-    return getattr(import_module(module), names[name])
+    return attrgetter(names[name])(import_module(module))
 
 
 def former_field(owner: str, former_name: str, name: str) -> property:

@@ -19,7 +19,8 @@ from retrax.integrators import (
     solve,
 )
 from retrax.integrators.boundary_value.shooting.legendre import second_order
-from retrax.integrators.singular import Classification, RattleIntegrator, singular_integrator
+from retrax.integrators.singular import Classification, singular_integrator
+from retrax.integrators.singular.strategies import RattleIntegrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, Theta
