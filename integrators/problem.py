@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
 from ..indices import require_indices
@@ -21,6 +22,7 @@ from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import digest
 from .constraints import Constraint, Inequalities, constraint_words, node_words
+from .control_use import warn_of_broadcast
 from .controls import resting_control, within_bounds
 from .costs import is_steep, require_cost
 from .functions import Bound, in_precision, real_number, shapes_in, with_last
@@ -345,10 +347,8 @@ class OptimalControlProblem(Module):
     def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
         """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
         if not same_manifold(discretization.manifold, self.manifold):
-            raise InvalidInputError(
-                f"the discretization acts on {discretization.manifold}, the problem on {self.manifold}; use one "
-                "manifold"
-            )
+            came, expected = discretization.manifold, self.manifold
+            raise InvalidInputError(f"the method acts on {came}, the problem on {expected}; use one manifold")
 
     def check(self, q: Ambient, u: Ambient) -> None:
         """Raise if the functions return something of the wrong kind at ``(q, u)``, or are not smooth in the controls
@@ -376,9 +376,9 @@ class OptimalControlProblem(Module):
         """
         return is_steep(self, fixed)
 
-    def require_values(self) -> None:
-        """Raise if the functions cannot be called with a point and a control, read entries that these do not have, or
-        return something of another kind."""
+    def require_values(self) -> ClosedJaxpr:
+        """The program of all functions of a point and a control; raises if they cannot be called, read entries that
+        these do not have, or return something of another kind."""
         q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (self.manifold, self.controls))
         try:
             program = traced(self._values, q, u)
@@ -387,6 +387,8 @@ class OptimalControlProblem(Module):
         except FAILURES as error:
             raise InvalidInputError(failure_words(self, error, q, u)) from error
         require_indices(program, "a function of the problem")
+        warn_of_broadcast(program)
+        return program
 
 
 def is_same_problem(a: object, b: object) -> bool:

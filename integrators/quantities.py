@@ -89,6 +89,14 @@ class Quantities:
 
         return cls(own("q", states), own("u", controls))
 
+    def factors(self, count: int) -> list[str]:
+        """Names of the ``count`` factors of a state: their labels, or ``factor 0`` where a factor has none."""
+        names = [f"factor {k}" for k in range(count)]
+        if len(self.states) == count:
+            pairs = zip(names, self.states, _names("q", self.states), strict=True)
+            names = [name if own.name == default else own.name for name, own, default in pairs]
+        return names
+
     @property
     def text(self) -> str:
         """What a file holds of them."""

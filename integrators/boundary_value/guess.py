@@ -66,7 +66,7 @@ class Guess(NamedTuple):
             raise InvalidInputError(
                 f"a guess goes through at least two points, got {len(given)}; give the start, the end and more"
             )
-        rows, shares = np.stack([*map(EndReader(problem.manifold).point, given)]), _shares(times, len(given))
+        rows, shares = np.stack([*map(EndReader.of(problem).point, given)]), _shares(times, len(given))
         return through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
 
     def __repr__(self) -> str:
@@ -84,7 +84,7 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
     walk sets out in a direction that is random but always the same: there are several ways round, and this is one of
     them. Controls rest, costates are zero. Raises ``DomainError`` if no curve arrives near the end.
     """
-    ends = EndReader(problem.manifold).ends(start, end, batched=False)
+    ends = EndReader.of(problem).ends(start, end, batched=False)
     ends.require_known(start)
     rows, shares = np.concatenate([ends.start, ends.end]), np.array([0.0, 1.0])
     return through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
@@ -127,7 +127,7 @@ def rolled_out(
     problem.require_treated("Guess.from_controls", *ALONG, *BETWEEN)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
-    begin = EndReader(problem.manifold).point(start)
+    begin = EndReader.of(problem).point(start)
     fractions, layout, control = fractions_of(steps), Layout.of(problem.manifold), Layout.of(problem.controls)
     places = stage_places(method, fractions)
     if callable(controls):

@@ -67,7 +67,7 @@ def _repeated(count: int, leaf: Any) -> Any:
 def _guesses(solver: Solver, start: Any, end: Any, count: int, seed: int) -> list[Guess]:
     """The guesses."""
     problem, method, steps = solver.problem, solver.method, solver.fractions
-    ends, layout = EndReader(problem.manifold).ends(start, end, batched=False), Layout.of(problem.manifold)
+    ends, layout = EndReader.of(problem).ends(start, end, batched=False), Layout.of(problem.manifold)
     ends.require_known(start)
     first, last = layout.points(ends.start[0]), layout.points(ends.end[0])
     ways, guesses = Start(problem.manifold, method.retraction), list[Guess]()
