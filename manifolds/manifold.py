@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..module import Module
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.attribute import attribute
@@ -39,7 +40,7 @@ class Verdict:
         return self.holds
 
 
-class Manifold(eqx.Module):
+class Manifold(Module):
     """An ``n``-dimensional manifold embedded in a vector space of arrays.
 
     Points, tangent vectors and covectors are ambient arrays (pytrees for products) of one shape. Covectors pair with

@@ -3,9 +3,9 @@
 from abc import abstractmethod
 from typing import Any, ClassVar, final
 
-import equinox as eqx
 from jaxtyping import Array
 
+from ..module import Module
 from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient
@@ -13,7 +13,7 @@ from .numerics.attribute import attribute
 from .numerics.shapes import check_shapes
 
 
-class Metric(eqx.Module):
+class Metric(Module):
     """A Riemannian metric ``g`` on a manifold.
 
     It is not the pairing of covectors with vectors, which is the sum of products of entries whatever the metric.

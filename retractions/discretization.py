@@ -8,18 +8,20 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from ..errors import concise
 from ..manifolds import DomainError, InvalidInputError, Manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.attribute import attribute
 from ..manifolds.numerics.root import find_root
+from ..module import Module
 from .constructions import PowerRetraction, ProductRetraction
 from .retraction import MidpointRetraction, Retraction, is_reached, nan_unless
 
 Pair = tuple[Ambient, Ambient]
 
 
-class DiscretizationMap(eqx.Module):
+class DiscretizationMap(Module):
     """A map ``R_d = (R1, R2): TM -> M x M`` with (i) ``R_d(x, 0) = (x, x)``; (ii) ``D_v R2(x, 0) - D_v R1(x, 0) = Id``.
 
     It turns a tangent vector, base point and velocity times step, into the two ends of a step
@@ -165,11 +167,13 @@ class Theta(DiscretizationMap):
         return newton_preimage(self, x0, x1)
 
 
+@concise
 def Euler(retraction: Retraction) -> Theta:
     """Explicit Euler: ``R_d(x, v) = (x, R(x, v))``."""
     return Theta(retraction, 0.0)
 
 
+@concise
 def Midpoint(retraction: Retraction) -> Theta:
     """Midpoint rule: ``R_d(x, v) = (R(x, -v/2), R(x, v/2))``; symmetric, of order 2."""
     return Theta(retraction, 0.5)

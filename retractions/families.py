@@ -106,11 +106,11 @@ class RetractionFamily:
         return self._member(manifold) is not None
 
     def __call__(self, manifold: Manifold | None = None) -> Retraction:
-        if manifold is None:
-            raise InvalidInputError(f"{self.name} takes a manifold, got none; try {self.name}(problem.manifold)")
-        if isinstance(manifold, type):
-            own = manifold.__name__
-            raise InvalidInputError(f"{self.name} takes a manifold, got the class {own}; try {self.name}({own}(...))")
+        if not isinstance(manifold, Manifold):
+            own = manifold.__name__ if isinstance(manifold, type) else ""
+            came = f"the class {own}" if own else "none" if manifold is None else repr(manifold)
+            hint = f"{own}(...)" if own else "problem.manifold"
+            raise InvalidInputError(f"{self.name} takes a manifold, got {came}; try {self.name}({hint})")
         if isinstance(manifold, Product):
             return ProductRetraction(*(self(factor) for factor in manifold.factors))
         if isinstance(manifold, Power):

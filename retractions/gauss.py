@@ -12,11 +12,12 @@ from numpy.polynomial.legendre import leggauss, legvander
 
 from ..manifolds import InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient, is_count
+from ..module import Module
 from .retraction import Retraction
 
 
 @final
-class Gauss(eqx.Module):
+class Gauss(Module):
     """Collocation at ``s`` Gauss-Legendre nodes in the chart of a retraction ``R`` around a point ``x`` amid the step.
 
     With the tableau ``b, c, A`` of the classical method [Hairer, Lubich, Wanner, Geometric Numerical Integration, 2006,

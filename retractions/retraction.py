@@ -18,12 +18,13 @@ from ..manifolds.numerics.errors import NotOnManifoldError
 from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, known_root
 from ..manifolds.numerics.shapes import require_shapes
+from ..module import Module
 
 DERIVED = ("preimage", "domain", "frame", "chart", "both_ways")
 ROUNDING = 8  # units of it in the entries of a point, by which the value of an inverse may miss it anywhere
 
 
-class Retraction(eqx.Module):
+class Retraction(Module):
     """A retraction ``R: TM -> M``: (i) ``R(x, 0) = x``; (ii) ``D_v R(x, 0) = Id`` [Absil, Mahony, Sepulchre 2008, 4.1].
 
     However long ``v`` is, ``R(x, v)`` is a point of the manifold to rounding, or not finite. Subclass it with

@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from ...module import Module
 from ..manifold import Manifold
 from ..numerics import ambient as vec
 from ..numerics.ambient import Ambient, Frame, is_traced
@@ -28,7 +29,7 @@ ISOTROPY = 0.575
 
 
 @final
-class Immersion(eqx.Module):
+class Immersion(Module):
     """An immersed submanifold ``i: L -> M`` of a presymplectic manifold: a smooth function on a manifold ``source``.
 
     Raises ``InvalidInputError`` for parts of another kind.

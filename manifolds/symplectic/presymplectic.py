@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...module import Module
 from ..manifold import Manifold
 from ..numerics import ambient as vec
 from ..numerics.ambient import Ambient, Frame
@@ -15,7 +16,7 @@ from .forms import TwoForm, form_matrix
 
 
 @final
-class PresymplecticManifold(eqx.Module):
+class PresymplecticManifold(Module):
     """A manifold ``M`` with a closed two-form ``omega``, a function ``form(x, a, b)`` of a point and two tangent
     vectors.
 

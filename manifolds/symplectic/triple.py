@@ -8,8 +8,7 @@ bundles, where every covector is stored as its tangent representative.
 
 from typing import final
 
-import equinox as eqx
-
+from ...module import Module
 from ..bundles import CotangentBundle, TangentBundle
 from ..manifold import Manifold
 from ..numerics import ambient as vec
@@ -79,7 +78,7 @@ def Phi_inverse(q: Pair, p: Pair) -> tuple[Pair, Pair]:
 
 
 @final
-class TulczyjewTriple(eqx.Module):
+class TulczyjewTriple(Module):
     """``T*TQ <-alpha^-1- TT*Q -beta-> T*T*Q`` over an embedded manifold ``Q``.
 
     Points of the three bundles are nested pairs: ``((q, v), (p_q, p_v))``, ``((q, p), (qdot, pdot))``, ``((q, p), (P_q,
