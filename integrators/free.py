@@ -7,6 +7,7 @@ import numpy as np
 
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_traced
+from .text import brief
 
 
 @final
@@ -35,12 +36,12 @@ class Free:
                 )
             object.__setattr__(self, name, array if array.shape else float(array))
         if not np.all(np.isfinite(arrays["guess"])):
-            raise InvalidInputError(f"Free: guess must be finite, got {guess!r:.80}")
+            raise InvalidInputError(f"Free: guess must be finite, got {brief(guess)}")
         if not np.all(arrays["lower"] < arrays["upper"]):
-            raise InvalidInputError(f"Free: lower must be less than upper, got {lower!r:.80} and {upper!r:.80}")
+            raise InvalidInputError(f"Free: lower must be less than upper, got {brief(lower)} and {brief(upper)}")
         if not np.all((arrays["lower"] <= arrays["guess"]) & (arrays["guess"] <= arrays["upper"])):
             raise InvalidInputError(
-                f"Free: guess must lie between lower and upper, got {guess!r:.80}, {lower!r:.80}, {upper!r:.80}"
+                f"Free: guess must lie between lower and upper, got {brief(guess)}, {brief(lower)}, {brief(upper)}"
             )
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -87,9 +88,9 @@ def _real(name: str, value: Any) -> np.ndarray:
             if parts
             else ""
         )
-        raise InvalidInputError(f"Free: {name} must be a number or an array, got {value!r:.80}{hint}") from error
+        raise InvalidInputError(f"Free: {name} must be a number or an array, got {brief(value)}{hint}") from error
     if array.dtype.kind not in "fiu" or np.any(np.isnan(array)):
-        raise InvalidInputError(f"Free: {name} must be a real number or an array of them, got {value!r:.80}")
+        raise InvalidInputError(f"Free: {name} must be a real number or an array of them, got {brief(value)}")
     array = np.array(array, float)
     array.setflags(write=False)
     return array

@@ -9,6 +9,7 @@ from typing import Any, Self, final
 import jax
 
 from ..manifolds import InvalidInputError, Manifold, Product
+from .text import brief
 
 ABOUT = "states", "controls"
 UNITS = (*ABOUT, "time", "cost")
@@ -111,7 +112,7 @@ class Quantities:
             rest: Any = {name: _word(name, value) for name, value in values.items()}
             return cls(**own, **rest)
         except (ValueError, TypeError, KeyError, AttributeError) as error:
-            raise InvalidInputError(f"quantities are {text!r:.60}, expected names and units ({error})") from error
+            raise InvalidInputError(f"quantities are {brief(text)}, expected names and units ({error})") from error
 
     def require_fits(self, what: str, states: Any, controls: Any) -> None:
         """Raise unless arrays along a leading axis have as many entries as there are names for them."""
@@ -151,7 +152,7 @@ def _checked(what: str, given: Any, expected: tuple[str, ...]) -> dict[str, Any]
         return {}
     if not isinstance(given, Mapping) or not set(given) <= set(expected):
         raise InvalidInputError(
-            f"{what} must be a dictionary with keys among {', '.join(map(repr, expected))}, got {given!r:.80}; try "
+            f"{what} must be a dictionary with keys among {', '.join(map(repr, expected))}, got {brief(given)}; try "
             f'{what}={{"controls": "{"torque" if what == "labels" else "N m"}"}}'
         )
     return dict(given)
@@ -173,7 +174,7 @@ def _each(what: str, given: Any, arrays: list[tuple[str, tuple[int, ...]]]) -> l
         return [given]
     if not isinstance(given, list | tuple) or len(given) != len(arrays):
         spaces = ", ".join(space for space, _ in arrays)
-        raise InvalidInputError(f"{what} must be a tuple with one entry for each of {spaces}, got {given!r:.80}")
+        raise InvalidInputError(f"{what} must be a tuple with one entry for each of {spaces}, got {brief(given)}")
     return list(given)
 
 
@@ -204,14 +205,14 @@ def _several(what: str, given: Any, space: str, places: tuple[str, ...]) -> tupl
     ):
         raise InvalidInputError(
             f"{what} of {space} must be a text, or a tuple of {len(places)} texts, one for each of its entries, got "
-            f"{given!r:.80}"
+            f"{brief(given)}"
         )
     return tuple(given)
 
 
 def _word(what: str, given: Any) -> str:
     if not isinstance(given, str):
-        raise InvalidInputError(f"{what} must be a text, got {given!r:.80}")
+        raise InvalidInputError(f"{what} must be a text, got {brief(given)}")
     return given
 
 

@@ -10,6 +10,7 @@ from ...manifolds import InvalidInputError, Manifold
 from ...retractions import Retraction
 from ..archives import archived
 from ..records import HEAD
+from ..text import brief
 
 if TYPE_CHECKING:
     from .solution import Solution
@@ -63,7 +64,7 @@ def _unpacked(path: Path, folder: Path) -> list[Path]:
     if head != f"{SCHEMA}\n{count} members\n" or sorted(content) != sorted(expected) or not count:
         begins = head.partition("\n")[0]
         raise InvalidInputError(
-            f"{path} is not a saved batch: it begins with {begins!r:.60} and has {len(names)} entries, expected "
+            f"{path} is not a saved batch: it begins with {brief(begins)} and has {len(names)} entries, expected "
             f"{SCHEMA!r} and a file for each of one or more members, from Solutions.save; try load_solution for a "
             "single one"
         )

@@ -17,6 +17,7 @@ from ..free import guessed, is_free
 from ..layout import Layout
 from ..options import known_options
 from ..results import Result
+from ..text import brief
 from .arguments import Given
 from .differentiable import pushed
 from .engine.found import stops
@@ -95,7 +96,7 @@ def continuation(
     """
     if not (isinstance(solver, Solver) and callable(path)):
         raise InvalidInputError(
-            f"continuation takes a Solver and a path, a function of a number, got {solver!r:.60}, {path!r:.60}"
+            f"continuation takes a Solver and a path, a function of a number, got {brief(solver)}, {brief(path)}"
         )
     if not (is_finite_number(smallest_step) and 0 < smallest_step <= 1):
         raise InvalidInputError(f"smallest_step must be a number in (0, 1], got {smallest_step!r}")
@@ -136,7 +137,7 @@ def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:
     given = path(place)
     names = {"start", "end", "horizon"}
     if not isinstance(given, dict) or not names <= set(given) <= set(Given._fields):
-        came = sorted(map(str, given)) if isinstance(given, dict) else f"{given!r:.60}"
+        came = sorted(map(str, given)) if isinstance(given, dict) else f"{brief(given)}"
         raise InvalidInputError(
             f"the path returned {came} at {place:.6g}, expected a dictionary with start, end, horizon and, where "
             "functions take them, parameters"

@@ -19,6 +19,7 @@ from ..free import Free, guessed, is_free
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from ..quantities import Quantities
+from ..text import brief
 
 
 class Part(NamedTuple):
@@ -152,7 +153,7 @@ class EndReader:
         """A flat point, nothing of which is free. Raises ``NotOnManifoldError`` for what is none."""
         ends = self.ends(given, None, batched=False)
         if not np.all(ends.prescribed[0].entries):
-            raise NotOnManifoldError(f"start: a part of {given!r:.80} is free, expected a point of {self.manifold}")
+            raise NotOnManifoldError(f"start: a part of {brief(given)} is free, expected a point of {self.manifold}")
         self.require_on_manifold(given, None)
         return ends.start[0]
 

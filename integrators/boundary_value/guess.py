@@ -14,6 +14,7 @@ from ..controls import resting_control
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from ..records import shapes
+from ..text import brief
 from .arguments import ALONG, BETWEEN, Method, check_problem, fractions_of
 from .end_points import EndReader
 from .engine.rollout import RollOut
@@ -115,7 +116,7 @@ def _shares(times: Any, count: int) -> np.ndarray:
         or not np.all(np.diff(given) > 0)
         or not np.all(np.isfinite(given))
     ):
-        raise InvalidInputError(f"times must be {count} ascending numbers, one for each point, got {times!r:.80}")
+        raise InvalidInputError(f"times must be {count} ascending numbers, one for each point, got {brief(times)}")
     return (given - given[0]) / (given[-1] - given[0])
 
 

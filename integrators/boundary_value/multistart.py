@@ -12,6 +12,7 @@ from ..free import Free, is_free
 from ..functions import require_concrete
 from ..layout import Layout
 from ..options import known_options
+from ..text import brief
 from .end_points import EndReader
 from .engine.start import Start
 from .guess import Guess, through
@@ -47,7 +48,7 @@ def multistart(
     """
     require_concrete("multistart", start, end, horizon, parameters)
     if not isinstance(solver, Solver):
-        raise InvalidInputError(f"multistart takes a Solver, got {solver!r:.60}; try Solver(problem, method, steps)")
+        raise InvalidInputError(f"multistart takes a Solver, got {brief(solver)}; try Solver(problem, method, steps)")
     for name, value, least in (("count", count, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InvalidInputError(f"{name} must be a whole number of at least {least}, got {value!r}")

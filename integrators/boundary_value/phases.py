@@ -251,13 +251,13 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
         duration = guessed(phase.duration)
         if not (is_finite_number(duration) and duration > 0):
             raise InvalidInputError(
-                f"phase {k}: duration must be a positive finite time, or Free, got {phase.duration!r:.80}"
+                f"phase {k}: duration must be a positive finite time, or Free, got {brief(phase.duration)}"
             )
     if guess is None:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):
         raise InvalidInputError(
-            f"guess must be a PhasedSolution of {many(len(phases), 'phase')}, got {guess!r:.80}; try what "
+            f"guess must be a PhasedSolution of {many(len(phases), 'phase')}, got {brief(guess)}; try what "
             "solve_phases returned for phases like these"
         )
     return [_near(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]
@@ -281,13 +281,13 @@ def _checked_links(links: Any, phases: list[Phase]) -> list[Any]:
     if not (isinstance(given, Sequence) and len(given) in (count - 1, count)):
         raise InvalidInputError(
             f"links must be a list of {count - 1}, one from each phase to the next, or one more from the last to the "
-            f"first, got {links!r:.80}"
+            f"first, got {brief(links)}"
         )
     for k, link in enumerate(given):
         if not (isinstance(link, bool) or callable(link)):
             raise InvalidInputError(
                 f"links[{k}] must be True for a continuous state, a function of the state before it, or False, got "
-                f"{link!r:.80}"
+                f"{brief(link)}"
             )
         one, other = (phases[at].problem.manifold for at in (k, (k + 1) % count))
         if link is True and one.ambient != other.ambient:
@@ -304,6 +304,6 @@ def _checked_constraints(given: Any, count: int) -> dict[str, Any]:
     for name, function in zip(functions.names, functions.functions, strict=True):
         if not callable(function):
             raise InvalidInputError(
-                f"{boundary_words(name)} must be a function of the ends of all phases, got {function!r:.80}"
+                f"{boundary_words(name)} must be a function of the ends of all phases, got {brief(function)}"
             )
     return dict(zip(functions.names, functions.functions, strict=True))

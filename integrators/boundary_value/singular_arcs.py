@@ -11,6 +11,7 @@ from ...manifolds import Euclidean, InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ..problem import OptimalControlProblem
 from ..singular import Classification, classify
+from ..text import brief
 from .control_curvature import ControlCurvature
 from .shooting.legendre import second_order
 from .solution import Solution
@@ -66,7 +67,7 @@ def find_singular_arcs(problem: OptimalControlProblem, solution: Solution) -> li
     ``Solution``.
     """
     if not isinstance(solution, Solution):
-        raise InvalidInputError(f"find_singular_arcs takes a Solution, got {solution!r:.80}; try what solve returns")
+        raise InvalidInputError(f"find_singular_arcs takes a Solution, got {brief(solution)}; try what solve returns")
     problem = problem.with_parameters(solution.parameters) if problem.takes_parameters else problem
     if problem.time_dependent:
         raise InvalidInputError(

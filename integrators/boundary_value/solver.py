@@ -18,6 +18,7 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
+from ..text import brief
 from ..unchanged import Unchanged
 from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
 from .differentiable import INSTEAD, DifferentiableSolution, extremal_of
@@ -295,7 +296,7 @@ class Solver:
         if not isinstance(solution, Solution) or solution not in self._kept or not solution.success:
             raise InvalidInputError(
                 "sensitivity takes a solution with success of a regular problem that this solver found, got "
-                f"{solution!r:.80}; try solver.sensitivity(solver.solve(...)) with one and the same solver"
+                f"{brief(solution)}; try solver.sensitivity(solver.solve(...)) with one and the same solver"
             )
         kept = self._kept[solution]
         key, place = structure_of(kept.parameters), np.array([kept.place])

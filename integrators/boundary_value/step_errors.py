@@ -14,6 +14,7 @@ from ...reading import one_reading, reads_once
 from ..evaluated import Evaluated
 from ..evaluator import Automatic
 from ..problem import OptimalControlProblem
+from ..text import brief
 from .arguments import check_parameters
 from .control_curvature import ControlCurvature
 from .propagation import UNRESOLVED, Propagator
@@ -64,7 +65,7 @@ def step_errors(problem: OptimalControlProblem, solution: Solution, parameters: 
     if not isinstance(solution, Solution) or solution.interpolant is None or solution.singular is not None:
         raise InvalidInputError(
             "step_errors takes the solution of a regular problem that is known between its nodes, got "
-            f"{solution!r:.80}; try what solve returns, or load_solution(path, retraction)"
+            f"{brief(solution)}; try what solve returns, or load_solution(path, retraction)"
         )
     return Estimator(problem, solution.interpolant.retraction, parameters)(solution, parameters)
 

@@ -8,6 +8,7 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.tolerances import EPS
 from ..problem import OptimalControlProblem
+from ..text import brief
 from .solution import Solution
 
 CONTROL_AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
@@ -69,7 +70,7 @@ def switching_structure(problem: OptimalControlProblem, solution: Solution) -> S
     arc is longer than one step. Raises ``InvalidInputError`` for a problem without control bounds.
     """
     if not isinstance(solution, Solution):
-        raise InvalidInputError(f"switching_structure takes a Solution, got {solution!r:.80}; try what solve returns")
+        raise InvalidInputError(f"switching_structure takes a Solution, got {brief(solution)}; try what solve returns")
     if not any(problem.limits.bounded.values()):
         raise InvalidInputError(
             f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"

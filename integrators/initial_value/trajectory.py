@@ -20,6 +20,7 @@ from ..evaluator import check_evaluator
 from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
+from ..text import brief
 from .integrator import Integrator
 from .loop import Carry, Nodes, XlaSteps, advance, begin, node
 from .not_finite import not_finite_words
@@ -102,7 +103,7 @@ def _disagreement(values: dict[str, Any]) -> str:
     """What is wrong with the result of a trajectory, or with its numbers, all of which are finite."""
     result, failed = values["result"], values["failed_step"]
     if result not in _ENDS:
-        return f"the result is {result!r:.60}, expected one of {', '.join(_ENDS)}"
+        return f"the result is {brief(result)}, expected one of {', '.join(_ENDS)}"
     if failed < -1 or (failed >= 0) != (result in ("step_not_solved", "jump")):
         return f"the failed step is {failed} with the result {result}"
     return not_finite(values)

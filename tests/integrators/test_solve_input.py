@@ -60,9 +60,9 @@ def test_a_problem_is_made_of_manifolds_and_functions(options, words):
     [
         ({"problem": turning}, r"OptimalControlProblem, got <function"),
         ({"method": Exponential(SO3)}, r"discretization map, got GroupExponential.*Midpoint"),
-        ({"method": CotangentLift(MAP)}, r"discretization acts on .*the problem on"),
-        ({"method": Midpoint(Cayley(RIGID))}, r"discretization acts on .*the problem on"),
-        ({"method": Midpoint(Exponential(Euclidean(3)))}, r"discretization acts on .*the problem on"),
+        ({"method": CotangentLift(MAP)}, r"method acts on .*the problem on"),
+        ({"method": Midpoint(Cayley(RIGID))}, r"method acts on .*the problem on"),
+        ({"method": Midpoint(Exponential(Euclidean(3)))}, r"method acts on .*the problem on"),
         ({"horizon": 0}, "horizon must be a positive finite time, got 0"),
         ({"horizon": -1.0}, "horizon must be a positive finite time, got -1.0"),
         ({"horizon": float("nan")}, "horizon must be a positive finite time, got nan"),
@@ -169,7 +169,7 @@ def test_ends_that_are_both_free_need_a_guess():
 
 def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
     on_sphere = problem(lambda q, u: SPHERE.projection(q, u), manifold=SPHERE)
-    with pytest.raises(InvalidInputError, match=r"discretization acts on .*the problem on"):
+    with pytest.raises(InvalidInputError, match=r"method acts on .*the problem on"):
         solve(on_sphere, np.eye(3)[0], np.eye(3)[1], 1.0, method=Midpoint(Projection(ELLIPSOID)), steps=STEPS)
 
 

@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from ..channels import About, View, rotations, view
 from ..integrators import Solution
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 
 Scalar = Literal["first", "last"]
@@ -78,7 +79,7 @@ def _sampled(record: Any, found: View, at: Any) -> View:
     if isinstance(at, str) and at == "nodes":
         return found
     if isinstance(at, str) or not isinstance(record, Solution):
-        raise InvalidInputError(f'at must be "nodes", or times if the record is a Solution, got {at!r:.80}')
+        raise InvalidInputError(f'at must be "nodes", or times if the record is a Solution, got {brief(at)}')
     sample = record(np.ravel(at))
     return found._replace(times=sample.times, states=[np.asarray(leaf) for leaf in jax.tree.leaves(sample.states)])
 
@@ -131,7 +132,7 @@ def to_aem(
     words["TIME_SYSTEM"] = time_system
     for name, word in {**words, "ORIGINATOR": originator}.items():
         if not isinstance(word, str) or not word.strip() or "\n" in word:
-            raise InvalidInputError(f"{name} must be a text on one line, got {word!r:.80}")
+            raise InvalidInputError(f"{name} must be a text on one line, got {brief(word)}")
     stamps = [_stamp(epoch + timedelta(microseconds=round(1e6 * float(t)))) for t in found.times]
     if any(a >= b for a, b in pairwise(stamps)):
         raise InvalidInputError(
@@ -221,7 +222,7 @@ def _are_rotations(given: np.ndarray) -> bool:
 def _require_scalar(scalar: Any) -> None:
     if scalar not in ("first", "last"):
         raise InvalidInputError(
-            f"scalar must be 'first' or 'last', where the scalar part of a quaternion is, got {scalar!r:.80}"
+            f"scalar must be 'first' or 'last', where the scalar part of a quaternion is, got {brief(scalar)}"
         )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from ..channels import About, View, raw, view
 from ..integrators import Quantity, Solution, Solutions
 from ..integrators.quantities import with_unit
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..optional import needed
 
@@ -159,7 +160,7 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
         return found.stage_times, _named("", controls, found.controls)
     if not isinstance(record, Solution) or (words and at != "stages"):
         expected = '"nodes", "stages"' + (" or times" if isinstance(record, Solution) else "")
-        raise InvalidInputError(f"at must be {expected}, got {at!r:.80}")
+        raise InvalidInputError(f"at must be {expected}, got {brief(at)}")
     if words:
         times, parts, more = (
             found.stage_times,

@@ -8,6 +8,7 @@ import numpy as np
 from ..channels import Channel, control_channels, raw, view
 from ..integrators import OptimalControlProblem, Quantity, Solution
 from ..integrators.functions import require_concrete
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.tolerances import ACTIVE, EPS
 from ..reading import reads_once
@@ -138,5 +139,5 @@ def _bounds(axis: Any, problem: OptimalControlProblem | None, channel: Channel) 
 
 def _checked(solution: Any) -> Solution:
     if not isinstance(solution, Solution):
-        raise InvalidInputError(f"expected a Solution, got {solution!r:.80}; try one that solve returns")
+        raise InvalidInputError(f"expected a Solution, got {brief(solution)}; try one that solve returns")
     return solution

@@ -13,6 +13,7 @@ import numpy as np
 from ..channels import BODY, SPHERE, About, Channel, View, control_channels, state_channels, view
 from ..integrators import Solution
 from ..integrators.quantities import with_unit
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..optional import needed
 
@@ -84,7 +85,7 @@ def _checked(mesh: Any) -> _Body:
     if mesh is None:
         return _Body(BOX, np.array(SIDES), given=False)
     if not isinstance(mesh, Sequence) or len(mesh) != 2:
-        raise InvalidInputError(f"mesh must be a pair (vertices, triangles), got {mesh!r:.80}")
+        raise InvalidInputError(f"mesh must be a pair (vertices, triangles), got {brief(mesh)}")
     vertices, faces = np.asarray(mesh[0], float), np.asarray(mesh[1])
     fit = vertices.ndim == 2 and vertices.shape[1:] == (3,) and vertices.size > 0 and np.all(np.isfinite(vertices))
     whole = faces.ndim == 2 and faces.shape[1:] == (3,) and faces.dtype.kind in "iu"

@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ..integrators import Trajectory
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..reading import reads_once
 from .axes import one
@@ -67,5 +68,5 @@ def phase_portrait(
 
 def _checked(trajectory: Any) -> Trajectory:
     if not isinstance(trajectory, Trajectory) or np.ndim(trajectory.times) != 1:
-        raise InvalidInputError(f"expected a Trajectory, got {trajectory!r:.80}; try one that integrate returns")
+        raise InvalidInputError(f"expected a Trajectory, got {brief(trajectory)}; try one that integrate returns")
     return trajectory

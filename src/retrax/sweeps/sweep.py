@@ -11,6 +11,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from ..integrators.options import known_options
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError, RetraxError
 from ..manifolds.numerics.ambient import is_count
 from ..manifolds.numerics.precision import working_precision
@@ -86,15 +87,15 @@ def sweep(
 def _check(build: Any, count: Any, executor: Any, chunk: Any) -> None:
     if not callable(build):
         raise InvalidInputError(
-            f"build must be a function that returns a Study, got {build!r:.80}; try a function of a module"
+            f"build must be a function that returns a Study, got {brief(build)}; try a function of a module"
         )
     for name, value in (("count", count), ("chunk", chunk)):
         if not is_count(value):
-            raise InvalidInputError(f"{name} must be a whole number of at least 1, got {value!r:.80}")
+            raise InvalidInputError(f"{name} must be a whole number of at least 1, got {brief(value)}")
     if not (executor is None or callable(getattr(executor, "submit", None))):
         raise InvalidInputError(
-            f"executor must be a concurrent.futures.Executor or None, got {executor!r:.80}; try ProcessPoolExecutor(), "
-            "and client.get_executor() for a client of Dask"
+            f"executor must be a concurrent.futures.Executor or None, got {brief(executor)}; try "
+            "ProcessPoolExecutor(), and client.get_executor() for a client of Dask"
         )
 
 
