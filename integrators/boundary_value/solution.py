@@ -18,7 +18,7 @@ from .checks import RegularChecks, SingularChecks
 from .guess import Guess
 from .interpolation import Interpolant, Sample
 
-VERSION = 6  # of the file
+VERSION = 7  # of the file
 NAMED_ELSEWHERE = {
     "x": "states",
     "y": "states",
