@@ -237,7 +237,7 @@ def test_what_is_no_record_is_refused(record, kind, tmp_path):
 def test_another_version_is_refused_in_words(record, version, tmp_path):
     path, _ = saved(record[0], tmp_path)
     name = type(record[0]).__name__
-    expected = f"retrax.{name} {'6' if name == 'Solution' else '1'}"
+    expected = f"retrax.{name} {'7' if name == 'Solution' else '1'}"
     np.savez(path, **{**np.load(path), "schema": np.asarray(f"retrax.{name} {version}")})
     with pytest.raises(
         InvalidInputError, match=f"schema retrax.{name} {version}, where this version .* reads '{expected}'"
