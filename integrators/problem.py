@@ -32,9 +32,8 @@ from .probing import FAILURES, failure_words
 from .quantities import Quantities
 from .statement import statement
 
-Dynamics = Callable[[Any, Any], Any]
-RunningCost = Callable[[Any, Any], Any]
-TerminalCost = Callable[[Any], Any]
+# Any arguments: each takes the time and the parameters too where it wants them; ``require_arguments`` checks how many.
+Dynamics = RunningCost = TerminalCost = Callable[..., Any]
 
 
 @final

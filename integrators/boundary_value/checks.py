@@ -94,7 +94,7 @@ class RegularChecks(Checks):
     violation: float = 0.0
     complementarity: float = 0.0
     active: dict[str, int] = field(default_factory=dict)
-    error: float | None = None
+    error: float | Any = None
     between: dict[str, float] = field(default_factory=dict)
 
 
@@ -111,3 +111,8 @@ class SingularChecks(Checks):
     def strict_minimum(self) -> bool:
         """Not claimed: read ``singular.second_order``."""
         return False
+
+    @property
+    def error(self) -> float | Any:
+        """None: the steps of a singular extremal are not refined to an accuracy."""
+        return None

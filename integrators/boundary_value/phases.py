@@ -68,7 +68,7 @@ def solve_phases(
     phases: Sequence[Phase],
     links: Sequence[Any] | None = None,
     horizon: float | None = None,
-    boundary_constraints: Mapping[str, Callable[[Sequence[PhaseEnds]], Any]] | None = None,
+    boundary_constraints: Mapping[str, Callable[[list[PhaseEnds]], Any]] | None = None,
     guess: PhasedSolution | None = None,
     tolerance: float | None = None,
     max_iterations: int = 100,

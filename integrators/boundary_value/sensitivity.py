@@ -46,7 +46,7 @@ class Sensitivity:
 
     start: Derivative
     end: Derivative
-    horizon: Derivative | None
+    horizon: Derivative | Any
     parameters: Any
 
     @classmethod

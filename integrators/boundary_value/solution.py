@@ -87,12 +87,12 @@ class Solution:
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
-    states: Annotated[Any, Along("nodes")]
-    costates: Annotated[Any, Along("nodes", like="states")]
+    states: Annotated[np.ndarray | Any, Along("nodes")]
+    costates: Annotated[np.ndarray | Any, Along("nodes", like="states")]
     stage_times: Annotated[np.ndarray, Along("stages", ndim=1)]
-    stage_states: Annotated[Any, Along("stages", like="states")]
-    stage_costates: Annotated[Any, Along("stages", like="states")]
-    controls: Annotated[Any, Along("stages")]
+    stage_states: Annotated[np.ndarray | Any, Along("stages", like="states")]
+    stage_costates: Annotated[np.ndarray | Any, Along("stages", like="states")]
+    controls: Annotated[np.ndarray | Any, Along("stages")]
     hamiltonians: Annotated[np.ndarray, Along("stages", ndim=1)]
     momenta: Annotated[dict[str, np.ndarray], Along("nodes", ndim=2)]
     body_costates: Annotated[dict[str, np.ndarray], Along("nodes")]
@@ -107,7 +107,7 @@ class Solution:
     node_multipliers: Annotated[dict[str, np.ndarray], Along("nodes", ndim=2)] = field(default_factory=dict)
     parameters: Annotated[Any, Values()] = None
     interpolant: Interpolant | None = field(default=None, repr=False)
-    quantities: Quantities | None = None
+    quantities: Quantities | Any = None
 
     def __post_init__(self) -> None:
         _write_protect(vars(self))
@@ -134,17 +134,17 @@ class Solution:
         return self.times
 
     @property
-    def q(self) -> Any:
+    def q(self) -> np.ndarray | Any:
         """The states at the nodes, ``states``."""
         return self.states
 
     @property
-    def p(self) -> Any:
+    def p(self) -> np.ndarray | Any:
         """The costates at the nodes, ``costates``."""
         return self.costates
 
     @property
-    def u(self) -> Any:
+    def u(self) -> np.ndarray | Any:
         """The controls at the stages, ``controls``."""
         return self.controls
 

@@ -13,7 +13,7 @@ from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import taken
 from ...reading import is_reading, one_reading, reads_once
 from ..evaluator import chosen
-from ..free import is_free
+from ..free import Free, is_free
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
@@ -175,7 +175,7 @@ class Solver:
         self,
         start: Any,
         end: Any,
-        horizon: float,
+        horizon: float | Free,
         guess: Guess | Solution | None = None,
         parameters: Any = None,
         tolerance: float | None = None,

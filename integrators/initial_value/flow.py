@@ -3,7 +3,7 @@
 from typing import Any, final
 from weakref import finalize
 
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike
 
 from ...manifolds.numerics.ambient import Ambient
 from ...reading import Reading, resumed
@@ -52,7 +52,7 @@ class Flow:
     def integrate(
         self,
         start: tuple[Ambient, Ambient],
-        step_size: float,
+        step_size: float | Array,
         steps: int,
         save_every: int = 1,
         throw: bool = True,

@@ -129,7 +129,7 @@ def integrate(
     system: Any,
     integrator: Integrator,
     start: tuple[Ambient, Ambient],
-    step_size: float,
+    step_size: float | Array,
     steps: int,
     save_every: int = 1,
     throw: bool = True,

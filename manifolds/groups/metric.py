@@ -5,7 +5,8 @@ from typing import final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
+from numpy.typing import ArrayLike
 
 from ..metric import Metric
 from ..numerics.ambient import is_traced

@@ -1,5 +1,6 @@
 """Euclidean space of arrays of any shape."""
 
+from collections.abc import Sequence
 from math import prod
 from typing import final
 
@@ -21,7 +22,10 @@ class Euclidean(HomogeneousSpace):
     Its dimension is the number of entries, its projection ``P_x a = a``.
     """
 
-    shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
+    shape: tuple[int, ...] = eqx.field(static=True)
+
+    def __init__(self, shape: int | Sequence[int]) -> None:
+        self.shape = as_shape(shape)
 
     def __str__(self) -> str:
         shape = " x ".join(map(str, self.shape)) or "1"

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,7 +14,6 @@ from ....manifolds import (
     Euclidean,
     Immersion,
     InvalidInputError,
-    Manifold,
     PresymplecticManifold,
     Submanifold,
 )
@@ -104,7 +104,7 @@ class Classification(IntegrabilityResult[Stratum]):
     if none was found.
     """
 
-    morse: MorseTest | None
+    morse: MorseTest | Any
     levels: tuple[Level, ...]
     excluded: int
     zero_costate_excluded: bool
@@ -177,7 +177,7 @@ class Classification(IntegrabilityResult[Stratum]):
         return self.stratum.equations
 
     @cached_property
-    def manifold(self) -> Manifold:
+    def manifold(self) -> Submanifold | Any:
         """``P_f`` as an embedded manifold; ``Projection(P_f)`` is a retraction of it, ``P_f.nearby(z)`` a point of it
         near ``z``.
 

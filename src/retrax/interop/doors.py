@@ -4,7 +4,7 @@ solvers."""
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ..integrators import Guess, OptimalControlProblem
+from ..integrators import Free, Guess, OptimalControlProblem
 from ..manifolds import InvalidInputError, Manifold, Metric
 from ..manifolds.manifold import same_manifold
 from ..retractions import DiscretizationMap, Gauss, Retraction, default_retraction
@@ -81,7 +81,7 @@ def to_casadi(
     method: DiscretizationMap | Gauss,
     start: Any,
     end: Any,
-    horizon: float,
+    horizon: float | Free,
     steps: Any,
     guess: Guess | None = None,
     parameters: Any = None,
