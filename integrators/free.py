@@ -12,12 +12,31 @@ from .text import brief
 
 @final
 class Free:
-    """A quantity to be found by the optimisation, near ``guess`` and between ``lower`` and ``upper``.
+    """A quantity that the optimisation finds, near ``guess`` and between ``lower`` and ``upper``.
 
-    As ``horizon`` of ``solve``, a number; as a leaf of ``parameters``, a number or an array; as a part of ``start`` or
-    ``end``, an array, without bounds: then it is free, as with None, and first guessed so. The bounds are numbers, or
-    arrays of the shape of the guess, infinite where there is none. A horizon is positive in any case. Raises
-    ``InvalidInputError`` for other numbers, and for a guess outside the bounds.
+    Parameters
+    ----------
+    guess : float or array_like
+        The value at the beginning of the iteration, in the unit of the quantity.
+    lower, upper : float or array_like, optional
+        Bounds, numbers or arrays of the shape of ``guess``; by default infinite. A horizon is positive in any case.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is not finite, a bound has another shape, or the guess is outside the bounds.
+
+    Notes
+    -----
+    Use it as the ``horizon`` of ``solve``, as a leaf of ``parameters``, or as a part of ``start`` or ``end``. In
+    ``start`` and ``end`` it is an array without bounds.
+
+    Bounds of a horizon or of parameters have multipliers in ``Solution.multipliers``.
+
+    Examples
+    --------
+    >>> Free(5.0, lower=1.0).bounded
+    True
     """
 
     __slots__ = ("guess", "lower", "upper")
@@ -54,7 +73,18 @@ class Free:
         return f"Free({self.guess!r}, lower={self.lower!r}, upper={self.upper!r})"
 
     def member(self, k: int) -> "Free":
-        """Number ``k`` of a batch, of which every array has one more leading axis."""
+        """The quantity of one member of a batch, whose arrays have one more leading axis.
+
+        Parameters
+        ----------
+        k : int
+            The number of the member.
+
+        Returns
+        -------
+        Free
+            Its guess and bounds.
+        """
         return Free(*(value if np.ndim(value) == 0 else value[k] for value in (self.guess, self.lower, self.upper)))
 
     @property

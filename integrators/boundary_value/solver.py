@@ -56,17 +56,26 @@ class _Kept(NamedTuple):
 
 @final
 class Solver:
-    """An optimal control problem with a method and steps, traced once; ``solve`` is then a matter of milliseconds.
+    """An optimal control problem with a method and steps, traced once, so that each ``solve`` takes milliseconds.
 
-    ``method``: a ``Gauss`` method, or a discretization map. ``steps``: their number, or their lengths, positive numbers
-    that count relative to their sum. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``,
-    the tape where the functions can be traced to one; ``solver.evaluator`` says which it is, and ``solver.reason`` why.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The dynamics, the cost and the constraints.
+    method : Gauss or DiscretizationMap
+        The discretization.
+    steps : int or array_like of shape (N,)
+        The number of steps, or their positive lengths relative to their sum.
+    evaluator : {"automatic", "tape", "xla"}
+        What evaluates the functions; automatically a tape of scalar instructions if the functions can be traced to one.
 
-    What the functions read when the solver is made stays as it was; a call that needs something traced anew after they
-    have changed raises ``InvalidInputError``. What changes from call to call is an argument:
-    ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at
-    the first call, and again for parameters of another structure. Without Numba XLA is the evaluator, Python solves the
-    linear systems, and one warning says that this takes long.
+    Notes
+    -----
+    A ``Solver`` freezes the values that your functions use when you build it: after a change, a new trace raises
+    ``InvalidInputError``. Pass values that change between solves as ``parameters``, to functions that take one argument
+    more.
+
+    Without Numba, XLA is the evaluator and Python solves the linear systems; one warning says that this is slow.
     """
 
     @known_options
@@ -106,7 +115,14 @@ class Solver:
         return solver
 
     def with_steps(self, steps: Any) -> "Solver":
-        """A solver in other steps that shares with this one what is traced, and whose solutions both know."""
+        """A solver with other steps that shares the traced functions; each of the two accepts the solutions of the
+        other.
+
+        Parameters
+        ----------
+        steps : int or array_like of shape (N,)
+            The number of steps, or their relative lengths.
+        """
         other = copy(self)
         other.fractions = fractions_of(steps)
         other._posing = self._posing.on(other.fractions)
@@ -147,11 +163,10 @@ class Solver:
         return self._evaluator.reason
 
     def compile(self) -> None:
-        """Make machine code of the functions that are traced, now: for who calls the solver at fixed times.
+        """The traced functions become machine code now, for callers with fixed times.
 
-        Another thread does it by itself once they have run often, and takes time of its own for that. Nothing else
-        changes: the numbers stay the same, and what XLA evaluates stays as it is. Raises ``InvalidInputError`` if
-        nothing is traced: parameters, and what is free, are known at the first call.
+        Otherwise another thread compiles them after they have run often. The results are the same. Raises
+        ``InvalidInputError`` if nothing is traced yet: parameters and free quantities are known at the first call.
         """
         if not self._compile():
             raise InvalidInputError(
@@ -186,12 +201,14 @@ class Solver:
         classification: Classification | None = None,
         integrator: SingularIntegrator | None = None,
     ) -> Solution:
-        """The extremal between two boundary conditions over ``[0, horizon]``; see ``solve`` for the arguments they
-        share.
+        """The extremal between two boundary conditions over ``[0, horizon]``, or the best iterate after an interrupt.
 
-        ``callback``: called with an ``Iteration`` after each evaluation; the iteration ends where it returns something
-        true, or an array that is true throughout. ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it
-        too. Either way the record has the best iterate.
+        Parameters
+        ----------
+        start, end, horizon, guess, parameters, tolerance, max_iterations, callback, verbose
+            As in ``retrax.solve``, with the same errors.
+        throw, classification, integrator
+            As in ``retrax.solve``.
         """
         require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
@@ -252,12 +269,15 @@ class Solver:
         callback: Callable[[Iteration], Any] | None = None,
         verbose: bool = False,
     ) -> Solutions:
-        """The extremals between many pairs of ends at once.
+        """The extremals between many pairs of ends at once, for regular problems; read ``success`` of the members.
 
-        ``starts``, ``ends``, ``horizons``: as for ``solve``, or with one more leading axis, of the same length B
-        wherever it is; ``parameters``: arrays with this axis. ``guesses``: a ``Guess`` or ``Solution`` for all, or a
-        list of B. The same factors are free for all. Nothing is raised for a member that is not solved: read
-        ``success``. Regular problems only.
+        Parameters
+        ----------
+        starts, ends, horizons, guesses, parameters
+            As for ``solve``, or arrays with one more leading axis of length ``B``, and a list of ``B`` guesses. The
+            same factors are free for all members.
+        tolerance, max_iterations, callback, verbose
+            As in ``retrax.solve``.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
@@ -282,12 +302,19 @@ class Solver:
         return solutions if same else Solutions.of(examined)
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
-        """Derivatives of a solution that this solver found by its ends, horizon and parameters.
+        """The derivatives of a solution with respect to its ends, horizon and parameters, by one more elimination.
 
-        One more elimination of its KKT system, with a right-hand side for each of them. Regular problems only. Raises
-        ``InvalidInputError`` for any other solution, one without success, or if the functions have changed since the
-        solver was made, and ``ConvergenceError`` if the system is singular to rounding: then the extremal is one of a
-        family, or its ends are conjugate, and it has no derivatives.
+        Parameters
+        ----------
+        solution : Solution
+            A successful solution of a regular problem that this solver found.
+
+        Raises
+        ------
+        InvalidInputError
+            For another solution, one without success, or functions that have changed.
+        ConvergenceError
+            If the KKT system is singular: the extremal is one of a family, or its ends are conjugate.
         """
         self.problem.require_treated("sensitivity", *ALONG)
         formulated = self._formulated.sensitivity(solution)
@@ -321,13 +348,18 @@ class Solver:
         tolerance: float | None = None,
         max_iterations: int = 100,
     ) -> DifferentiableSolution:
-        """Cost, states, costates and controls of the extremal as JAX arrays, functions of the other arguments but
+        """The cost, states, costates and controls of the extremal as JAX arrays, differentiable in all arguments except
         ``guess``.
 
-        ``jax.grad``, ``jax.jacobian``, ``jax.jvp`` and ``jax.vjp`` of functions that call it take its derivatives,
-        those of ``sensitivity``: first ones, outside ``jit`` and ``vmap``. Tangents of ends are projected to the
-        tangent spaces; the derivative of the cost by the start is ``-p_0``, and by the end ``p_N``. Raises what
-        ``solve`` and ``sensitivity`` raise.
+        Parameters
+        ----------
+        start, end, horizon, guess, parameters, tolerance, max_iterations
+            As in ``retrax.solve``; the errors are those of ``solve`` and ``sensitivity``.
+
+        Notes
+        -----
+        JAX takes first derivatives, outside ``jit`` and ``vmap``. Tangents of ends are projected to the tangent spaces.
+        The derivative of the cost with respect to the start is :math:`-p_0`, with respect to the end :math:`p_N`.
         """
 
         def solved(given: Given) -> Solution:
