@@ -13,10 +13,15 @@ BETTER = "a better guess (Guess.from_controls, Free(value) at a free end, or con
 
 
 class Result(eqx.Enumeration):
-    """How a trajectory ended, its ``result``. Compare with ``Result.successful``; ``Result[item]`` is the sentence.
+    """The end of an integration, ``Trajectory.result``: compare with ``Result.successful``; ``Result[item]`` is a
+    sentence.
 
-    A ``Solution`` has the sentence itself as its ``result``, and ``success``.
+    Notes
+    -----
+    ``Solution.result`` is the sentence itself.
 
+    Examples
+    --------
     >>> Result[Result.successful]
     'The equations are solved to the tolerance asked for.'
     """

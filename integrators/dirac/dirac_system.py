@@ -24,14 +24,33 @@ Multipliers = Float[Array, " m"]
 
 @final
 class DiracSystem(eqx.Module):
-    """``(X, dH)`` in the Dirac structure that a distribution induces on ``T*Q``; in the words of mechanics,
+    r"""A Hamiltonian system with linear or affine constraints on the velocity: a Dirac structure on ``T*Q``.
 
-        q' = dH/dp,    p' = -dH/dq + lambda_a mu^a(q),    <mu^a(q), q'> = c^a(q),    a = 1, ..., m.
+    Parameters
+    ----------
+    manifold : Manifold
+        The configuration manifold Q.
+    hamiltonian : callable
+        ``H(q, p)``, a number.
+    forms : callable
+        One-forms ``mu^a(q)``: independent covectors as leaves of shape ``(m, *leaf)``.
+    rates : callable, optional
+        The values ``c(q)``, shape ``(m,)``; by default zero.
 
-    [Yoshimura, Marsden, Dirac structures in Lagrangian mechanics, J. Geom. Phys. 57, 2006; with ``c = 0`` there].
-    ``hamiltonian(q, p)`` returns a scalar; ``forms(q)`` the one-forms, independent covectors as a frame of leaves
-    ``(m, *leaf)``; ``rates(q)`` the values ``c``, shape ``(m,)``, by default zero. All are JAX functions of ambient
-    arrays. Its states are the ``(q, p)`` that satisfy the constraints: ``project`` makes one of any covector.
+    Notes
+    -----
+    The equations are
+
+    .. math::
+        \dot q = \partial H / \partial p, \quad \dot p = -\partial H / \partial q + \lambda_a \mu^a(q), \quad
+        \langle \mu^a(q), \dot q \rangle = c^a(q), \quad a = 1, \dots, m.
+
+    All functions are JAX functions of ambient arrays. States are the ``(q, p)`` that satisfy the constraints;
+    ``project`` maps any covector to one of them.
+
+    References
+    ----------
+    Yoshimura, Marsden, Dirac structures in Lagrangian mechanics, J. Geom. Phys. 57, 2006.
     """
 
     manifold: Manifold
@@ -46,11 +65,20 @@ class DiracSystem(eqx.Module):
         forms: Callable[[Any], Frame],
         rates: Callable[[Any], Multipliers] | None = None,
     ) -> Self:
-        """The system of Pontryagin's ``H(q, p, u)`` and ``dH/du = 0``, where that determines ``u`` near the resting
+        """The system of Pontryagin's Hamiltonian with the control eliminated by ``dH/du = 0`` near the resting
         control.
 
-        There ``H(q, p, u(q, p))`` has the differential by ``(q, p)`` that ``H`` has with ``u`` held. It is NaN
-        elsewhere.
+        Parameters
+        ----------
+        problem : OptimalControlProblem
+            The problem.
+        forms, rates
+            As in the class.
+
+        Notes
+        -----
+        ``H(q, p, u(q, p))`` has the differential in ``(q, p)`` of ``H`` with a fixed ``u``. It is NaN where ``dH/du =
+        0`` does not determine ``u``.
         """
         if not isinstance(problem, OptimalControlProblem):
             raise InvalidInputError(
@@ -69,8 +97,7 @@ class DiracSystem(eqx.Module):
                 raise InvalidInputError(f"{name} must be a function of {of}, got {value!r}")
 
     def digest(self) -> bytes | None:
-        """A digest of what the functions compute, with the values that they read now; None where that cannot be
-        told."""
+        """A digest of the results of the functions, with the values that they use now; None if there is none."""
         ambient = self.manifold.ambient
         return digest(lambda q, p: (self.hamiltonian(q, p), self.constraint(q, p)), ambient, ambient)
 
