@@ -18,11 +18,18 @@ UNITS = (*ABOUT, "time", "cost")
 @final
 @dataclass(frozen=True)
 class Quantity:
-    """An array of a state or a control: its ``name``, the ``units`` of its entries, one for all or one each, and its
-    ``space``.
+    """An array of a state or a control: its name, the units and names of its entries, and its manifold.
 
-    ``entries``: names of the entries, row by row; without names of their own their places, as ``1`` or ``0,2``. A unit
-    is empty where none was given. ``space``: its manifold in words, as ``SO(3)``.
+    Attributes
+    ----------
+    name : str
+        The name of the array.
+    units : tuple of str
+        One unit for all entries, or one each; empty without units.
+    entries : tuple of str
+        Names of the entries, row by row; by default their indices, such as ``1`` or ``0,2``.
+    space : str
+        Its manifold, such as ``SO(3)``.
     """
 
     name: str
@@ -32,12 +39,12 @@ class Quantity:
 
     @property
     def unit(self) -> str:
-        """The unit of all entries; empty where they have several, or none."""
+        """The unit of all entries; empty if there are several units, or none."""
         return self.units[0] if len(set(self.units)) == 1 else ""
 
     @property
     def title(self) -> str:
-        """The name with the unit of all entries, as ``body rate [rad/s]``."""
+        """The name with the unit of all entries, such as ``body rate [rad/s]``."""
         return with_unit(self.name, self.unit)
 
     @property
@@ -46,12 +53,18 @@ class Quantity:
         return not all(entry == "" or entry.replace(",", "").isdigit() for entry in self.entries)
 
     def unit_of(self, k: int) -> str:
-        """The unit of an entry."""
+        """The unit of an entry.
+
+        Parameters
+        ----------
+        k : int
+            The number of the entry.
+        """
         return self.units[k if len(self.units) > 1 else 0]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """A name for each entry: its own, or that of the array with its place, as ``body rate[1]``."""
+        """A name for each entry: its own name, or the name of the array with its index, such as ``body rate[1]``."""
         if self.is_named:
             return self.entries
         return tuple(f"{self.name}[{entry}]" if entry else self.name for entry in self.entries)
@@ -60,7 +73,17 @@ class Quantity:
 @final
 @dataclass(frozen=True)
 class Quantities:
-    """The quantities of a problem: the arrays of a state and of a control, in order, and the units of time and cost."""
+    """The quantities of a problem: the arrays of a state and of a control, and the units of time and cost.
+
+    Attributes
+    ----------
+    states : tuple of Quantity
+        The arrays of a state, in order.
+    controls : tuple of Quantity
+        The arrays of a control, in order.
+    time, cost : str
+        Their units.
+    """
 
     states: tuple[Quantity, ...]
     controls: tuple[Quantity, ...]
@@ -69,7 +92,16 @@ class Quantities:
 
     @classmethod
     def of(cls, manifold: Manifold, controls: Manifold, labels: Any, units: Any) -> Self:
-        """The quantities with what a user says of them; raises ``InvalidInputError`` for names that do not fit."""
+        """The quantities with the labels and units of a user; raises ``InvalidInputError`` for names that do not
+        fit.
+
+        Parameters
+        ----------
+        manifold, controls : Manifold
+            The manifolds of states and controls.
+        labels, units : mapping
+            As in ``OptimalControlProblem``.
+        """
         if isinstance(labels, cls):
             return labels
         given = {"labels": _checked("labels", labels, ABOUT), "units": _checked("units", units, UNITS)}
@@ -82,7 +114,13 @@ class Quantities:
 
     @classmethod
     def unnamed(cls, states: list[tuple[int, ...]], controls: list[tuple[int, ...]]) -> Self:
-        """The quantities of arrays with these shapes, of which nothing else is known."""
+        """The quantities of unnamed arrays.
+
+        Parameters
+        ----------
+        states, controls : list of tuple of int
+            The shapes of the arrays.
+        """
 
         def own(symbol: str, shapes: list[tuple[int, ...]]) -> tuple[Quantity, ...]:
             pairs = zip(_names(symbol, shapes), shapes, strict=True)
@@ -100,12 +138,18 @@ class Quantities:
 
     @property
     def text(self) -> str:
-        """What a file holds of them."""
+        """The text of the quantities in a file."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """The quantities that have this ``text``; raises ``InvalidInputError`` for any other."""
+        """The quantities with this ``text``; raises ``InvalidInputError`` for another text.
+
+        Parameters
+        ----------
+        text : str
+            The text.
+        """
         try:
             values = json.loads(text)
             own: Any = {about: tuple(_read(value) for value in values.pop(about)) for about in ABOUT}
@@ -115,7 +159,15 @@ class Quantities:
             raise InvalidInputError(f"quantities are {brief(text)}, expected names and units ({error})") from error
 
     def require_fits(self, what: str, states: Any, controls: Any) -> None:
-        """Raise unless arrays along a leading axis have as many entries as there are names for them."""
+        """Raise an error unless arrays with a leading axis have as many entries as there are names.
+
+        Parameters
+        ----------
+        what : str
+            A word for the arrays.
+        states, controls : array, or tuple of arrays
+            The arrays.
+        """
         for name, own, given in (("states", self.states, states), ("controls", self.controls, controls)):
             expected, got = (
                 [len(quantity.entries) for quantity in own],
@@ -128,7 +180,7 @@ class Quantities:
 
     @property
     def lines(self) -> list[str]:
-        """What is named, in words: a line for the states, one for the controls; none where nothing is."""
+        """The names in words: a line for the states and a line for the controls, if they have names."""
         rows = {"q": self.states, "u": self.controls}
         defaults = {symbol: _names(symbol, own) for symbol, own in rows.items()}
         named = {s for s, own in rows.items() if [q.name for q in own] != defaults[s] or any(q.is_named for q in own)}

@@ -34,10 +34,24 @@ def save_batch(members: Sequence["Solution"], path: str | Path) -> None:
 def load_solutions(
     path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None
 ) -> "Solutions":
-    """Read a batch that ``Solutions.save`` wrote; nothing in the file is executed.
+    """The batch in a file that ``Solutions.save`` wrote; nothing in the file is executed.
 
-    ``retraction`` and ``controls`` as in ``load_solution``, for every member. Raises ``InvalidInputError`` if the file
-    is something else, damaged, incomplete, or of another version, or a member has other arrays than the first.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    retraction, controls
+        As in ``load_solution``, for every member.
+
+    Returns
+    -------
+    Solutions
+        The batch.
+
+    Raises
+    ------
+    InvalidInputError
+        If the file is something else, damaged, incomplete, or of another version; if members have different arrays.
     """
     from .solution import load_solution
     from .solutions import Solutions

@@ -21,10 +21,16 @@ INSTEAD = "solver.extremal, which has derivatives, or solver.solve_many, which t
 
 
 class DifferentiableSolution(NamedTuple):
-    """What ``Solver.extremal`` returns: the arrays of a ``Solution`` that have derivatives, as JAX arrays of the same
-    shapes.
+    """The arrays of a ``Solution`` that have derivatives, as JAX arrays; ``Solver.extremal`` returns them.
 
-    ``cost`` is a scalar; ``states`` and ``costates`` belong to the N + 1 nodes, ``controls`` to the stages.
+    Attributes
+    ----------
+    cost : Array
+        The cost, a scalar.
+    states, costates : Array, or tuple of Arrays
+        At the ``N + 1`` nodes, in the shapes of ``Solution``.
+    controls : Array, or tuple of Arrays
+        At the stages.
     """
 
     cost: Any

@@ -45,11 +45,24 @@ LOST = (
 
 @final
 class Phase(NamedTuple):
-    """A phase of a trajectory: a problem over a duration, fixed or ``Free``, with the method and the steps it is solved
-    by.
+    """A phase of a trajectory: a problem over a duration, with the method and the steps that discretize it.
 
-    ``start``, ``end``: what is prescribed there, as in ``solve``; None where only links and boundary constraints say
-    something. ``guess``: a ``Guess`` or ``Solution``, by default on the way between the ends that are known.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The dynamics, the cost and the constraints.
+    method : Gauss or DiscretizationMap
+        The discretization.
+    steps : int or array_like of shape (N,)
+        The number of steps, or their relative lengths.
+    duration : float or Free
+        The duration.
+    start, end : point, None or Free, optional
+        Prescribed ends, as in ``solve``; None if only links and boundary constraints fix them.
+    guess : Guess or Solution, optional
+        By default the curve between the known ends.
+    parameters : pytree, optional
+        As in ``solve``.
     """
 
     problem: OptimalControlProblem
@@ -76,17 +89,40 @@ def solve_phases(
     callback: Callable[[Iteration], Any] | None = None,
     verbose: bool = False,
 ) -> PhasedSolution:
-    """Solve phases that follow one another as one optimal control problem, the sum of their costs being least.
+    """Solve phases that follow one another as one optimal control problem with the sum of their costs.
 
-    ``links``: for each phase and the next, True where the next begins as this one ends, the default; a function ``g``
-    where it begins at ``g(q)``, a point of its own manifold, as at the staging of a rocket; False where nothing links
-    them. One more, from the last phase to the first, makes them periodic. ``horizon``: the sum of all durations, if it
-    is given. ``boundary_constraints``: functions by their names of the list of the ends of all phases, each with
-    ``start``, ``end`` and ``duration``, that return a number or a vector which is to be zero; ``multipliers`` of the
-    solution are theirs. The time of phases whose functions depend on it goes on from phase to phase.
+    Parameters
+    ----------
+    phases : sequence of Phase
+        The phases in order.
+    links : sequence of bool or callable, optional
+        For each phase and the next: True, the default, if the next begins where this one ends. A function ``g`` if it
+        begins at ``g(q)``, such as at the staging of a rocket; False for no link. One more link, from the last phase to
+        the first, makes the phases periodic.
+    horizon : float, optional
+        The sum of all durations.
+    boundary_constraints : mapping of str to callable, optional
+        Functions by name that are zero at a solution, numbers or vectors. Their argument is the list of the ends of all
+        phases, each with ``start``, ``end`` and ``duration``.
+    guess : PhasedSolution, optional
+        A solution to begin from.
+    tolerance, max_iterations, throw, callback, verbose
+        As in ``solve``.
 
-    The costate before a link is ``dg' p`` of that after it. With free durations the Hamiltonian is continuous where
-    nothing depends on the time. Raises what ``solve`` raises.
+    Returns
+    -------
+    PhasedSolution
+        The solutions of all phases.
+
+    Raises
+    ------
+    InvalidInputError, NotOnManifoldError, DomainError, ConvergenceError
+        As ``solve``.
+
+    Notes
+    -----
+    The costate before a link is :math:`Dg^* p` of the costate after it. With free durations and no explicit time, the
+    Hamiltonian is continuous. The time of functions with an explicit time continues from phase to phase.
     """
     require_concrete("solve_phases", guess)
     options = Options.of(tolerance, max_iterations, callback, verbose)

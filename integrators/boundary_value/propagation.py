@@ -46,14 +46,18 @@ def _tableau() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @final
 @dataclass(frozen=True, eq=False)
 class DiscretizationError:
-    """Distances between the states of a discrete solution and those to which its controls lead, for each factor of the
-    manifold.
+    """The distances between the states of a discrete solution and the states that its controls produce, for each
+    factor.
 
-    ``distances``: arrays of shape ``(N + 1,)`` over the nodes, in the unit of the factor: radians on SO(n), where it is
-    the root of the sum of the squared angles of rotation, on spheres and for the rotation of SE(n); elsewhere the norm
-    of the difference in the ambient space. Infinite where the controls lead nowhere. ``resolution``: by how much
-    halving its steps last changed what the integrator finds: the largest distance between the states before and after,
-    an upper estimate of its own error.
+    Attributes
+    ----------
+    distances : dict of str to array of shape (N + 1,)
+        Distances at the nodes, in the unit of the factor. Radians on SO(n), the root of the sum of the squared angles,
+        on spheres and for the rotation of SE(n); elsewhere the norm in the ambient space. Infinite if the controls lead
+        nowhere.
+    resolution : dict of str to float
+        An upper estimate of the error of the integrator: the largest change of a state by the last halving of its
+        steps.
     """
 
     distances: dict[str, np.ndarray]
@@ -61,7 +65,7 @@ class DiscretizationError:
 
     @property
     def largest(self) -> dict[str, float]:
-        """The largest distance over the nodes."""
+        """The largest distance over the nodes, for each factor."""
         return {name: float(np.max(values)) for name, values in self.distances.items()}
 
 
@@ -69,12 +73,39 @@ class DiscretizationError:
 def discretization_error(
     problem: OptimalControlProblem, retraction: Retraction, solution: Solution, parameters: Any = None
 ) -> DiscretizationError:
-    """The distances of the states of a solution from those to which its controls lead, as functions of time.
+    """The distances between the states of a solution and the states that its controls, functions of time, produce.
 
-    The control of a step is the polynomial through its stages. It is propagated from the first state in charts of the
-    ``retraction`` by DOP853 [Hairer, Norsett, Wanner 1993], in steps so fine that its own error is a hundredth of what
-    is found. ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one
-    chart of their manifold, and ``InvalidInputError`` for anything but a retraction, or if parameters are missing.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem.
+    retraction : Retraction
+        The retraction whose charts the propagation uses.
+    solution : Solution
+        A solution of the problem.
+    parameters : pytree, optional
+        The parameters of the solution.
+
+    Returns
+    -------
+    DiscretizationError
+        The distances for each factor of the manifold.
+
+    Raises
+    ------
+    DomainError
+        If the controls of a step are not in one chart of their manifold.
+    InvalidInputError
+        For another retraction, and for missing parameters.
+
+    Notes
+    -----
+    The control of a step is the polynomial through its stages. DOP853 propagates it from the first state, in steps so
+    short that its own error is a hundredth of the distances.
+
+    References
+    ----------
+    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993.
     """
     if not isinstance(retraction, Retraction):
         got = type(retraction).__name__
