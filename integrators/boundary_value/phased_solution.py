@@ -41,7 +41,15 @@ class PhasedSolution:
 
     @classmethod
     def of(cls, phases: Sequence[Solution], multipliers: dict[str, np.ndarray]) -> Self:
-        """The record of phases, each of which begins at the time zero or at its own."""
+        """The record of phases, each of which begins at time zero or at its own time.
+
+        Parameters
+        ----------
+        phases : sequence of Solution
+            The solutions.
+        multipliers : dict of str to array
+            The multipliers of the boundary constraints.
+        """
         begins = np.cumsum([0.0, *(phase.horizon for phase in phases)])
         moved = tuple(_at(phase, float(begin)) for phase, begin in zip(phases, begins, strict=False))
         success = all(phase.success for phase in phases)

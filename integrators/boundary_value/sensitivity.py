@@ -66,7 +66,13 @@ class Sensitivity:
 
     @classmethod
     def of(cls, found: Derivatives, layouts: tuple[Layout, Layout], n: int, parameters: Any) -> "Sensitivity":
-        """The record from the columns of one extremal."""
+        """The record from the columns of one extremal.
+
+        Parameters
+        ----------
+        found, layouts, n, parameters : Derivatives, pair of Layout, int, pytree
+            The columns, the free entries of both ends, the dimension, and the parameters.
+        """
         state, control = layouts
 
         def part(begin: int, shape: tuple[int, ...]) -> Derivative:

@@ -21,15 +21,24 @@ ASKED = "starts", "ends", "horizons", "guesses", "parameters", "tolerance", "max
 @final
 @dataclass(frozen=True)
 class Study:
-    """What a sweep solves: a solver, its cases, and what is kept of each solution. Each worker makes its own.
+    """The contents of a sweep: a solver, its cases, and the values to keep of each solution.
 
-    ``cases``: a function of the numbers of B members, an array of shape ``(B,)``, that returns arguments of
-    ``solver.solve_many`` for them in a dictionary: ``starts``, ``ends``, ``horizons``, ``guesses``, ``parameters``,
-    ``tolerance``, ``max_iterations``. A member's case may depend on its number alone, not on the others: draw it with
-    ``np.random.default_rng([seed, number])``. ``keep``: a function of the ``Solutions`` of B members that returns
-    arrays of real numbers, of shape ``(B, ...)``, by their names; they are stored beside cost, success and result.
+    Parameters
+    ----------
+    solver : Solver
+        The solver; each worker builds its own.
+    cases : callable
+        A function of the numbers of ``B`` members, shape ``(B,)``. It returns arguments of ``solver.solve_many`` in a
+        dictionary: ``starts``, ``ends``, ``horizons``, ``guesses``, ``parameters``, ``tolerance``, ``max_iterations``.
+        A case depends on its number alone: draw it with ``np.random.default_rng([seed, number])``.
+    keep : callable, optional
+        A function of the ``Solutions`` of ``B`` members. It returns real arrays of shape ``(B, ...)`` by name, which
+        are stored beside cost, success and result.
 
-    Raises ``InvalidInputError`` for anything else.
+    Raises
+    ------
+    InvalidInputError
+        For other arguments.
     """
 
     solver: Solver
