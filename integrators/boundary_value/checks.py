@@ -56,12 +56,12 @@ class Checks(ABC):
     conserved: dict[str, int]
 
     @classmethod
-    def of(cls, diagnostics: Diagnostics, gap: float, stationarity: float, **more: Any) -> Self:
+    def of(cls, diagnostics: Diagnostics, defect: float, stationarity: float, **more: Any) -> Self:
         """The figures from the diagnostics of a trajectory in NumPy arrays.
 
         Parameters
         ----------
-        diagnostics, gap, stationarity : Diagnostics, float, float
+        diagnostics, defect, stationarity : Diagnostics, float, float
             The diagnostics, and the figures of the solver.
         **more
             Further fields.

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> Any:
-    """Gap, stationarity and, with inequalities, violation and barrier parameter of each iteration of a solve.
+    """Defect, stationarity and, with inequalities, violation and barrier parameter of each iteration of a solve.
 
     Parameters
     ----------
