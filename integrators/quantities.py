@@ -129,7 +129,13 @@ class Quantities:
         return cls(own("q", states), own("u", controls))
 
     def factors(self, count: int) -> list[str]:
-        """Names of the ``count`` factors of a state: their labels, or ``factor 0`` where a factor has none."""
+        """The names of the factors of a state: their labels, or ``factor 0`` for a factor without one.
+
+        Parameters
+        ----------
+        count : int
+            The number of factors.
+        """
         names = [f"factor {k}" for k in range(count)]
         if len(self.states) == count:
             pairs = zip(names, self.states, _names("q", self.states), strict=True)

@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..indices import require_indices
 from ..reading import in_one_reading, traced
-from .manifold import Manifold, Verdict
+from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
 from .numerics.errors import InvalidInputError, shapes_of
@@ -22,6 +22,7 @@ from .numerics.frames import null_frame
 from .numerics.precision import default_tolerance, real
 from .numerics.root import solve_small
 from .numerics.sizes import as_shape
+from .verdict import Verdict
 
 RANDOM_STARTS = 20
 GAUSS_NEWTON_STEPS = 30

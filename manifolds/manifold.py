@@ -2,7 +2,6 @@
 
 import re
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import Any, ClassVar, NoReturn
 
 import equinox as eqx
@@ -18,33 +17,9 @@ from .numerics.attribute import attribute
 from .numerics.errors import InvalidInputError
 from .numerics.precision import default_tolerance
 from .numerics.shapes import check_shapes, require_shapes
+from .verdict import Verdict
 
 NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The answer to a membership question: true or false, with the reason in words.
-
-    Attributes
-    ----------
-    holds : bool
-        Whether the largest violation is ``<= tolerance``; ``bool(verdict)``.
-    reason : str
-        The reason.
-
-    Examples
-    --------
-    >>> verdict = Sphere(2).contains(jnp.array([1.0, 0.0, 0.0]))
-    >>> bool(verdict), verdict.reason
-    (True, 'a point of the manifold to 1e-08')
-    """
-
-    holds: bool
-    reason: str
-
-    def __bool__(self) -> bool:
-        return self.holds
 
 
 class Manifold(Module):
@@ -221,8 +196,13 @@ class Manifold(Module):
         return Verdict(True, f"tangent to the manifold to {limit:.1g}")
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
-        """Words on how ``a`` differs from a finite ambient vector of this manifold in its structure; empty if it does
-        not."""
+        """The difference between ``a`` and a finite ambient vector of this manifold, in words; empty without one.
+
+        Parameters
+        ----------
+        a, role : ambient vector, str
+            Arrays, and the word for them, such as ``"a point"``.
+        """
         if self._holds(a):
             return ""
         wrong = self.describe_shapes(a, role) or self.describe_kinds(a, role)
@@ -249,8 +229,13 @@ class Manifold(Module):
         )
 
     def describe_shapes(self, a: Ambient, role: str) -> str:
-        """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do
-        not."""
+        """The difference between the shapes of ``a`` and of an ambient vector, in words; empty without one.
+
+        Parameters
+        ----------
+        a, role
+            As in ``describe_mismatch``.
+        """
         expected, wanted = jax.tree.flatten(self.ambient)
         leaves, structure = jax.tree.flatten(a)
         if structure != wanted:
@@ -271,13 +256,23 @@ class Manifold(Module):
         return ""
 
     def hint_for_shape(self, k: int, shape: tuple[int, ...], role: str) -> str:
-        """Words on an array of another shape in place of the k-th array of what ``role`` says, a point, a tangent
-        vector or a covector; none where it is not known what it may be."""
+        """A hint for an array of another shape, in words; empty without one.
+
+        Parameters
+        ----------
+        k, shape, role : int, tuple of int, str
+            The number of the array, its shape, and the word for it.
+        """
         return ""
 
     def describe_kinds(self, a: Ambient, role: str) -> str:
-        """Words on entries of ``a`` that are not numbers, or complex where those of a point are real; empty if there
-        are none."""
+        """Words on entries that are not numbers, or are complex on a real manifold; empty without such entries.
+
+        Parameters
+        ----------
+        a, role
+            As in ``describe_mismatch``.
+        """
         for expected, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             kind = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
             if not jnp.issubdtype(kind, jnp.number):

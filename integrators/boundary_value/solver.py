@@ -74,8 +74,6 @@ class Solver:
     A ``Solver`` freezes the values that your functions use when you build it: after a change, a new trace raises
     ``InvalidInputError``. Pass values that change between solves as ``parameters``, to functions that take one argument
     more.
-
-    Without Numba, XLA is the evaluator and Python solves the linear systems; one warning says that this is slow.
     """
 
     @known_options
@@ -115,8 +113,7 @@ class Solver:
         return solver
 
     def with_steps(self, steps: Any) -> "Solver":
-        """A solver with other steps that shares the traced functions; each of the two accepts the solutions of the
-        other.
+        """A solver with other steps that shares the traced functions with this one.
 
         Parameters
         ----------
@@ -223,11 +220,23 @@ class Solver:
         return one_reading() if self._unchanged is None else self._unchanged.required(parameters)
 
     def solved(self, request: Request) -> Solution:
-        """The extremal, examined."""
+        """The extremal of a request, examined.
+
+        Parameters
+        ----------
+        request : Request
+            The checked arguments.
+        """
         return self.examined(self.found(request), request)
 
     def found(self, request: Request) -> Solution:
-        """The extremal, of which the conditions alone are looked at."""
+        """The extremal of a request, of which only the first-order conditions are evaluated.
+
+        Parameters
+        ----------
+        request : Request
+            The checked arguments.
+        """
         if request.formulated:
             return self._formulated.solve(request)
         regularity = self._regularity
@@ -242,7 +251,13 @@ class Solver:
         return solution if solution.success else explained(request.problem, solution)
 
     def examined(self, solution: Solution, request: Request) -> Solution:
-        """The solution with what its conditions do not tell."""
+        """The solution with the results of all checks.
+
+        Parameters
+        ----------
+        solution, request : Solution, Request
+            The result of ``found``, and the checked arguments.
+        """
         free_horizon = is_free(request.given.horizon)
         if self._examination.is_silent(solution.parameters, free_horizon):
             return solution
@@ -287,7 +302,13 @@ class Solver:
             return self._all_examined(self.all_found(request), request)
 
     def all_found(self, request: Request) -> Solutions:
-        """The extremals of a batch, of which the conditions alone are looked at."""
+        """The extremals of a batch, of which only the first-order conditions are evaluated.
+
+        Parameters
+        ----------
+        request : Request
+            The checked arguments.
+        """
         if request.formulated:
             return self._formulated.solve_many(request)
         self._regularity.require_regular(request)
@@ -307,14 +328,9 @@ class Solver:
         Parameters
         ----------
         solution : Solution
-            A successful solution of a regular problem that this solver found.
-
-        Raises
-        ------
-        InvalidInputError
-            For another solution, one without success, or functions that have changed.
-        ConvergenceError
-            If the KKT system is singular: the extremal is one of a family, or its ends are conjugate.
+            A successful solution of a regular problem that this solver found; ``InvalidInputError`` for others.
+            ``ConvergenceError`` if its KKT system is singular: the extremal is one of a family, or its ends are
+            conjugate.
         """
         self.problem.require_treated("sensitivity", *ALONG)
         formulated = self._formulated.sensitivity(solution)
@@ -348,8 +364,7 @@ class Solver:
         tolerance: float | None = None,
         max_iterations: int = 100,
     ) -> DifferentiableSolution:
-        """The cost, states, costates and controls of the extremal as JAX arrays, differentiable in all arguments except
-        ``guess``.
+        """The cost, states, costates and controls of the extremal as JAX arrays with derivatives.
 
         Parameters
         ----------
@@ -358,8 +373,9 @@ class Solver:
 
         Notes
         -----
-        JAX takes first derivatives, outside ``jit`` and ``vmap``. Tangents of ends are projected to the tangent spaces.
-        The derivative of the cost with respect to the start is :math:`-p_0`, with respect to the end :math:`p_N`.
+        JAX takes first derivatives in all arguments except ``guess``, outside ``jit`` and ``vmap``. Tangents of ends
+        are projected to the tangent spaces. The derivative of the cost is :math:`-p_0` in the start and :math:`p_N` in
+        the end.
         """
 
         def solved(given: Given) -> Solution:
