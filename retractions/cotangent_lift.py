@@ -37,7 +37,7 @@ def cotangent_lift(
     Returns
     -------
     callable
-        A function of a point ``x`` of ``source`` and a covector ``p`` there, any ambient array. It returns ``F(x)`` and
+        A function of a point ``x`` of ``source`` and a covector ``p`` of its shape. It returns ``F(x)`` and
         the covector ``p'`` with :math:`\langle p', DF(x) e \rangle = \langle p, e \rangle` for every tangent vector
         ``e``.
 

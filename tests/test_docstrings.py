@@ -1,10 +1,10 @@
 """The numpydoc sections of public names: every argument is documented, in the order of the signature."""
 
-import importlib
 import inspect
 import re
 
 import pytest
+from retrax.interop.isolated_import import import_peer
 
 ROOMS = (
     "retrax",
@@ -65,7 +65,7 @@ def undocumented(thing: object) -> str:
 
 def public(room: str) -> dict[str, object]:
     """The public classes and functions of a room."""
-    module = importlib.import_module(room)
+    module = import_peer(room)
     found = {name: getattr(module, name) for name in module.__all__}
     return {name: thing for name, thing in found.items() if inspect.isclass(thing) or inspect.isfunction(thing)}
 

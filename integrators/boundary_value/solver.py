@@ -72,8 +72,7 @@ class Solver:
     Notes
     -----
     A ``Solver`` freezes the values that your functions use when you build it: after a change, a new trace raises
-    ``InvalidInputError``. Pass values that change between solves as ``parameters``, to functions that take one argument
-    more.
+    ``InvalidInputError``. Pass values that change between solves as ``parameters``.
     """
 
     @known_options
@@ -162,8 +161,7 @@ class Solver:
     def compile(self) -> None:
         """The traced functions become machine code now, for callers with fixed times.
 
-        Otherwise another thread compiles them after they have run often. The results are the same. Raises
-        ``InvalidInputError`` if nothing is traced yet: parameters and free quantities are known at the first call.
+        Otherwise a thread compiles them when they have run often. ``InvalidInputError`` if nothing is traced yet.
         """
         if not self._compile():
             raise InvalidInputError(

@@ -22,7 +22,7 @@ class ControlStage(Stage):
     Parameters
     ----------
     problem : OptimalControlProblem
-        The problem.
+        The problem; ``x`` has the shape of a point, ``u`` of a control.
     discretization : DiscretizationMap
         The map :math:`R_d = (R_1, R_2)`.
     step : float

@@ -38,7 +38,7 @@ class GaussStage(Stage):
     Parameters
     ----------
     hamiltonian : callable
-        ``H(q, p, u)``.
+        ``H(q, p, u)``; all unknowns have the shape of a point, or of a control.
     controls : Manifold
         The controls, ``Euclidean(0)`` for a Hamiltonian system.
     method : Gauss

@@ -25,7 +25,7 @@ class HamiltonianStage(Stage):
     Parameters
     ----------
     hamiltonian : callable
-        ``H(q, p)``.
+        ``H(q, p)``; all unknowns have the shape of a point.
     discretization : DiscretizationMap
         The map :math:`R_d = (R_1, R_2)`.
     step : float

@@ -80,6 +80,7 @@ def from_quaternions(quaternions: Any, scalar: Scalar) -> np.ndarray:
 
     Examples
     --------
+    >>> from retrax.interop import from_quaternions
     >>> from_quaternions([1.0, 0.0, 0.0, 0.0], "first").diagonal().tolist()
     [1.0, 1.0, 1.0]
     """

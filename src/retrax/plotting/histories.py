@@ -24,7 +24,7 @@ def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:
 
     Returns
     -------
-    array of matplotlib Axes
+    array of matplotlib Axes of shape (panels,)
         The axes.
 
     Notes

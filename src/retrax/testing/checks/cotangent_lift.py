@@ -146,7 +146,7 @@ def check_cotangent_lift(
     symmetric, reach
         As in ``check_discretization_map``.
     seeds, points, tolerance, only, skip, throw
-        As in ``check_manifold``; ``points`` are pairs.
+        As in ``check_manifold``; ``points`` are pairs in the shape of ``manifold.ambient``.
 
     Returns
     -------

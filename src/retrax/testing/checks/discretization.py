@@ -208,7 +208,7 @@ def check_discretization_map(
     reach : float
         The length of the longest tangent vector, Euclidean in the ambient space.
     seeds, points, tolerance, only, skip, throw
-        As in ``check_manifold``.
+        As in ``check_manifold``; points have the shape of ``manifold.ambient``.
 
     Returns
     -------

@@ -234,7 +234,7 @@ def check_lie_group(
     group : MatrixLieGroup
         The group.
     seeds, points, tolerance, only, skip, throw
-        As in ``check_manifold``.
+        As in ``check_manifold``; points have the shape of ``manifold.ambient``.
 
     Returns
     -------

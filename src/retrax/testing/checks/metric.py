@@ -259,7 +259,7 @@ def check_metric(
         Maps of the manifold to itself that are claimed to leave the metric invariant, such as ``{"left translation":
         lambda x: a @ x}``.
     seeds, points, tolerance, only, skip, throw
-        As in ``check_manifold``.
+        As in ``check_manifold``; points have the shape of ``manifold.ambient``.
 
     Returns
     -------

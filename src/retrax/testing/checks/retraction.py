@@ -170,7 +170,7 @@ def check_retraction(
     reach : float
         Tangent vectors up to this length, Euclidean in the ambient space, must lie in the domain.
     seeds, points, tolerance, only, skip, throw
-        As in ``check_manifold``.
+        As in ``check_manifold``; points have the shape of ``manifold.ambient``.
 
     Returns
     -------
