@@ -63,8 +63,7 @@ class OptimalControlProblem(Module):
         Whether the functions take the time after these arguments; ``initial_cost`` does not.
     labels, units : mapping, optional
         Names and units of ``"states"`` and ``"controls"``: a word, or a tuple with a word for each entry of a vector or
-        each array of a point. ``units`` also has those of ``"time"`` and ``"cost"``. Reports, pictures and tables use
-        them.
+        each array of a point. ``units`` also names ``"time"`` and ``"cost"``. Reports, pictures and tables use them.
     boundary_constraints : mapping of str to callable, optional
         ``b(q_0, q_T) = 0`` by name, numbers or vectors.
     periodic : bool or callable
@@ -72,16 +71,17 @@ class OptimalControlProblem(Module):
     node_constraints : mapping of str to callable, optional
         ``g(q) <= 0`` by name, at the nodes, where steps meet.
 
-    Raises
-    ------
-    InvalidInputError
-        For other arguments.
-
     Notes
     -----
     The problem is to minimize :math:`\Phi_0(q(0)) + \int_0^T F(q, u)\,dt + \Phi(q(T))` subject to
     :math:`\dot q = X(q, u)` and the constraints. Functions with one more argument get the ``parameters`` of ``solve``
-    there.
+    there. ``InvalidInputError`` for other arguments.
+
+    Examples
+    --------
+    >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> float(line.hamiltonian(jnp.zeros(1), jnp.ones(1), jnp.ones(1)))
+    0.5
     """
 
     manifold: Manifold

@@ -26,7 +26,7 @@ class Gauss(Module):
     stages : int
         The number ``s`` of nodes, at least 1. The order is ``2 s``.
     retraction : Retraction
-        The retraction ``R``, whose manifold is that of the method.
+        The retraction ``R``; the method acts on its manifold.
 
     Raises
     ------

@@ -101,7 +101,7 @@ class Checks(ABC):
 @final
 @dataclass(frozen=True)
 class RegularChecks(Checks):
-    """The figures of a regular extremal: those of ``Checks``, inequalities and the error of the steps.
+    """The figures of a regular extremal: ``Checks`` with inequalities and the error of the steps.
 
     Attributes
     ----------
@@ -133,7 +133,7 @@ class RegularChecks(Checks):
 @final
 @dataclass(frozen=True)
 class SingularChecks(Checks):
-    """The figures of a singular extremal: those of ``Checks``, with the conditions on the final manifold ``P_f``.
+    """The figures of a singular extremal: ``Checks`` with the conditions on the final manifold ``P_f``.
 
     Attributes
     ----------

@@ -46,6 +46,13 @@ class Guess(NamedTuple):
     -----
     With the states at the nodes, the costates at the stages and the multipliers of a solution, the solver starts close
     to that solution. ``Solution.guess`` returns all of these.
+
+    Examples
+    --------
+    >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> method = Midpoint(Addition(Euclidean(1)))
+    >>> Guess.from_waypoints(line, method, [np.zeros(1), np.ones(1)], steps=4).states[:, 0].tolist()
+    [0.125, 0.375, 0.625, 0.875]
     """
 
     states: Ambient

@@ -88,7 +88,7 @@ class PhasedSolution:
 
     @property
     def status(self) -> Status:
-        """``"minimum"``, ``"stationary"`` or ``"failed"``, as that of a ``Solution``, of all phases together."""
+        """The status of all phases together: ``"minimum"``, ``"stationary"`` or ``"failed"``."""
         return status_of(self.success, self.strict_minimum)
 
     def __call__(self, t: float) -> Sample:

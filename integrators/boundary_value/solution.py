@@ -63,7 +63,7 @@ class Solution:
     checks, statistics, singular : RegularChecks or SingularChecks, Statistics, SingularArc or None
         The figures of the solution, the effort, and the particulars of a singular extremal.
     multipliers : dict of str to array
-        Nonnegative multipliers of the inequalities at the stages, shape ``(N s, k)``, per unit of time; those of
+        Nonnegative multipliers of the inequalities at the stages, shape ``(N s, k)``, per unit of time; multipliers of
         boundary constraints, shape ``(k,)``. Those of bounds of a horizon or of parameters belong to the first stage.
     node_multipliers : dict of str to array
         Nonnegative multipliers ``mu`` of the node constraints, shape ``(N + 1, k)``, by which the costate jumps: ``mu
@@ -235,7 +235,7 @@ class Solution:
 
     @property
     def stage_multipliers(self) -> dict[str, np.ndarray]:
-        """The multipliers of the inequalities, of shape ``(N s, k)``: all but those of the boundary constraints."""
+        """The multipliers of the inequalities, shape ``(N s, k)``, without boundary constraints."""
         return {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
 
     @property

@@ -60,14 +60,12 @@ class Solver:
 
     Parameters
     ----------
-    problem : OptimalControlProblem
-        The dynamics, the cost and the constraints.
-    method : Gauss or DiscretizationMap
-        The discretization.
+    problem, method : OptimalControlProblem, Gauss or DiscretizationMap
+        The problem and its discretization.
     steps : int or array_like of shape (N,)
         The number of steps, or their positive lengths relative to their sum.
     evaluator : {"automatic", "tape", "xla"}
-        What evaluates the functions; automatically a tape of scalar instructions if the functions can be traced to one.
+        The evaluator of the functions; automatically a tape of scalar instructions if the functions can be traced.
 
     Notes
     -----
@@ -150,12 +148,12 @@ class Solver:
 
     @property
     def evaluator(self) -> str:
-        """``"tape"`` or ``"xla"``: what evaluates the problem's functions."""
+        """The evaluator of the functions, ``"tape"`` or ``"xla"``."""
         return self._evaluator.name
 
     @property
     def reason(self) -> str:
-        """Why that evaluator was chosen."""
+        """The reason for the choice of the evaluator."""
         return self._evaluator.reason
 
     def compile(self) -> None:
@@ -228,7 +226,7 @@ class Solver:
         return self.examined(self.found(request), request)
 
     def found(self, request: Request) -> Solution:
-        """The extremal of a request, of which only the first-order conditions are evaluated.
+        """The extremal of a request, with only the first-order conditions evaluated.
 
         Parameters
         ----------
@@ -300,7 +298,7 @@ class Solver:
             return self._all_examined(self.all_found(request), request)
 
     def all_found(self, request: Request) -> Solutions:
-        """The extremals of a batch, of which only the first-order conditions are evaluated.
+        """The extremals of a batch, with only the first-order conditions evaluated.
 
         Parameters
         ----------
@@ -367,7 +365,7 @@ class Solver:
         Parameters
         ----------
         start, end, horizon, guess, parameters, tolerance, max_iterations
-            As in ``retrax.solve``; the errors are those of ``solve`` and ``sensitivity``.
+            As in ``retrax.solve``; errors as in ``solve`` and ``sensitivity``.
 
         Notes
         -----

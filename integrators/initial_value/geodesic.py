@@ -25,7 +25,7 @@ class GeodesicRetraction(Retraction):
     Parameters
     ----------
     metric : Metric
-        The metric, whose manifold is that of the retraction.
+        The metric; the retraction acts on its manifold.
     steps : int
         The number of equal steps of the integration.
     integrator : Integrator, optional

@@ -98,7 +98,7 @@ class Integrator(eqx.Module):
         """
 
     def stage(self, system: Any, h: ArrayLike) -> Stage | None:
-        """The stage whose equations are those of a whole step; None for steps of another form.
+        """The stage of a whole step; None for steps of another form.
 
         Parameters
         ----------

@@ -169,7 +169,7 @@ def integrate(
     throw : bool
         Whether to raise ``ConvergenceError``; otherwise read ``result`` and ``failed_step``.
     evaluator : {"automatic", "tape", "xla"}
-        What runs the steps; by default the tape if the functions have a scalar form.
+        The evaluator of the steps; by default the tape if the functions have a scalar form.
     verbose : bool
         Whether to show the progress.
 

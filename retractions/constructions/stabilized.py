@@ -19,10 +19,8 @@ class RestoredAfter(DifferentiatedRetraction):
     inner : Retraction
         The retraction ``R``.
 
-    Notes
-    -----
-    :math:`S(x, v) = \mathrm{restore}(R(x, v))`. On the manifold ``restore`` is the identity: inverse, domain and
-    derivative along the fibres are those of ``R``.
+    Notes ----- :math:`S(x, v) = \mathrm{restore}(R(x, v))`. On the manifold ``restore`` is the identity: inverse,
+    domain and derivative along the fibres are unchanged.
 
     Examples
     --------

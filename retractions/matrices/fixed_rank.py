@@ -30,8 +30,8 @@ class FixedRankProjection(Retraction):
     smallest one of ``y``.
 
     Domain: the ``v`` for which the ``r``-th singular value of ``x + v`` is larger than the next one, and the columns
-    and rows of the nearest matrix span no direction orthogonal to those of ``x``. By the bounds of Weyl and Wedin the
-    domain contains every ``v`` whose largest singular value is below half the smallest one of ``x``.
+    and rows of the nearest matrix span no direction orthogonal to the columns and rows of ``x``. By the bounds of Weyl
+    and Wedin the domain contains every ``v`` whose largest singular value is below half the smallest one of ``x``.
 
     Examples
     --------

@@ -254,7 +254,7 @@ class Classification(IntegrabilityResult[Stratum]):
         q, p : point, covector
             A point of ``P_f``.
         gauge : array_like of shape (gauge controls,), optional
-            The components ``gauge_components``; by default those at the point of the stratum.
+            The components ``gauge_components``; by default their values at the point of the stratum.
 
         Notes
         -----

@@ -33,7 +33,7 @@ class SingularIntegrator(LiftedIntegrator):
     Notes
     -----
     ``presymplectic``: whether the method preserves the form ``omega_f`` of ``P_f``. ``keeps_nodes``: whether its nodes
-    lie on ``P_f``, not :math:`O(h^2)` beside it. ``meets_stages``: whether ``dH/du = 0`` holds at the stage of each
+    lie on ``P_f``, not at a distance :math:`O(h^2)`. ``meets_stages``: whether ``dH/du = 0`` holds at the stage of each
     step.
     """
 

@@ -50,7 +50,7 @@ def to_pymanopt(
 
     Notes
     -----
-    Points, tangent vectors and arguments are those of pymanopt: tangent vectors of SO(n) are skew factors, and points
+    Points, tangent vectors and arguments follow pymanopt: tangent vectors of SO(n) are skew factors, and points
     of a product are flat lists.
     """
     module = import_peer(".pymanopt")

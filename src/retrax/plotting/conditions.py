@@ -25,7 +25,7 @@ def conserved(solution: Solution, ax: Any = None) -> Any:
     solution : Solution
         The solution; ``InvalidInputError`` for another object.
     ax : matplotlib Axes, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def multipliers(solution: Solution, ax: Any = None) -> Any:
     solution : Solution
         A solution with inequalities; ``InvalidInputError`` for another one.
     ax : matplotlib Axes, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------
@@ -129,7 +129,7 @@ def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None
     solution : Solution
         The solution.
     ax : matplotlib Axes, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def optimality(solution: Solution, problem: OptimalControlProblem | None = None,
     problem : OptimalControlProblem, optional
         The problem, for switching functions and dashed bounds.
     ax : array of matplotlib Axes, optional
-        As many axes as panels; by default new ones.
+        As many axes as panels; by default new axes.
 
     Returns
     -------

@@ -32,7 +32,7 @@ def body_axes(record: Any, array: int | None = None, problem: About = None, ax: 
     problem : OptimalControlProblem or Manifold, optional
         The names and units of a trajectory, or its manifold.
     ax : matplotlib Axes3D, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def path(record: Any, array: int | None = None, problem: About = None, frames: i
     frames : int
         The number of body axes of a pose along its path.
     ax : matplotlib Axes, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------

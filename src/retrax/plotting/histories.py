@@ -20,7 +20,7 @@ def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:
     problem : OptimalControlProblem or Manifold, optional
         The names and units of a trajectory, or its manifold; a solution has its own.
     ax : array of matplotlib Axes, optional
-        As many axes as panels; by default new ones.
+        As many axes as panels; by default new axes.
 
     Returns
     -------

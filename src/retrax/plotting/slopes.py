@@ -24,7 +24,7 @@ def slopes(retraction: Retraction, seeds: Iterable[int] = SEEDS, ax: Any = None)
     seeds : iterable of int
         One random sample for each seed.
     ax : matplotlib Axes, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------

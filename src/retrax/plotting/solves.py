@@ -23,7 +23,7 @@ def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> A
     member : int
         The number of a member of a batch.
     ax : matplotlib Axes, optional
-        The axes; by default new ones. Zeros are drawn at the rounding of 1.
+        The axes; by default new axes. Zeros are drawn at the rounding of 1.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def sparsity(discrete: "DiscreteProblem", ax: Any = None) -> Any:
     discrete : DiscreteProblem
         The result of ``retrax.interop.to_casadi``.
     ax : matplotlib Axes, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------

@@ -38,7 +38,7 @@ def energy(
     label : str, optional
         The label in the legend.
     ax : matplotlib Axes, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def phase_portrait(
     names : tuple of two str
         The labels of the axes.
     ax : matplotlib Axes, optional
-        The axes; by default new ones.
+        The axes; by default new axes.
 
     Returns
     -------

@@ -92,7 +92,7 @@ class KnownProblem:
         Parameters
         ----------
         steps, method, options
-            Arguments of ``retrax.solve``, which replace those of the record.
+            Arguments of ``retrax.solve``, which replace the arguments of the record.
         """
         posed = replace(self, steps=self.steps if steps is None else steps, method=method or self.method)
         given = {"guess": posed.guess, "accuracy": self.accuracy, **options}

@@ -28,7 +28,7 @@ class Sweep:
     store : Store
         The files of the sweep.
     parts : sequence of int, optional
-        The chunks; by default all finished ones.
+        The chunks; by default all finished chunks.
 
     Notes
     -----
@@ -77,7 +77,7 @@ class Sweep:
 
     @cached_property
     def cost(self) -> np.ndarray:
-        """The costs, shape ``(M,)``; those without success are of the best iterate."""
+        """The costs, shape ``(M,)``; without success, the cost of the best iterate."""
         return self._joined("cost", float)
 
     @cached_property

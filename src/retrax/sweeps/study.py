@@ -33,7 +33,7 @@ class Study:
         A case depends on its number alone: draw it with ``np.random.default_rng([seed, number])``.
     keep : callable, optional
         A function of the ``Solutions`` of ``B`` members. It returns real arrays of shape ``(B, ...)`` by name, which
-        are stored beside cost, success and result.
+        are stored with cost, success and result.
 
     Raises
     ------

@@ -48,7 +48,7 @@ class RetraxManifold(PymanoptManifold):
 
     Notes
     -----
-    Points, tangent vectors and methods are those of pymanopt. Random points draw their keys from the global state of
+    Points, tangent vectors and methods follow pymanopt. Random points draw their keys from the global state of
     NumPy, as pymanopt does.
     """
 

@@ -361,7 +361,7 @@ def check_manifold(
     seeds : iterable of int
         One random point for each seed.
     points : iterable of points
-        More points, in the shape of ``manifold.ambient``, beside identity, zero, poles and barycentres.
+        More points, in the shape of ``manifold.ambient``, besides identity, zero, poles and barycentres.
     tolerance : float, optional
         The allowed rounding in values and first derivatives, relative to ``1 +`` their size; by default 4500 machine
         epsilons, 1e-12 in double precision.
