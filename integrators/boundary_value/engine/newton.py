@@ -16,6 +16,7 @@ from .found import Found, Iteration
 from .kkt_system import Iterate
 from .own_units import judged_loosely
 from .restoration import NARROW, Restoration
+from .rollout import rolled_out
 
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 AGAIN = 3  # times at most that a success is judged in other units
@@ -36,14 +37,14 @@ def newton(
 
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its
     square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
-    one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and
-    the cheaper success counts; one that ends without success is moved aside where its controls hardly move what
-    they have to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
+    one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and the
+    cheaper success counts; one that ends without success is moved aside where its controls hardly move what they have
+    to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
     inequalities contradict each other near the guess, or the ends, the trajectory that violates them least is a guess
     once more: its jam may be of the way there. Last comes a feasibility phase, from whose trajectory a search sets out
     in a narrow funnel: nothing is contradictory where it has met everything. Without controls it comes wherever no
-    minimum was found. Success is judged in units of what is found: where these are far less than those of the guess,
-    that is a guess once more.
+    minimum was found. After it come the states to which the controls of the guess lead from its start. Success is
+    judged in units of what is found: where these are far less than those of the guess, that is a guess once more.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
@@ -58,6 +59,7 @@ def newton(
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
     found = _restored(search, _crawled(search, found), guess)
+    found = _rolled_out(search, found, guess)
     for _ in range(AGAIN):
         loose = judged_loosely(search.conditions, found)
         if not loose.size or found.stopped:
@@ -107,6 +109,22 @@ def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
     found = _tried(search, found, taken(phase.iterate.bare, feasible), members[feasible], width=NARROW)
     contradictory[members] &= ~phase.holds
     return found._replace(contradictory=contradictory)
+
+
+def _rolled_out(search: Descent, found: Found, guess: Iterate) -> Found:
+    """What is found from the states to which the controls of the guesses lead, where nothing else has found anything.
+
+    On these the steps meet, and only the end is missed: states of a guess that do not fit its controls, as of a
+    constant height, may lie where no control is felt.
+    """
+    members = np.flatnonzero(~(found.claimed | _is_near(found) | found.falling))
+    if found.stopped or not members.size:
+        return found
+    try:
+        led, finite = rolled_out(search.conditions.of(members), taken(guess, members))
+    except KeyboardInterrupt:
+        return found._replace(stopped=True)
+    return _tried(search, found, taken(led, np.flatnonzero(finite)), members[finite])
 
 
 def _seen(search: Descent, members: np.ndarray) -> Callable[[Iteration], Any] | None:
