@@ -23,6 +23,7 @@ from .posed import Posed
 from .reach import unmoved_words
 from .solution import Solution, Statistics
 
+STUCK = "singular", "too_many_iterations", "no_improvement", "infeasible"  # as where equations of the end are dependent
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
 VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why there is no success
 
@@ -94,8 +95,9 @@ class Recording:
         """Which members have success, and the results of all of them in words."""
         success, results = outcomes(found, tolerance)
         notes = found.notes or [""] * len(results)
+        stuck = [sentence(name) for name in STUCK]
         for k, words in enumerate(results):
-            more = self._unmoved(posed, found, k) if words == sentence("singular") else ""
+            more = self._unmoved(posed, found, k) if words in stuck else ""
             results[k] = reasoned(words + more + _excesses(posed, found, k, tolerance), notes[k])
         for k, one in concave(posed, found, stages, held, success).items():
             success[k] = False

@@ -81,7 +81,8 @@ def rolled_out(conditions: Any, guess: Any) -> tuple[Any, np.ndarray]:
     starts, roll_out = conditions.reached(guess)[0], conditions.at_nodes.roll_out
     states = np.empty((*controls.shape[:3], starts.shape[1]))
     for k, start in enumerate(starts):
-        rows, held = controls[k].reshape(-1, controls.shape[3]), spans(transcription.method, data.steps[k])
+        held = spans(transcription.method, data.steps[k])
+        rows = controls[k].reshape(len(held[0]), -1)
         states[k] = roll_out.states(start, rows, held, data.parameters[k]).reshape(states.shape[1:])
     costates = np.zeros_like(guess.costates)
     finite = np.isfinite(states).all(axis=(1, 2, 3))
