@@ -43,5 +43,5 @@ def _moved(conditions: Conditions, assembled: Assembled, k: int) -> np.ndarray:
             return np.zeros((0, 0))
         columns = right[:, :n] @ back
         columns[:, moved.shape[1] :] += right[:, n:]
-        moved = np.linalg.qr(columns.T, mode="r").T  # as far as before, in no more than n directions
+        moved = np.linalg.qr(columns.T)[1].T  # as far as before, in no more than n directions
     return moved[conditions.fixed[k, -1] > 0]

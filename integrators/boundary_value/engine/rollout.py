@@ -76,7 +76,7 @@ def rolled_out(conditions: Any, guess: Any) -> tuple[Any, np.ndarray]:
     if conditions.joint:
         each = [rolled_out(*of) for of in zip(conditions.phases, guess.parts, strict=True)]
         parts, finite = zip(*each, strict=True)
-        return guess._replace(parts=parts), np.all(finite, axis=0)
+        return guess._replace(parts=parts), np.array(finite).all(axis=0)
     transcription, data, controls = conditions.transcription, conditions.data, guess.unknowns.controls
     starts, roll_out = conditions.reached(guess)[0], conditions.at_nodes.roll_out
     states = np.empty((*controls.shape[:3], starts.shape[1]))
