@@ -76,7 +76,7 @@ def rolled_out(conditions: Any, guess: Any) -> tuple[Any, np.ndarray]:
     if conditions.joint:
         each = [rolled_out(*of) for of in zip(conditions.phases, guess.parts, strict=True)]
         parts, finite = zip(*each, strict=True)
-        return guess._replace(parts=parts), np.array(finite).all(axis=0)
+        return guess._replace(parts=parts), np.all(finite, axis=0)
     transcription, data, controls = conditions.transcription, conditions.data, guess.unknowns.controls
     starts, roll_out = conditions.reached(guess)[0], conditions.at_nodes.roll_out
     states = np.empty((*controls.shape[:3], starts.shape[1]))
@@ -85,7 +85,7 @@ def rolled_out(conditions: Any, guess: Any) -> tuple[Any, np.ndarray]:
         rows = controls[k].reshape(len(held[0]), -1)
         states[k] = roll_out.states(start, rows, held, data.parameters[k]).reshape(states.shape[1:])
     costates = np.zeros_like(guess.costates)
-    finite = np.isfinite(states).all(axis=(1, 2, 3))
+    finite = np.all(np.isfinite(states), axis=(1, 2, 3))
     with np.errstate(all="ignore"):
         unknowns = transcription.begin(states, controls, costates, data)
     return guess._replace(unknowns=unknowns, costates=costates, slacks=None), finite
