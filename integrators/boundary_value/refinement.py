@@ -26,7 +26,10 @@ from .structure import ControlStructure, control_structure
 ROUNDS = 25  # of refinement
 MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
-PARTS = 4  # of a step, at most
+PARTS, MOST_PARTS = 4, 16  # of a step, at most: where many err, and where few do
+ROUNDING = 1e-9  # of the number of parts
+SHARE, LOOSEST = 1e-3, 1e-5  # of the error of a mesh, and at most: the tolerance of what follows
+BETTER, AGAIN = 1.0, 0.1  # times the error: what arcs are worth, and what they are tried again at
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
@@ -62,6 +65,7 @@ class Refinement:
     solver: Solver  # on the mesh to begin with
     request: Request
     accuracy: float
+    loosely: bool = True  # whether meshes that err are solved no more exactly than that
 
     def __post_init__(self) -> None:
         self.problem, self.given = self.solver.problem, self.request.given
@@ -70,8 +74,9 @@ class Refinement:
         self._arcs: dict[tuple[bytes, float | None], Arcs] = {}
         self._estimator: Estimator | None = None
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
-        self._most, self._stopped = MOST_STAGES, False
+        self._most, self._vain, self._stopped = MOST_STAGES, np.inf, False
         options = self.request.options
+        self._tolerance = options.tolerance
         if options.callback is not None:
             self._callback = options.callback
             self.request = replace(self.request, options=options._replace(callback=self._told))
@@ -140,7 +145,9 @@ class Refinement:
         """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than
         rounding."""
         errors, checks = found.errors, found.solution.checks
-        left = (checks.gap, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.gap,)
+        left = checks.gap, checks.stationarity
+        if isinstance(checks, RegularChecks):
+            left = *left, checks.complementarity
         return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))
 
     def _on(self, problem: OptimalControlProblem, steps: Any, given: Given, guess: Any) -> Solution:
@@ -150,7 +157,8 @@ class Refinement:
             solver = self._solvers[key].with_steps(steps)
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
-        return self._counted(solver, self.request.again(solver.reader, given, guess))
+        request = replace(self.request, options=self.request.options._replace(tolerance=self._tolerance))
+        return self._counted(solver, request.again(solver.reader, given, guess))
 
     def _counted(self, solver: Solver, request: Request) -> Solution:
         """The solution, with its effort added to that of all; none follows one that was stopped."""
@@ -169,18 +177,25 @@ class Refinement:
         if self._estimator is None:
             self._estimator = Estimator(self.problem, self.method.retraction, solution.parameters)
         found = _Found(solution, None, structure, arcs)  # pyright: ignore[reportArgumentType]
-        return found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
+        found = found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
+        if self.loosely:  # what follows is a finer mesh, or the same one solved further
+            own = self.request.options.tolerance
+            self._tolerance = max(own, min(SHARE * min(self.error(found), self.accuracy), LOOSEST))
+        return found
 
     def _refined(self, found: _Found) -> "_Found | str":
         """The solution on a finer mesh, or why there is none."""
         parts, method = self._parts(found), self.method
-        self.method = self._raised(parts)
+        self.method = self._raised(found.errors)
         if isinstance(method, Gauss) and self.method is not method:
             finer = self._finer(found, np.ones_like(parts))
             if not isinstance(finer, str) and self.error(finer) < self.error(found):
                 return finer
             self.method, self._most = method, method.stages
-        return self._finer(found, parts)
+        finer = self._finer(found, parts)
+        if isinstance(finer, str) and np.max(parts) > 2 and not self._stopped:  # one that is nearer may be solved
+            finer = self._finer(found, np.minimum(parts, 2))
+        return finer
 
     def _finer(self, found: _Found, parts: np.ndarray) -> "_Found | str":
         """The solution with each step in some parts, or why there is none."""
@@ -210,37 +225,57 @@ class Refinement:
         return self._on(self.problem, lengths, self.given.near(solution), solution), None, None
 
     def _parts(self, found: _Found) -> np.ndarray:
-        """Into how many parts each step is divided."""
-        errors, order = found.errors, 2 * len(found.solution.stage_times) / found.solution.steps
-        each = np.maximum(errors.states, errors.controls)
-        with np.errstate(all="ignore"):
-            needed = (each * len(each) / self.accuracy) ** (1 / order)
-            needed = np.maximum(needed, np.sqrt(errors.inequalities / self.accuracy))
-        return np.clip(np.ceil(np.nan_to_num(needed, nan=PARTS, posinf=PARTS)), 1, PARTS).astype(int)
+        """Into how many parts each step is divided: a step that errs less than the worst one will is left for later.
 
-    def _raised(self, parts: np.ndarray) -> Method:
-        """The method with one stage more, where most steps are too long."""
+        Where controls jump in few steps, these are divided into more parts, so that there are about as many steps
+        more.
+        """
+        errors, count = found.errors, found.solution.steps
+        order = np.where(errors.rough, 2, 2 * len(found.solution.stage_times) / count)
+        each, alone = self._each(errors), np.minimum(errors.inequalities, 1.0)
+        most, parts = np.full(count, PARTS), np.ones(count)
+        for _ in range(2):
+            goal = max(self.accuracy / count, np.max(each / most**order))
+            between = max(self.accuracy, np.max(alone / most**2))
+            parts = np.ceil(np.maximum((each / goal) ** (1 / order), np.sqrt(alone / between)) - ROUNDING)
+            more = np.clip(count // max(np.sum(parts > 1), 1), PARTS, MOST_PARTS)
+            most = np.where(errors.rough, more, PARTS)
+        return np.clip(parts, 1, most).astype(int)
+
+    def _raised(self, errors: StepErrors) -> Method:
+        """The method with one stage more, where most steps err too much, and not since controls jump in them."""
         method = self.method
-        if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(parts > 1) > len(parts):
+        smooth = (self._each(errors) * len(errors.rough) > self.accuracy) & ~errors.rough
+        if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(smooth) > len(smooth):
             return Gauss(method.stages + 1, method.retraction)
         return method
 
+    @staticmethod
+    def _each(errors: StepErrors) -> np.ndarray:
+        """The error of each step; what is larger than all of it tells no more than that it is."""
+        return np.minimum(np.nan_to_num(np.maximum(errors.states, errors.controls), nan=1.0), 1.0)
+
     def _switched(self, found: _Found) -> _Found:
-        """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
-        if not any(self.problem.limits.bounded.values()):
+        """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is.
+
+        Arcs that were in vain are tried again where the mesh is much better.
+        """
+        error = self.error(found)
+        if not any(self.problem.limits.bounded.values()) or not self.accuracy < error <= AGAIN * self._vain:
             return found
         structure, known = control_structure(self.problem, found.solution), found.structure
         if known is not None and np.array_equal(known.sides, structure.sides):
             return found
         try:
             while structure.jumps:
+                self._vain = error
                 arcs, lengths = _arc_mesh(structure, found.solution)
                 solution, lasting = self._in_arcs(found.solution, structure, lengths, arcs)
                 if not solution.success:
                     return found
                 if lasting.arcs == structure.arcs:
                     better = self._judged(solution, lasting, arcs)
-                    return better if self.error(better) < self.error(found) else found
+                    return better if self.error(better) < BETTER * error else found
                 structure = lasting
         except RetraxError:  # the guess does not fit: the structure was not seen well enough on this mesh
             return found
