@@ -26,10 +26,9 @@ from .structure import ControlStructure, control_structure
 ROUNDS = 25  # of refinement
 MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
-PARTS, MOST_PARTS = 4, 16  # of a step, at most: where many err, and where few do
-ROUNDING = 1e-9  # of the number of parts
+PARTS = 4  # of a step, at most
 SHARE, LOOSEST = 1e-3, 1e-5  # of the error of a mesh, and at most: the tolerance of what follows
-BETTER, AGAIN = 1.0, 0.1  # times the error: what arcs are worth, and what they are tried again at
+AGAIN = 0.1  # times the error at which arcs were in vain: where they are tried again
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
@@ -192,10 +191,7 @@ class Refinement:
             if not isinstance(finer, str) and self.error(finer) < self.error(found):
                 return finer
             self.method, self._most = method, method.stages
-        finer = self._finer(found, parts)
-        if isinstance(finer, str) and np.max(parts) > 2 and not self._stopped:  # one that is nearer may be solved
-            finer = self._finer(found, np.minimum(parts, 2))
-        return finer
+        return self._finer(found, parts)
 
     def _finer(self, found: _Found, parts: np.ndarray) -> "_Found | str":
         """The solution with each step in some parts, or why there is none."""
@@ -225,22 +221,14 @@ class Refinement:
         return self._on(self.problem, lengths, self.given.near(solution), solution), None, None
 
     def _parts(self, found: _Found) -> np.ndarray:
-        """Into how many parts each step is divided: a step that errs less than the worst one will is left for later.
-
-        Where controls jump in few steps, these are divided into more parts, so that there are about as many steps
-        more.
-        """
+        """Into how many parts each step is divided: a step that errs less than the worst one will is left for later."""
         errors, count = found.errors, found.solution.steps
         order = np.where(errors.rough, 2, 2 * len(found.solution.stage_times) / count)
         each, alone = self._each(errors), np.minimum(errors.inequalities, 1.0)
-        most, parts = np.full(count, PARTS), np.ones(count)
-        for _ in range(2):
-            goal = max(self.accuracy / count, np.max(each / most**order))
-            between = max(self.accuracy, np.max(alone / most**2))
-            parts = np.ceil(np.maximum((each / goal) ** (1 / order), np.sqrt(alone / between)) - ROUNDING)
-            more = np.clip(count // max(np.sum(parts > 1), 1), PARTS, MOST_PARTS)
-            most = np.where(errors.rough, more, PARTS)
-        return np.clip(parts, 1, most).astype(int)
+        goal = max(self.accuracy / count, np.max(each / PARTS**order))
+        between = max(self.accuracy, np.max(alone) / PARTS**2)
+        needed = np.maximum((each / goal) ** (1 / order), np.sqrt(alone / between))
+        return np.clip(np.ceil(needed), 1, PARTS).astype(int)
 
     def _raised(self, errors: StepErrors) -> Method:
         """The method with one stage more, where most steps err too much, and not since controls jump in them."""
@@ -275,7 +263,7 @@ class Refinement:
                     return found
                 if lasting.arcs == structure.arcs:
                     better = self._judged(solution, lasting, arcs)
-                    return better if self.error(better) < BETTER * error else found
+                    return better if self.error(better) < error else found
                 structure = lasting
         except RetraxError:  # the guess does not fit: the structure was not seen well enough on this mesh
             return found
