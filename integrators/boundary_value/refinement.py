@@ -27,7 +27,7 @@ ROUNDS = 25  # of refinement
 MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
 PARTS = 4  # of a step, at most
-SHARE, LOOSEST = 1e-3, 1e-5  # of the error of a mesh, and at most: the tolerance of what follows
+SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
 AGAIN = 0.1  # times the error at which arcs were in vain: where they are tried again
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
@@ -64,7 +64,7 @@ class Refinement:
     solver: Solver  # on the mesh to begin with
     request: Request
     accuracy: float
-    loosely: bool = True  # whether meshes that err are solved no more exactly than that
+    loosely: bool = True  # whether meshes that follow the first are solved no more exactly than that
 
     def __post_init__(self) -> None:
         self.problem, self.given = self.solver.problem, self.request.given
@@ -75,7 +75,8 @@ class Refinement:
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
         self._most, self._vain, self._stopped = MOST_STAGES, np.inf, False
         options = self.request.options
-        self._tolerance = options.tolerance
+        looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
+        self._tolerance = max(options.tolerance, looser)
         if options.callback is not None:
             self._callback = options.callback
             self.request = replace(self.request, options=options._replace(callback=self._told))
@@ -176,11 +177,7 @@ class Refinement:
         if self._estimator is None:
             self._estimator = Estimator(self.problem, self.method.retraction, solution.parameters)
         found = _Found(solution, None, structure, arcs)  # pyright: ignore[reportArgumentType]
-        found = found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
-        if self.loosely:  # what follows is a finer mesh, or the same one solved further
-            own = self.request.options.tolerance
-            self._tolerance = max(own, min(SHARE * min(self.error(found), self.accuracy), LOOSEST))
-        return found
+        return found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
 
     def _refined(self, found: _Found) -> "_Found | str":
         """The solution on a finer mesh, or why there is none."""
