@@ -26,7 +26,7 @@ from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.precision import default_tolerance
 from retrax.manifolds.numerics.root import approach_root, find_root
 from retrax.problems import SINGULAR, get
-from retrax.retractions import Cayley, CotangentLift, Exponential, Gauss, Midpoint, Projection, Restored
+from retrax.retractions import Cayley, CotangentLift, Exponential, Gauss, Midpoint, Projection, ProjectionByNewton
 from retrax.retractions.retraction import miss
 
 COUNT = 100  # starts of each kind
@@ -294,7 +294,7 @@ def propagation():
     """The states of a slew of 20 steps to which its controls lead, all steps at once: 120 unknowns in blocks of 6."""
     known, (table, weights, places) = get("rest-to-rest-slew"), _tableau()
     retraction = Cayley(known.problem.manifold)
-    found = solve(known.problem, Midpoint(retraction), known.start, known.end, known.horizon, 20)
+    found = solve(known.problem, known.start, known.end, known.horizon, method=Midpoint(retraction), steps=20)
     discrete = found.times, found.states, found.stage_times, found.controls, None
     propagator = Propagator(known.problem, retraction)
     given = propagator._given(*discrete)
@@ -339,7 +339,7 @@ def propagation():
 
 CASES: dict[str, Callable[[], Case]] = {
     "inverse, sphere": lambda: inverse_retraction(Exponential(Sphere(2)), (0.1, 1.5), (1.5, 3.1)),
-    "inverse, ellipsoid": lambda: inverse_retraction(Restored(Ellipsoid((3,))), (0.05, 0.3), (0.3, 1.5)),
+    "inverse, ellipsoid": lambda: inverse_retraction(ProjectionByNewton(Ellipsoid((3,))), (0.05, 0.3), (0.3, 1.5)),
     "inverse, Stiefel": partial(inverse_retraction, Exponential(Stiefel(4, 2)), (0.1, 1.0), (2.0, 3.1), True),
     "projection, ellipsoid": level_set_projection,
     "step, pendulum": lambda: implicit_step("pendulum", 0.1, 2.0),

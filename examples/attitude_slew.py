@@ -63,7 +63,7 @@ def slew(steps):
     """The optimal slew with a number of equal steps."""
     start = (np.eye(3), np.zeros(3))
     end = (Rotation.from_rotvec(ANGLE * AXIS).as_matrix(), np.zeros(3))
-    return solve(PROBLEM, METHOD, start, end, horizon=HORIZON, steps=steps)
+    return solve(PROBLEM, start, end, horizon=HORIZON, method=METHOD, steps=steps)
 
 
 def plot_histories(solution: Solution, path):

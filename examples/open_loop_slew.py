@@ -114,7 +114,7 @@ def main(arguments=None):
     options.output.mkdir(parents=True, exist_ok=True)
 
     rest = jnp.zeros(3)
-    solution = solve(PROBLEM, Midpoint(Cayley(Q)), (jnp.eye(3), rest), (TARGET, rest), HORIZON, STEPS)
+    solution = solve(PROBLEM, (jnp.eye(3), rest), (TARGET, rest), HORIZON, method=Midpoint(Cayley(Q)), steps=STEPS)
     torques = jnp.asarray(solution.controls)
     errors = SPREAD * jax.random.normal(jax.random.key(0), (options.samples, 6))
     attitudes = np.asarray(jax.jit(jax.vmap(last_attitude, (None, 0)))(torques, errors))

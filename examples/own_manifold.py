@@ -81,7 +81,7 @@ def torus(steps):
     retraction = Projection(m)
     end = 3.0 * np.array([np.cos(1.0), np.sin(1.0), 0.0])
     problem = OptimalControlProblem(m, lambda q, u: m.projection(q, u), lambda q, u: u @ u / 2, 3)
-    solution = solve(problem, Midpoint(retraction), np.array([3.0, 0.0, 0.0]), end, horizon=1.0, steps=steps)
+    solution = solve(problem, np.array([3.0, 0.0, 0.0]), end, horizon=1.0, method=Midpoint(retraction), steps=steps)
     return retraction, solution, 4.5
 
 
@@ -92,7 +92,7 @@ def ellipsoid(steps):
     length = ellipeinc(np.pi / 2, 1 - 2.0) / np.sqrt(2.0)
     end = np.array([0.0, np.sqrt(0.5), 0.0])
     problem = OptimalControlProblem(m, lambda q, u: m.projection(q, u), lambda q, u: u @ u / 2, 3)
-    solution = solve(problem, Midpoint(retraction), np.array([1.0, 0.0, 0.0]), end, horizon=1.0, steps=steps)
+    solution = solve(problem, np.array([1.0, 0.0, 0.0]), end, horizon=1.0, method=Midpoint(retraction), steps=steps)
     return retraction, solution, length**2 / 2
 
 
@@ -111,7 +111,7 @@ def heisenberg(steps):
     states = np.tile(np.eye(3), (steps, 1, 1))
     states[:, 0, 1], states[:, 1, 2], states[:, 0, 2] = loop[0], loop[1], times / 2
     guess = Guess(states, np.stack([np.cos(2 * np.pi * times), np.sin(2 * np.pi * times)], axis=1))
-    solution = solve(problem, Midpoint(retraction), np.eye(3), end, horizon=1.0, steps=steps, guess=guess)
+    solution = solve(problem, np.eye(3), end, horizon=1.0, method=Midpoint(retraction), steps=steps, guess=guess)
     return retraction, solution, np.pi
 
 

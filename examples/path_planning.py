@@ -166,7 +166,9 @@ def main(arguments=None):
         f"{planned.gradient_norm:.1e}"
     )
 
-    solution = solve(PROBLEM, Midpoint(Exponential(Q)), START, END, 1.0, options.steps, guess=guess_from(path))
+    solution = solve(
+        PROBLEM, START, END, 1.0, method=Midpoint(Exponential(Q)), steps=options.steps, guess=guess_from(path)
+    )
     solution.report()
     paths = {"geodesic": geodesic, "planned path": path, "optimal motion": solution.states}
     for name, poses in paths.items():

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
 from retrax import plotting
-from retrax.integrators import OptimalControlProblem, classify, form_defect, integrate, singular_integrator
+from retrax.integrators import OptimalControlProblem, classify, integrate, singular_integrator, symplecticity_defect
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.manifolds.numerics import ambient as vec
 from retrax.problems import SINGULAR
@@ -86,7 +86,7 @@ def examine(problem, start):
     )
     numbers = {
         "P_f": np.max(gaps),
-        "omega_f": np.asarray(form_defect(classification.presymplectic, method, problem, z, SIZES)),
+        "omega_f": np.asarray(symplecticity_defect(classification.presymplectic, method, problem, z, SIZES)),
         "momentum": np.max(np.abs(momentum - momentum[0, 0])),
         "energy": np.max(np.abs(energy - energy[:, :1]), axis=1),
     }

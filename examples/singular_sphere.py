@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import matplotlib as mpl
 import numpy as np
-from retrax.integrators import classify, form_defect, integrate, singular_integrator
+from retrax.integrators import classify, integrate, singular_integrator, symplecticity_defect
 from retrax.manifolds.numerics import ambient as vec
 from retrax.problems import SINGULAR
 from retrax.retractions import Midpoint, Projection
@@ -91,7 +91,7 @@ def main(arguments=None):
     for name, steps in (("rattle", options.steps), ("project", options.steps // 10)):
         method, choice = singular_integrator(classification, Midpoint(Projection(problem.manifold)), name)
         path = integrate(problem, method, z, STEP, steps, save_every=10)
-        defects[name] = np.asarray(form_defect(classification.presymplectic, method, problem, z, SIZES))
+        defects[name] = np.asarray(symplecticity_defect(classification.presymplectic, method, problem, z, SIZES))
         gaps[name] = float(jnp.max(jax.vmap(lambda q, p: vec.size(final.equations((q, p))))(path.q, path.p)))
         energy = energies(problem, classification, path)
         runs[name] = np.asarray(path.times), energy - energy[0]

@@ -6,8 +6,10 @@ if __package__ != "retrax.integrators":
         "a second copy of its classes would not match the first"
     )
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from ..former_names import former
+from ..retractions import Gauss
 from . import boundary_value, dirac, initial_value, stages
 from .boundary_value import *
 from .dirac import *
@@ -38,6 +40,7 @@ __all__ = [
     "Choice",
     "Classification",
     "Free",
+    "Gauss",
     "MorseTest",
     "OptimalControlProblem",
     "Quantities",
@@ -54,10 +57,24 @@ __all__ += initial_value.__all__
 __all__ += stages.__all__
 
 
-def __getattr__(name: str) -> type:
-    """``SymbolicClassification``, which needs SymPy, when it is asked for."""
+FORMER = {
+    "ControlStructure": "SwitchingStructure",
+    "Extremal": "DifferentiableSolution",
+    "control_structure": "switching_structure",
+    "form_defect": "symplecticity_defect",
+    "singular_arcs": "find_singular_arcs",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """``SymbolicClassification``, which needs SymPy, when it is asked for, and former names."""
     if name == "SymbolicClassification":
         from .singular.symbolic import SymbolicClassification
 
         return SymbolicClassification
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return former(__name__, FORMER, name)
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)

@@ -5,9 +5,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from inspect import unwrap
+from linecache import getline
 from traceback import walk_tb
 from types import CodeType, FunctionType, MethodType
-from typing import Any, final
+from typing import Any, NamedTuple, final
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from .options import takes_more
 from .results import warn_of_coarse_values
 
 LIBRARIES = frozenset(
-    {"builtins", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"}
+    {"builtins", "casadi", "equinox", "functools", "jax", "jaxlib", "math", "numpy", "operator", "retrax", "scipy"}
 )
 TRUTH = "try jnp.where(condition, 1.0, 0.0)"
 
@@ -90,19 +91,26 @@ def _stacked(value: Any) -> Any:
         return None
 
 
-def failing_line(error: BaseException, functions: dict[str, Any]) -> str:
-    """Where a user's function, one of those that are named, raised an error: its name, a line and a file; else
-    empty."""
+class FailingLine(NamedTuple):
+    """The line of a user at which a function raised an error: words on its place, and its source."""
+
+    place: str
+    source: str
+
+
+def failing_line(error: BaseException, functions: dict[str, Any]) -> FailingLine:
+    """The line of a named function, or of what it calls, that raised an error; empty texts if there is none."""
     frames = list(walk_tb(error.__traceback__))
     codes = {code: name for name, function in functions.items() if (code := _code(function)) is not None}
     called = [i for i, (frame, _) in enumerate(frames) if frame.f_code in codes]
     if not called:
-        return ""
+        return FailingLine("", "")
     inside = [
         at for at in frames[called[-1] :] if at[0].f_globals.get("__name__", "").partition(".")[0] not in LIBRARIES
     ]
     frame, line = (inside or [frames[called[-1]]])[-1]
-    return f"{codes[frames[called[-1]][0].f_code]}, line {line} of {frame.f_code.co_filename}"
+    file, name = frame.f_code.co_filename, codes[frames[called[-1]][0].f_code]
+    return FailingLine(f"{name}, line {line} of {file}", getline(file, line, frame.f_globals).strip())
 
 
 @final

@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from functools import cache, wraps
 from typing import Any, ParamSpec, TypeVar
 
+from ..errors import InvalidCallError, concise
 from ..manifolds import InvalidInputError
 
 P = ParamSpec("P")
@@ -82,7 +83,7 @@ def meant(unknown: str, names: list[str]) -> str:
 
 
 def known_options(function: Callable[P, R]) -> Callable[P, R]:
-    """The function, with an ``InvalidInputError`` in words for keywords that it does not have, and for missing
+    """The function, with an ``InvalidCallError`` in words for keywords that it does not have, and for missing
     arguments."""
     signature, what = inspect.signature(function), function.__qualname__.removesuffix(".__init__")
     names = [name for name in signature.parameters if name != "self"]
@@ -101,11 +102,11 @@ def known_options(function: Callable[P, R]) -> Callable[P, R]:
         hint = f"did you mean {near}?" if near else asked_for(unknown.lower())
         if "accuracy" in names and any(part in unknown.lower() for part in REFINED):
             hint = ACCURACY
-        raise InvalidInputError(
+        raise InvalidCallError(
             f"{what} has no option {unknown!r}, expected one of {', '.join(names)}" + (f"; {hint}" if hint else "")
         )
 
-    return call
+    return concise(call)
 
 
 def _require_all(signature: inspect.Signature, what: str, count: int, given: tuple[str, ...]) -> None:
@@ -115,7 +116,9 @@ def _require_all(signature: inspect.Signature, what: str, count: int, given: tup
     except TypeError as error:
         required = [name for name, p in signature.parameters.items() if p.default is p.empty and name != "self"]
         hint = f"; {HORIZON}" if "'horizon'" in str(error) else ""
-        raise InvalidInputError(f"{what}: {error}, expected {what}({', '.join(required)}, ...){hint}") from error
+        if "too many positional" in str(error):
+            hint = "; the options behind these are named, as steps=20"
+        raise InvalidCallError(f"{what}: {error}, expected {what}({', '.join(required)}, ...){hint}") from error
 
 
 def require_arguments(name: str, function: Any, expected: str, more: str = "") -> bool:

@@ -1,5 +1,6 @@
 """How the functions of a problem depend on the controls, seen at a few of them: curved, flat, or kinked."""
 
+import re
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -18,7 +19,7 @@ from .functions import Bound, failing_line
 from .layout import Layout
 
 # Of functions that are given something else than expected.
-FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError
+FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError, NotImplementedError
 
 if TYPE_CHECKING:
     from .problem import OptimalControlProblem
@@ -258,30 +259,52 @@ def kink_words(bent: Bend, direction: np.ndarray, slopes: np.ndarray, controls: 
 
 
 HINTS = {  # by parts of what an error says
+    "overloaded function": "try jax.numpy: jnp.stack([...]) in place of ca.vertcat, u @ u in place of ca.sumsqr(u)",
+    "with a sequence": "try jnp.stack([...]) of all entries, in place of np.zeros and an assignment",
     "item assignment": "try jnp.stack([...]) of all entries, or x = x.at[0].set(...)",
     "unsupported operand": "try an array, jnp.array([...]), in place of a list or a tuple",
+}
+
+
+IN_JAX = {  # what to write in a line that JAX cannot trace, by what is in it
+    r"\b(max|min)\(": r"jnp.\1imum in place of \1",
+    r"\bmath\.(\w+)": r"jnp.\1 in place of math.\1",
+    r"\bnp\.(\w+)": r"jnp.\1 in place of np.\1",
+    r"\b(float|int)\(": r"the number without \1(...)",
+    r"\bif\b": "jnp.where(condition, a, b) in place of if",
 }
 
 
 def failure_words(problem: "OptimalControlProblem", error: Exception, q: Ambient, u: Ambient) -> str:
     """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
     shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
-    reason = str(error).rstrip(".")
+    reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
     given = next((own.value for own in problem.functions.values() if isinstance(own, Bound)), None)
     other = "try another number of controls, or index what is there"
     if given is not None:
         expected = jax.tree.map(np.shape, given)
         other = f"parameters have the shapes {expected}, try other ones, another number of controls, or index them"
     hint = next((words for part, words in HINTS.items() if part in reason), other)
+    where = failing_line(error, problem.functions)
     if isinstance(error, jax.errors.JAXTypeError):
-        reason, hint = f"JAX cannot trace them ({type(error).__name__})", TRACEABLE
+        reason, hint = f"JAX cannot trace them ({type(error).__name__})", _traceable(where.source)
     elif not _has_velocity(problem, q, u) and _has_velocity(problem, u, q):
         hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
-    where = failing_line(error, problem.functions)
+    place = f", in {where.place}" if where.place else ""
+    quoted = f', in "{where.source}"' if where.source else ""
     return (
         f"the problem's functions fail at a point q of {problem.manifold}, shape {shapes[0]}, and a control u of "
-        f"{problem.controls}, shape {shapes[1]}{where and ', in ' + where}: {reason}; {hint}"
+        f"{problem.controls}, shape {shapes[1]}{place}: {reason}{quoted}; {hint}"
     )
+
+
+def _traceable(source: str) -> str:
+    """What to try in place of a line that JAX cannot trace."""
+    for pattern, words in IN_JAX.items():
+        found = re.search(pattern, source)
+        if found:
+            return "try " + found.expand(words)
+    return TRACEABLE
 
 
 def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool:

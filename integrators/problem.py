@@ -15,6 +15,7 @@ from ..manifolds.manifold import same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import working_precision
+from ..module import Module
 from ..reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
@@ -35,7 +36,7 @@ TerminalCost = Callable[[Any], Any]
 
 
 @final
-class OptimalControlProblem(eqx.Module):
+class OptimalControlProblem(Module):
     """Minimise ``Phi_0(q(0)) + int F(q, u) dt + Phi(q(T))`` subject to ``q' = X(q, u)`` and ``g(q, u) <= 0`` on a
     manifold.
 

@@ -11,9 +11,10 @@ import equinox as eqx
 import numpy as np
 
 from ..manifolds import InvalidInputError
-from .archives import archived_arrays
+from .archives import archived, archived_arrays
 
 LOADERS = {"Solution": "load_solution", "Trajectory": "load_trajectory"}  # what reads the files of which class
+HEAD = "schema.txt"  # the entry of a batch with its kind
 LONGEST_TEXT = 100  # characters
 REAL = tuple(map(np.dtype, (np.float32, np.float64)))
 NUMBERS = (*REAL, *map(np.dtype, (np.complex64, np.complex128)))
@@ -110,6 +111,20 @@ class RecordFile:
         if wrong:
             raise InvalidInputError(wrong)
         return made
+
+
+def record_kind(path: str | Path) -> str:
+    """The name of the class whose record a file holds; empty where it does not name one.
+
+    Raises ``InvalidInputError`` for a file that is damaged or no archive.
+    """
+    place = _path(path)
+    try:
+        entries = archived(place)
+        mark = entries[HEAD].decode() if HEAD in entries else str(archived_arrays(place).get("schema", ""))
+    except (InvalidInputError, UnicodeDecodeError) as error:
+        raise InvalidInputError(f"{path} is not a record of retrax: {error}") from error
+    return mark.removeprefix("retrax.").partition(" ")[0]
 
 
 def _path(path: Any) -> Path:

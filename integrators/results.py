@@ -9,6 +9,8 @@ import numpy as np
 
 from ..manifolds.numerics.precision import working_precision
 
+BETTER = "a better guess (Guess.from_controls, Free(value) at a free end, or continuation)"
+
 
 class Result(eqx.Enumeration):
     """How a trajectory ended, its ``result``. Compare with ``Result.successful``; ``Result[item]`` is the sentence.
@@ -41,22 +43,22 @@ class Result(eqx.Enumeration):
     interrupted = "The computation was interrupted; the trajectory ends with the last state that was kept."
     stopped = "The iteration was stopped before the conditions were met; this is its best iterate."
     too_many_iterations = (
-        "The iteration limit of a search came before the conditions were met; try more iterations, a better guess, "
-        "more steps, or a longer horizon: the end may be out of reach."
+        "The iteration limit of a search came before the conditions were met; try more iterations, "
+        f"{BETTER}, more steps, or a longer horizon: the end may be out of reach."
     )
     no_improvement = (
-        "No step along the computed directions improves the trajectory any more, and the conditions are not met; try a "
-        "better guess, more steps, or a longer horizon."
+        "No step along the computed directions improves the trajectory any more, and the conditions are not met; try "
+        f"{BETTER}, more steps, or a longer horizon."
     )
     singular = (
         "The system of optimality conditions stays singular: to first order the boundary conditions cannot be reached "
         "from this trajectory, or the cost does not determine the controls; check that the end point is reachable and "
-        "that the running cost is strictly convex in every control, or give a guess that moves."
+        f"that the running cost is strictly convex in every control, or give {BETTER}."
     )
     infeasible = (
         "The inequalities contradict each other or the ends at the points of these steps, or a better guess is needed: "
         "this is the trajectory near the guess that violates them least; try more steps, wider bounds, a longer "
-        "horizon, or free ends."
+        f"horizon, free ends, or {BETTER}."
     )
     falling = (
         "The conditions are not met, and the cost fell as fast at the end as before: there may be no minimum; try "

@@ -5,6 +5,7 @@ from textwrap import wrap
 
 Line = tuple[str, str]
 WIDTH = 110  # characters of a line of text
+LONGEST_VALUE = 80  # characters of a value in a message
 
 
 def table(lines: list[Line]) -> str:
@@ -26,3 +27,12 @@ def _wrapped(text: str) -> list[str]:
 def many(count: int, noun: str) -> str:
     """``1 point``, ``2 points``."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
+
+
+def brief(value: object) -> str:
+    """A value on one line, as messages show what came: an array by its shape, other values cut after 80 characters."""
+    shape = getattr(value, "shape", None)
+    if isinstance(shape, tuple) and shape:
+        return f"an array of shape {shape}"
+    text = " ".join(repr(value).split())
+    return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."

@@ -6,7 +6,7 @@ if __package__ != "retrax.manifolds":
         "a second copy of its classes would not match the first"
     )
 
-from ..errors import NotDifferentiableError
+from ..errors import InvalidCallError, NotDifferentiableError
 from . import groups, matrices, vectors
 from .bundles import CotangentBundle, TangentBundle
 from .combined_metrics import PowerMetric, ProductMetric, ScaledMetric
@@ -45,6 +45,7 @@ __all__ = [
     "EmbeddedMetric",
     "HomogeneousSpace",
     "Immersion",
+    "InvalidCallError",
     "InvalidInputError",
     "LagrangianVerdict",
     "LevelSet",

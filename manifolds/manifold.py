@@ -210,7 +210,7 @@ class Manifold(eqx.Module):
             if jnp.issubdtype(kind, jnp.complexfloating) and not jnp.issubdtype(expected.dtype, jnp.complexfloating):
                 return (
                     f"{self._named(role)} has real entries, got complex ones; try jnp.real of it where the "
-                    "rest is rounding"
+                    "rest is rounding, or a manifold of complex arrays: ComplexStiefel(n, p), U(n), SU(n)"
                 )
         return ""
 

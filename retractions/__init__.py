@@ -6,18 +6,21 @@ if __package__ != "retrax.retractions":
         "a second copy of its classes would not match the first"
     )
 
+from typing import Any
+
+from ..former_names import former
 from . import constructions, groups, matrices, vectors
 from .constructions import *
 from .cotangent_lift import BundleRetraction, CotangentLift, cotangent_lift
-from .differential import DifferentiatedRetraction, differentiated, fibre_adjoint
+from .differential import DifferentiatedRetraction, differential_adjoint, differentiated
 from .discretization import Adjoint, DiscretizationMap, Euler, Midpoint, Theta
 from .families import QR, Cayley, Exponential, Polar, Projection, RetractionFamily, default_retraction
 from .gauss import Gauss
 from .groups import *
 from .level_set import LevelSetProjection
 from .matrices import *
-from .measured_order import MeasuredOrder, order
-from .restored import Restored
+from .measured_order import MeasuredOrder, measured_order
+from .restored import ProjectionByNewton
 from .retraction import MidpointRetraction, Retraction
 from .submanifold import Orthographic
 from .vectors import *
@@ -40,17 +43,29 @@ __all__ = [
     "Orthographic",
     "Polar",
     "Projection",
-    "Restored",
+    "ProjectionByNewton",
     "Retraction",
     "RetractionFamily",
     "Theta",
     "cotangent_lift",
     "default_retraction",
+    "differential_adjoint",
     "differentiated",
-    "fibre_adjoint",
-    "order",
+    "measured_order",
 ]
 __all__ += constructions.__all__
 __all__ += groups.__all__
 __all__ += matrices.__all__
 __all__ += vectors.__all__
+
+FORMER = {
+    "Restored": "ProjectionByNewton",
+    "Stabilized": "RestoredAfter",
+    "fibre_adjoint": "differential_adjoint",
+    "order": "measured_order",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Objects by their former names."""
+    return former(__name__, FORMER, name)

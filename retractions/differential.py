@@ -13,7 +13,7 @@ from .retraction import Retraction
 class DifferentiatedRetraction(Retraction):
     """A retraction with closed forms of its derivative along the fibres and of the adjoint of that.
 
-    Use ``differentiated`` and ``fibre_adjoint``, which take any retraction.
+    Use ``differentiated`` and ``differential_adjoint``, which take any retraction.
 
     The derivative is ``DR[w] = d/ds R(x, v + s w)`` at ``s = 0``.
 
@@ -26,7 +26,7 @@ class DifferentiatedRetraction(Retraction):
         """``DR[w] = D_v R(x, v)[w]``, tangent at ``R(x, v)``, for ``w`` tangent at ``x``."""
 
     @abstractmethod
-    def fibre_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+    def differential_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
         """``DR*[xi]``, tangent at ``x``, for ``xi`` any ambient covector at ``R(x, v)``."""
 
 
@@ -48,7 +48,7 @@ def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -
     return jax.jvp(lambda u: retraction(x, u), (v,), (w,))[1]
 
 
-def fibre_adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+def differential_adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
     """Adjoint ``DR*`` of the differentiated retraction: ``<DR[w], xi> = <w, DR*[xi]>`` for every ``w`` tangent at
     ``x``.
 
@@ -57,11 +57,11 @@ def fibre_adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -
     ``v`` and the value are tangent vectors at ``x``, all of the shape of a point.
 
     >>> x, v, xi = jnp.zeros(2), jnp.ones(2), jnp.array([1.0, 2.0])
-    >>> fibre_adjoint(Addition(Euclidean(2)), x, v, xi).tolist()
+    >>> differential_adjoint(Addition(Euclidean(2)), x, v, xi).tolist()
     [1.0, 2.0]
     """
     require_shapes(retraction.manifold, {"a point": x, "a tangent vector": v, "a covector": xi})
     if isinstance(retraction, DifferentiatedRetraction):
-        return retraction.fibre_adjoint(x, v, xi)
+        return retraction.differential_adjoint(x, v, xi)
     _, pull = vec.pullback(lambda u: retraction(x, u), v)
     return retraction.manifold.projection(x, pull(xi)[0])

@@ -51,7 +51,7 @@ from .matrices import (
     StiefelPolar,
     StiefelQR,
 )
-from .restored import Restored
+from .restored import ProjectionByNewton
 from .retraction import Retraction
 from .submanifold import Orthographic
 from .vectors import (
@@ -175,8 +175,8 @@ FAMILIES = (Exponential, Projection, Cayley, Polar, QR)
 
 
 def default_retraction(manifold: Manifold) -> Retraction:
-    """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold, or ``Restored`` where none
-    is.
+    """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold, else
+    ``ProjectionByNewton``.
 
     Factor by factor on products.
 
@@ -186,5 +186,5 @@ def default_retraction(manifold: Manifold) -> Retraction:
         return ProductRetraction(*(default_retraction(factor) for factor in manifold.factors))
     if isinstance(manifold, Power):
         return PowerRetraction(default_retraction(manifold.factor), manifold.k)
-    family = next((family for family in FAMILIES if family.knows(manifold)), Restored)
+    family = next((family for family in FAMILIES if family.knows(manifold)), ProjectionByNewton)
     return family(manifold)

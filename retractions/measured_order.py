@@ -44,7 +44,7 @@ class MeasuredOrder(NamedTuple):
     slope: float
 
 
-def order(
+def measured_order(
     retraction: Retraction,
     metric: Metric | None = None,
     at: tuple[Ambient, Ambient] | None = None,
@@ -58,6 +58,9 @@ def order(
     smaller of both.
 
     ``at``: a point and a vector of its shape.
+
+    >>> measured_order(Cayley(SO(3))).order, measured_order(QR(SO(3))).order
+    (2, 1)
     """
     metric = metric_on(retraction.manifold, metric)
     if at is None:

@@ -17,7 +17,7 @@ FAR = 0.25  # and of those that no point has, however large it is: of inequaliti
 
 
 @final
-class Restored(Retraction):
+class ProjectionByNewton(Retraction):
     """``R(x, v)``: the point to which ``manifold.restore`` leads from ``x + v``; entries are NaN where it leads to
     none.
 
@@ -25,7 +25,7 @@ class Restored(Retraction):
     distance ``O(t^2)``, moves by ``O(t^2)``: a retraction of the projection-like kind [Absil, Malick 2012], for a
     manifold without closed forms. Inverse: Newton's method.
 
-    >>> Restored(Sphere(2)).manifold
+    >>> ProjectionByNewton(Sphere(2)).manifold
     Sphere(n=2)
     """
 

@@ -129,7 +129,7 @@ def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
     shown = {type(made) for manifold in tables.EXAMPLES for made in tables.retractions(manifold)}
     of_any_manifold = {
         *("BundleRetraction", "LevelSetProjection", "Orthographic", "PowerRetraction", "ProductRetraction"),
-        *("Restored", "SecondOrder", "Stabilized", "Translated"),
+        *("ProjectionByNewton", "SecondOrder", "RestoredAfter", "Translated"),
     }
     public = {name: getattr(retractions, name) for name in retractions.__all__}
     kinds = {

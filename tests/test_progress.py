@@ -41,7 +41,7 @@ def test_a_terminal_shows_a_bar(monkeypatch):
 
 
 def test_a_bar_is_not_needed(monkeypatch, caplog):
-    monkeypatch.setitem(sys.modules, "tqdm", None)
+    monkeypatch.setitem(sys.modules, "tqdm.auto", None)
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     with caplog.at_level(logging.INFO, "retrax"), progress("work", 2, "parts", verbose=True) as advance:
         advance(2)

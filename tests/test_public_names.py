@@ -90,10 +90,11 @@ def lacks(name: str, thing: object, is_mathematics: bool = True) -> set[str]:
 
 
 def lacking(room: str) -> dict[str, list[str]]:
-    """The public names of a room, without those of the room above, by what their documentation lacks."""
-    module, above = (importlib.import_module(name) for name in (f"retrax.{room}", f"retrax.{room}".rpartition(".")[0]))
+    """The public names of a room, without the names of a room above, by what their documentation lacks."""
+    module, above = importlib.import_module(f"retrax.{room}"), room.rpartition(".")[0]
+    known = set(importlib.import_module(f"retrax.{above}").__all__) if above else set()
     found: dict[str, list[str]] = {}
-    for name in sorted(set(module.__all__) - set(getattr(above, "__all__", ()))):
+    for name in sorted(set(module.__all__) - known):
         for what in lacks(name, getattr(module, name), room.startswith(("manifolds", "retractions"))):
             found.setdefault(what, []).append(name)
     return {what: found[what] for what in sorted(found)}

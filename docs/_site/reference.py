@@ -42,9 +42,11 @@ def write(folder: Path) -> None:
 
 
 def own(module: ModuleType) -> set[str]:
-    """The public names of a room that the room above does not have."""
-    above = importlib.import_module(module.__name__.rpartition(".")[0])
-    return set(module.__all__) - set(getattr(above, "__all__", ()))
+    """The public names of a room, without the names of a room above, or of the retractions, which are there."""
+    above = module.__name__.rpartition(".")[0]
+    elsewhere = "retrax.retractions" if module.__name__ == "retrax.integrators" else above
+    known = () if elsewhere == "retrax" else importlib.import_module(elsewhere).__all__
+    return set(module.__all__) - set(known)
 
 
 def entry(module: ModuleType, name: str) -> list[str]:

@@ -29,6 +29,7 @@ EXAMPLES: tuple[Manifold, ...] = (
     m.SL(2),
     m.SPD(3),
     m.Stiefel(5, 2),
+    m.ComplexStiefel(3, 2),
     m.Grassmann(5, 2),
     m.Oblique(3, 4),
     m.FixedRank(5, 4, 2),
@@ -45,7 +46,7 @@ HEAD = f"""Manifolds and retractions
 
 ``Cayley(M)`` is the retraction of that name on a manifold, ``default_retraction(M)`` the first of Exponential,
 Projection, Cayley, Polar and QR that there is; products are taken factor by factor, and powers copy by copy. A level
-set, and any other manifold with a ``restore``, has ``Projection`` or ``Restored`` by Newton's method.
+set, and any other manifold with a ``restore``, has ``Projection`` or ``ProjectionByNewton`` by Newton's method.
 
 Closed forms: of the inverse (i), of the domain (d), of midpoints (m), which ``Midpoint(R).inverse`` needs, and of
 derivatives (D); the others are derived, by Newton's method, a round trip and automatic differentiation. The last two

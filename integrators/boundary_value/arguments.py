@@ -16,6 +16,7 @@ from ..free import is_free, near
 from ..problem import OptimalControlProblem
 from ..results import warn_about_precision
 from ..singular import Classification, SingularIntegrator
+from ..text import brief
 from .engine.found import Iteration
 from .iteration_table import Printed
 
@@ -122,12 +123,17 @@ def fractions_of(steps: Any) -> np.ndarray:
     )
 
 
-def check_problem(problem: Any, method: Any) -> None:
+def require_problem(problem: Any) -> None:
+    """Raise if this is no problem."""
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
+
+
+def check_problem(problem: Any, method: Any) -> None:
+    require_problem(problem)
     if not isinstance(method, DiscretizationMap | Gauss):
         raise InvalidInputError(
-            f"solve takes a Gauss method or a discretization map, got {method!r}; try "
+            f"solve takes a Gauss method or a discretization map, got {brief(method)}; try "
             "Midpoint(default_retraction(manifold))"
         )
     problem.require_treated("solve", *ALONG, *BETWEEN)

@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from ...manifolds import InvalidInputError, Manifold
 from ...retractions import Retraction
 from ..archives import archived
+from ..records import HEAD
 
 if TYPE_CHECKING:
     from .solution import Solution
     from .solutions import Solutions
 
 SCHEMA = "retrax.Solutions 1"
-HEAD = "schema.txt"
 
 
 def save_batch(members: Sequence["Solution"], path: str | Path) -> None:

@@ -19,7 +19,7 @@ from .solution import Solution
 INSTEAD = "solver.extremal, which has derivatives, or solver.solve_many, which takes batches"
 
 
-class Extremal(NamedTuple):
+class DifferentiableSolution(NamedTuple):
     """What ``Solver.extremal`` returns: the arrays of a ``Solution`` that have derivatives, as JAX arrays of the same
     shapes.
 
@@ -37,17 +37,19 @@ def extremal_of(
     given: Given,
     solved: Callable[[Given], Solution],
     sensitivity: Callable[[Solution], Sensitivity],
-) -> Extremal:
+) -> DifferentiableSolution:
     """The extremal that ``solved`` finds, with the derivatives of the implicit function theorem.
 
     Forward mode multiplies by the columns of ``sensitivity``, and reverse mode is its transpose.
     """
 
     @jax.custom_jvp
-    def extremal(given: Given) -> Extremal:
+    def extremal(given: Given) -> DifferentiableSolution:
         return _arrays(solved(_values(given)))
 
-    def with_tangent(primals: tuple[Given], tangents: tuple[Given]) -> tuple[Extremal, Extremal]:
+    def with_tangent(
+        primals: tuple[Given], tangents: tuple[Given]
+    ) -> tuple[DifferentiableSolution, DifferentiableSolution]:
         with eval_context():  # else JAX would record the solver too, for the tangents
             solution = solved(_values(*primals))
             derivatives = sensitivity(solution)
@@ -80,11 +82,13 @@ def _values(given: Given) -> Given:
     return jax.tree.map(np.asarray, given)
 
 
-def _arrays(solution: Solution) -> Extremal:
-    return Extremal(*(jax.tree.map(jnp.asarray, getattr(solution, name)) for name in Extremal._fields))
+def _arrays(solution: Solution) -> DifferentiableSolution:
+    return DifferentiableSolution(
+        *(jax.tree.map(jnp.asarray, getattr(solution, name)) for name in DifferentiableSolution._fields)
+    )
 
 
-def pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Given) -> Extremal:
+def pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Given) -> DifferentiableSolution:
     """The derivative of the extremal along a tangent, to which it is linear."""
     first, last = (vec.taken(solution.states, k) for k in (0, -1))
     ends = (vec.components(manifold.basis(q), _filled(v, q)) for q, v in ((first, tangent.start), (last, tangent.end)))
@@ -96,9 +100,9 @@ def pushed(manifold: Manifold, solution: Solution, by: Sensitivity, tangent: Giv
     return jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts)
 
 
-def _along(v: Any, by: Derivative) -> Extremal:
+def _along(v: Any, by: Derivative) -> DifferentiableSolution:
     """A derivative by an array times a change of it."""
-    own = Extremal(*(getattr(by, name) for name in Extremal._fields))
+    own = DifferentiableSolution(*(getattr(by, name) for name in DifferentiableSolution._fields))
     return jax.tree.map(lambda leaf: jnp.tensordot(v, jnp.asarray(leaf), jnp.ndim(v)), own)
 
 

@@ -152,6 +152,7 @@ class EndReader:
         """Lengths of the leading axes that points have in addition."""
         if given is None:
             return []
+        given = self._array(given)
         if self._is_split(given):
             return [length for factor, part in zip(self.factors, given, strict=True) for length in factor.lengths(part)]
         return [np.shape(jax.tree.leaves(guessed(given))[0])[:1]] if self._is_batch(guessed(given)) else []
@@ -160,6 +161,7 @@ class EndReader:
         """Member ``k`` of what may be a batch of points."""
         if given is None:
             return None
+        given = self._array(given)
         if self._is_split(given):
             return tuple(factor.member(part, k) for factor, part in zip(self.factors, given, strict=True))
         if not self._is_batch(guessed(given)):
@@ -192,7 +194,19 @@ class EndReader:
             for i, (factor, part) in enumerate(zip(self.factors, given, strict=True)):
                 yield from factor._parts(part, f"{name}, factor {i}")
         else:
-            yield name, self, given
+            yield name, self, self._array(given)
+
+    def _array(self, given: Any) -> Any:
+        """The array that nested lists of numbers stand for, where a point is one array; anything else as it is."""
+        if self.factors or len(self.layout.shapes) != 1 or not isinstance(given, list | tuple | int | float):
+            return given
+        if not all(isinstance(leaf, int | float | complex) for leaf in jax.tree.leaves(given)):
+            return given
+        try:
+            array = np.asarray(given)
+        except ValueError:  # rows of several lengths
+            return given
+        return array.reshape(self.layout.shapes[0]) if array.ndim == 0 and self.layout.size == 1 else array
 
     def _read(self, given: Any, name: str, batched: bool) -> tuple[Prescribed, np.ndarray]:
         """What is prescribed of an end, and its flat points, with zeros where nothing is known."""

@@ -8,13 +8,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ...manifolds import Euclidean
 from ...manifolds.numerics import ambient as vec
 from ..evaluation import at_each
 from ..free import Free, all_guessed, guessed, is_free, scaled
 from ..results import sentence
 from .arguments import Given
-from .checks import RegularChecks
 from .formulation import Formulation, Kind
 from .guess import Guess
 from .request import Request, RequestReader
@@ -22,6 +20,7 @@ from .resampling import resampled
 from .sensitivity import Sensitivity
 from .solution import Solution, Statistics
 from .solutions import Solutions
+from .vanishing import TENDS, VANISHED, Vanishing
 
 SINGULAR = (
     "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters "
@@ -45,17 +44,9 @@ SHRUNK = (
     " The horizon shrank from {:.3g} to {:.3g}: the cost may have an infimum, near {:.6g}, where the horizon tends to "
     "zero and all conditions vanish with it; try a lower bound of the horizon, or a guess near to the best one."
 )
-VANISHES = "The horizon tends to zero"
-VANISHED = (
-    VANISHES
-    + ", where all conditions vanish with it: at {:.3g} the cost is proportional to the controls, to rounding, "
-    "so that none is best, and its infimum is at most {:.9g}. Expected a running cost that grows faster than the "
-    "velocity, as 1 + u @ u; try such a cost, a lower bound of the horizon, or control_bounds."
-)
 ADVICE, LONGER = "; try ", "a longer horizon"  # where the advice of a result begins, and one that a growing one refutes
 HELD, UNMET = 1.01, 1e-3  # times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero
 LONG = 1e3  # times the guess, or a share of it: a horizon that is found without success, and named
-FLAT = 40.0  # times the tolerance: a share of the Hamiltonian that hides the second derivative by a horizon too
 FAR, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
 MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: horizons from which it is tried again
 
@@ -70,6 +61,7 @@ class Formulated:
     def __init__(self, reader: RequestReader, make: Callable[[Formulation], Any], at_guess: float = 1.0) -> None:
         self.reader, self._make, self.at_guess = reader, make, at_guess
         self._made: dict[Kind, tuple[Formulation, Any]] = {}
+        self._vanishing = dict[Kind, Vanishing]()
         self._found: WeakKeyDictionary[Solution, tuple[Formulation, Any, Solution]] = WeakKeyDictionary()
 
     def on(self, reader: RequestReader, make: Callable[[Formulation], Any], steps: Any) -> "Formulated":
@@ -98,7 +90,7 @@ class Formulated:
 
     def solve(self, request: Request) -> Solution:
         """The extremal of a single trajectory."""
-        return self._from_elsewhere(request, self._in_own_units(request, self._solved(request)))
+        return self._from_elsewhere(request, self._settled(request, self._solved(request)))
 
     def _from_elsewhere(self, request: Request, first: Solution) -> Solution:
         """The solution; where it is none and the horizon is free, that of the nearest other magnitude from which there
@@ -111,7 +103,7 @@ class Formulated:
             guess = scaled(horizon, factor)
             if guess is not None:
                 again = request.again(self.reader, request.given._replace(horizon=guess), request.guess)
-                found = self._in_own_units(again, self._solved(again))
+                found = self._settled(again, self._solved(again))
                 effort = _sum(effort, found.statistics)
                 if _is_final(found):
                     return self._renewed(found, statistics=effort)
@@ -145,6 +137,20 @@ class Formulated:
             rates = at_each(lambda point: problem.cost_rate(*point), (solution.stage_states, solution.controls))
         return float(max(np.max(np.abs(rates)), np.max(np.abs(solution.hamiltonians + rates))))
 
+    def _settled(self, request: Request, solution: Solution) -> Solution:
+        """The solution in its own units, without success where its horizon tends to zero."""
+        horizon, parameters = request.given.horizon, request.given.parameters
+        solution = self._in_own_units(request, solution)
+        if not is_free(horizon) or solution.statistics.stopped:
+            return solution
+        kind = Kind.of(horizon, parameters)
+        if kind not in self._vanishing:
+            self._vanishing[kind] = Vanishing(self.reader.problem, all_guessed(parameters))
+        if not self._vanishing[kind](solution, request.options.tolerance):
+            return solution
+        words = VANISHED.format("The horizon", solution.horizon)
+        return self._renewed(solution, success=False, result=words)
+
     def _in_own_units(self, request: Request, solution: Solution) -> Solution:
         """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
 
@@ -156,9 +162,7 @@ class Formulated:
             if not (solution.success and is_free(horizon)):
                 return solution
             if 1 / FAR < ratio < FAR:
-                return self._unless_it_vanishes(
-                    self._with_its_hamiltonian(horizon, solution), request.options.tolerance
-                )
+                return self._with_its_hamiltonian(horizon, solution)
             if not 0 < solution.horizon < np.inf:
                 break
             if solution.statistics.stopped:
@@ -182,22 +186,6 @@ class Formulated:
             return solution
         words = UNDETERMINED.format(solution.horizon, solution.hamiltonians[0] / size)
         return self._renewed(solution, success=False, result=words)
-
-    def _unless_it_vanishes(self, solution: Solution, tolerance: float) -> Solution:
-        """The solution, without success where the cost is proportional to the controls as far as the tolerance tells,
-        and nothing holds these: then a shorter horizon with larger ones costs the same.
-
-        A strict minimum determines its horizon.
-        """
-        controls, checks = self.reader.problem.controls, solution.checks
-        active = isinstance(checks, RegularChecks) and any(checks.active.values())
-        if active or solution.status != "stationary" or not isinstance(controls, Euclidean) or not controls.dimension:
-            return solution
-        _, solver, found = self._found[solution]
-        curved = np.abs(solver.curvature_of_controls(found)) > FLAT * tolerance * found.checks.hamiltonian_size
-        if curved.any() or not np.any(solution.controls):
-            return solution
-        return self._renewed(solution, success=False, result=VANISHED.format(solution.horizon, solution.cost))
 
     def _solved(self, request: Request) -> Solution:
         formulation, solver, own = self.formulated(request)
@@ -237,7 +225,7 @@ class Formulated:
             solution = self._kept(formulation, solver, one, member.given.parameters)
             if stopped:  # in a search of a member before
                 solution = self._renewed(solution, statistics=replace(solution.statistics, stopped=True))
-            solution = self._from_elsewhere(member, self._in_own_units(member, solution))
+            solution = self._from_elsewhere(member, self._settled(member, solution))
             stopped = solution.statistics.stopped
             solutions.append(solution)
         return Solutions.of(solutions)
@@ -290,8 +278,8 @@ class Formulated:
 def _is_final(solution: Solution) -> bool:
     """Whether no other guess of the horizon is tried: with success, where it was stopped, and where its failure says
     why there is no minimum."""
-    why = VANISHES, sentence("concave")
-    return solution.success or solution.statistics.stopped or solution.result.startswith(why)
+    says_why = TENDS in solution.result or solution.result.startswith(sentence("concave"))
+    return solution.success or solution.statistics.stopped or says_why
 
 
 def _sum(one: Statistics, other: Statistics) -> Statistics:

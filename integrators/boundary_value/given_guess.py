@@ -12,6 +12,7 @@ from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAME
 from ..evaluation import violations_at
 from ..layout import Layout
 from ..problem import OptimalControlProblem
+from ..text import brief
 from .guess import Guess, check_arrays
 
 
@@ -77,7 +78,7 @@ class GuessReader:
         for guess in guesses:
             if not isinstance(guess, Guess):
                 raise InvalidInputError(
-                    f"guess must be a Guess or a Solution, got {guess!r:.80}; try Guess(states, controls)"
+                    f"guess must be a Guess or a Solution, got {brief(guess)}; try Guess(states, controls)"
                 )
             if (guess.nodes is None) != (guess.stage_costates is None):
                 raise InvalidInputError(

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...manifolds.numerics.rank import null_space
 from ...manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from ..layout import Layout
 from ..problem import OptimalControlProblem
@@ -105,7 +106,9 @@ def _way(slopes: np.ndarray, parts: np.ndarray, sizes: np.ndarray, active: np.nd
     matrix = np.where(np.abs(matrix) <= rounding * terms, 0.0, matrix)
     units = _units(matrix)
     scaled = units[:, None] * matrix * units
-    free = _null_space(active * units)
+    rows = active * units
+    rows = rows / np.max(np.abs(rows), axis=1, keepdims=True, initial=np.finfo(float).tiny)
+    free = null_space(rows, limit=tolerance(rows, REGULAR))
     values, vectors = np.linalg.eigh(free.T @ scaled @ free)
     if not values.size or values[0] >= -tolerance(parts, REGULAR):
         return None
@@ -121,14 +124,6 @@ def _units(matrix: np.ndarray) -> np.ndarray:
     beside = np.where(beside > 0, beside, np.sqrt(np.max(np.abs(matrix), axis=1)))
     sizes = np.where(alone, beside, sizes)
     return 1 / np.where(sizes > 0, sizes, 1.0)
-
-
-def _null_space(rows: np.ndarray) -> np.ndarray:
-    """The directions that no row asks for, in columns."""
-    sizes = np.max(np.abs(rows), axis=1, initial=0.0)
-    rows = rows[sizes > 0] / sizes[sizes > 0, None]
-    _, values, vectors = np.linalg.svd(rows)
-    return vectors[np.sum(values > tolerance(rows, REGULAR)) :].T
 
 
 def longest(flat: np.ndarray) -> tuple[int, int]:

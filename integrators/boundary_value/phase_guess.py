@@ -10,6 +10,7 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ..free import guessed
 from ..layout import Layout
+from ..text import brief
 from .end_points import EndReader
 from .engine.start import Start
 from .guess import Guess, default_guess
@@ -58,7 +59,7 @@ class _Known:
         guess = phase.guess
         if not isinstance(guess, Guess | Solution):
             raise InvalidInputError(
-                f"phase {number}: guess must be a Guess or a Solution, got {guess!r:.80}; try Guess(states, controls)"
+                f"phase {number}: guess must be a Guess or a Solution, got {brief(guess)}; try Guess(states, controls)"
             )
         states = layout.rows(guess.states if isinstance(guess, Guess) else guess.stage_states, 1)
         filled = (np.where(k, row, state) for k, row, state in zip(known, ends, (states[0], states[-1]), strict=True))

@@ -17,7 +17,7 @@ from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..results import sentence
-from ..text import many
+from ..text import brief, many
 from .arguments import Method, Options, check_problem
 from .coupled import Own, coupling_of
 from .engine.coupling import Link
@@ -32,6 +32,7 @@ from .phase_guess import guessed_phases
 from .phased_solution import PhasedSolution
 from .posed_phase import PhaseEnds, PosedPhase, TracedPhases, posed_phase
 from .regular_extremals import phase_of
+from .vanishing import TENDS, VANISHED
 
 HORIZON = "horizon"
 TOO_FAR = 1e6  # from its guess, without success: a duration that tends to zero or grows without bound
@@ -109,19 +110,31 @@ class _Task:
 
     def settled(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, from durations of another magnitude where there is none from those that are guessed."""
-        first = self._in_own_units(phases)
+        first = self._told(phases, self._in_own_units(phases))
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
-        if first.success or not free or first.statistics.stopped:
+        if not free or _is_final(first):
             return first
         for factor in MAGNITUDES:
             durations = [scaled(phase.duration, factor) for phase in phases]
             if all(duration is not None for duration in durations):
                 pairs = zip(phases, durations, strict=True)
-                found = self._in_own_units([phase._replace(duration=duration) for phase, duration in pairs])
-                settled = found.success and not _strayed(phases, found, FARTHEST)
-                if settled or found.statistics.stopped:
+                scaled_phases = [phase._replace(duration=duration) for phase, duration in pairs]
+                found = self._told(phases, self._in_own_units(scaled_phases))
+                if _is_final(found) and not (found.success and _strayed(phases, found, FARTHEST)):
                     return found
         return first
+
+    def _told(self, phases: Sequence[Phase], solution: PhasedSolution) -> PhasedSolution:
+        """The solution, without success where durations tend to zero that nothing but their costs determines."""
+        if self.horizon is not None or self.constraints or solution.statistics.stopped:
+            return solution
+        free = (k for k, phase in enumerate(phases) if is_free(phase.duration))
+        pairs = [(k, self.made.vanishing(phases[k]), solution.phases[k]) for k in free]
+        lost = [k for k, vanishes, own in pairs if vanishes(own, self.options.tolerance)]
+        if not lost:
+            return solution
+        words = VANISHED.format(f"The duration of {_named(lost)}", solution.phases[lost[0]].horizon)
+        return solution.renewed(success=False, result=words)
 
     def _in_own_units(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, found again from itself where durations are far from their guesses, in whose units it was
@@ -137,7 +150,7 @@ class _Task:
         lost = _strayed(phases, solution, FAR if solution.success else TOO_FAR) or _strayed(given, solution, FARTHEST)
         if not lost:
             return solution
-        return solution.renewed(success=False, result=LOST.format(" and ".join(f"phase {k}" for k in lost)))
+        return solution.renewed(success=False, result=LOST.format(_named(lost)))
 
     def solved(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal from guesses of all phases."""
@@ -202,6 +215,16 @@ class _Task:
         return jnp.concatenate([jnp.zeros(0), *values.values()])
 
 
+def _is_final(solution: PhasedSolution) -> bool:
+    """Whether no other durations are tried: with success, where it was stopped, and where durations tend to zero."""
+    return solution.success or solution.statistics.stopped or TENDS in solution.result
+
+
+def _named(phases: Sequence[int]) -> str:
+    """What these phases are called."""
+    return " and ".join(f"phase {k}" for k in phases)
+
+
 def _start_words(k: int) -> str:
     """The name of the equation that says when a phase begins."""
     return f"start of phase {k}"
@@ -221,7 +244,7 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
     """The phases, with the guesses of a solution."""
     if not (isinstance(phases, Sequence) and len(phases) and all(isinstance(phase, Phase) for phase in phases)):
         raise InvalidInputError(
-            f"solve_phases takes a list of at least one Phase, got {phases!r:.80}; try [Phase(problem, ...)]"
+            f"solve_phases takes a list of at least one Phase, got {brief(phases)}; try [Phase(problem, ...)]"
         )
     for k, phase in enumerate(phases):
         check_problem(phase.problem, phase.method)

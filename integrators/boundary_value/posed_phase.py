@@ -9,6 +9,7 @@ from ...manifolds import DomainError, InvalidInputError, NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
 from ..evaluated import Evaluator
 from ..evaluator import Automatic
+from ..free import all_guessed
 from ..inspection import inspected
 from ..problem import OptimalControlProblem
 from .arguments import Given, Method, Options, fractions_of
@@ -23,6 +24,7 @@ from .recording import Recording
 from .request import Request, RequestReader
 from .resampling import Mesh
 from .solution import Solution
+from .vanishing import Vanishing
 
 NAMED = InvalidInputError, NotOnManifoldError, DomainError  # errors that are said to be of a phase
 
@@ -112,6 +114,7 @@ class TracedPhases:
         self.options, self.evaluator = options, Automatic()
         self._made: dict[Any, tuple[Any, _Inner]] = {}
         self._asked: dict[int, Request] = {}
+        self._vanishing: dict[int, tuple[Any, Vanishing]] = {}
 
     def inner(self, phase: Any) -> _Inner:
         """What a phase is solved with."""
@@ -120,6 +123,13 @@ class TracedPhases:
         if key not in self._made:  # with the phase, so that nothing else comes to have its number
             self._made[key] = phase, _Inner(phase.problem, phase.method, fractions, self.evaluator)
         return self._made[key][1]
+
+    def vanishing(self, phase: Any) -> Vanishing:
+        """What tells whether the duration of a phase tends to zero."""
+        key = id(phase.problem)
+        if key not in self._vanishing:
+            self._vanishing[key] = phase, Vanishing(phase.problem, all_guessed(phase.parameters))
+        return self._vanishing[key][1]
 
     def request(self, number: int, phase: Any) -> Request:
         """What is asked of a phase."""

@@ -21,7 +21,7 @@ from .resampling import Mesh
 from .solution import Solution, Statistics
 from .solver import Solver
 from .step_errors import Estimator, StepErrors
-from .structure import ControlStructure, control_structure
+from .structure import SwitchingStructure, switching_structure
 
 ROUNDS = 25  # of refinement
 MOST_STEPS, MOST_STAGES = 5000, 6
@@ -39,7 +39,7 @@ class _Found(NamedTuple):
 
     solution: Solution
     errors: StepErrors
-    structure: ControlStructure | None = None
+    structure: SwitchingStructure | None = None
     arcs: np.ndarray | None = None  # (N,)
 
     @property
@@ -96,7 +96,8 @@ class Refinement:
             return solution
         if solution.singular is not None:
             raise InvalidInputError(
-                "the problem is singular, and accuracy is for regular ones, whose steps may be unequal; leave it out"
+                "the problem is singular, and only the mesh of a regular problem is refined; give a method and steps, "
+                "such as method=Midpoint(retraction), steps=50, and no accuracy"
             )
         try:
             best = self._judged(solution)
@@ -172,7 +173,7 @@ class Refinement:
         return solution
 
     def _judged(
-        self, solution: Solution, structure: ControlStructure | None = None, arcs: np.ndarray | None = None
+        self, solution: Solution, structure: SwitchingStructure | None = None, arcs: np.ndarray | None = None
     ) -> _Found:
         if self._estimator is None:
             self._estimator = Estimator(self.problem, self.method.retraction, solution.parameters)
@@ -206,7 +207,7 @@ class Refinement:
 
     def _divided(
         self, found: _Found, lengths: np.ndarray, parts: np.ndarray
-    ) -> tuple[Solution, ControlStructure | None, np.ndarray | None]:
+    ) -> tuple[Solution, SwitchingStructure | None, np.ndarray | None]:
         """The solution in steps of these lengths, in arcs as before if these last and lead to one; else without arcs,
         which are then seen anew."""
         solution = found.solution
@@ -248,7 +249,7 @@ class Refinement:
         error = self.error(found)
         if not any(self.problem.limits.bounded.values()) or not self.accuracy < error <= AGAIN * self._vain:
             return found
-        structure, known = control_structure(self.problem, found.solution), found.structure
+        structure, known = switching_structure(self.problem, found.solution), found.structure
         if known is not None and np.array_equal(known.sides, structure.sides):
             return found
         try:
@@ -267,8 +268,8 @@ class Refinement:
         return found
 
     def _in_arcs(
-        self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray
-    ) -> tuple[Solution, ControlStructure]:
+        self, guess: Solution, structure: SwitchingStructure, lengths: np.ndarray, arcs: np.ndarray
+    ) -> tuple[Solution, SwitchingStructure]:
         """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong
         place.
 
@@ -288,8 +289,8 @@ class Refinement:
         return freed if freed[0].success and asked.lower <= freed[0].horizon <= asked.upper else found
 
     def _posed_in_arcs(
-        self, guess: Solution, structure: ControlStructure, lengths: np.ndarray, arcs: np.ndarray, horizon: Any
-    ) -> tuple[Solution, ControlStructure]:
+        self, guess: Solution, structure: SwitchingStructure, lengths: np.ndarray, arcs: np.ndarray, horizon: Any
+    ) -> tuple[Solution, SwitchingStructure]:
         """The same with a horizon, free without bounds or given."""
         key = structure.sides.tobytes(), None if is_free(horizon) else float(horizon)
         if key not in self._arcs:
@@ -355,7 +356,7 @@ def _unit(solution: Solution) -> float:
     return abs(solution.cost) / solution.horizon or 1.0
 
 
-def _arc_mesh(structure: ControlStructure, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+def _arc_mesh(structure: SwitchingStructure, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Equal steps in each arc, about as many as the solution has there, at least two: their arcs, and lengths."""
     inside = np.histogram(solution.times, structure.times)[0]
     counts = np.maximum(inside, 2)

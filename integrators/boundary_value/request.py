@@ -1,6 +1,7 @@
 """What a solver is asked for: checked and completed once, in flat arrays, for all that computes with it."""
 
 import time
+import warnings
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...manifolds import InvalidInputError
+from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import is_finite_number
 from ...manifolds.numerics.precision import default_tolerance, working_precision
@@ -43,6 +44,8 @@ from .given_guess import FlatGuess, GuessReader
 from .guess import Guess
 from .resampling import Mesh, resampled
 from .solution import Solution
+
+ROUNDED = 5e-6  # violation of its equations by a point whose entries have six digits
 
 
 @final
@@ -187,7 +190,11 @@ class Request:
         return cls(*asked, ends, np.full(count, known.horizon, float), guesses, *parameters)._on_manifold()
 
     def _on_manifold(self) -> "Request":
-        """The request with ends that are on the manifold to rounding; raises where they, or a guess, are off it."""
+        """The request with ends that are on the manifold to rounding.
+
+        Ends that were rounded to six digits, or to single precision, are moved onto the manifold with a warning. Raises
+        ``NotOnManifoldError`` for ends farther off, and for a guess off the manifold.
+        """
         reader, (start, end, *_) = self.reader, self.ends
         points = np.concatenate([start, end])
         if self.guesses is None:
@@ -197,11 +204,14 @@ class Request:
             violations = reader.violations(np.concatenate([points, states]))
             reader.guesses.require_on_manifold(self.guesses, violations[len(points) :])
             beside = violations[: len(points)]
-        near = beside <= default_tolerance()
+        near = beside <= max(ROUNDED, default_tolerance())
         if not near.all():
             for k in np.flatnonzero(~np.all(near.reshape(2, -1), axis=0)):
                 own = self.each[int(k)]
                 reader.ends.require_on_manifold(own.start, own.end, f", member {k}" if len(self) > 1 else "")
+        if np.any(near & (beside > default_tolerance())):
+            _warn_of_rounding(reader.problem.manifold, np.max(beside[near]))
+            points[near] = reader.restored(points[near])
         off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
         if not off.any():
             return self
@@ -287,6 +297,15 @@ class Request:
         ends, read = self.ends, self.reader.ends.condition
         first, last = ends.prescribed
         return read(_row(ends.start, k), first.parts), read(_row(ends.end, k), last.parts)
+
+
+def _warn_of_rounding(manifold: Manifold, violation: float) -> None:
+    """Warn of ends that have few digits."""
+    warnings.warn(
+        f"start or end satisfies the equations of {manifold} to {violation:.1g} only, as a point of six digits or of "
+        "single precision does; it was projected onto the manifold. Pass a point in double precision to be exact.",
+        stacklevel=2,
+    )
 
 
 def _known(problem: OptimalControlProblem, given: Given) -> Given:

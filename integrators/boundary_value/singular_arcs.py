@@ -14,7 +14,7 @@ from ..singular import Classification, classify
 from .control_curvature import ControlCurvature
 from .shooting.legendre import second_order
 from .solution import Solution
-from .structure import CONTROL_AT_BOUND, control_structure
+from .structure import CONTROL_AT_BOUND, switching_structure
 
 LONGEST = 200  # stages of an arc that are looked at
 
@@ -55,25 +55,25 @@ class ClassifiedArc:
         )
 
 
-def singular_arcs(problem: OptimalControlProblem, solution: Solution) -> list[ClassifiedArc]:
+def find_singular_arcs(problem: OptimalControlProblem, solution: Solution) -> list[ClassifiedArc]:
     """The singular arcs of a solution with control bounds, each with its classification.
 
-    Along an arc of ``control_structure`` the controls at bounds are constants, and the problem in the others is treated
-    by ``classify``, near the middle of the arc. Arcs along which a constraint holds the trajectory are left out: it
-    determines controls. The controls of a solution with ``accuracy`` are nearest to the feedback.
+    Along an arc of ``switching_structure`` the controls at bounds are constants, and the problem in the others is
+    treated by ``classify``, near the middle of the arc. Arcs along which a constraint holds the trajectory are left
+    out: it determines controls. The controls of a solution with ``accuracy`` are nearest to the feedback.
 
     Raises ``InvalidInputError`` for a problem without control bounds, one with an explicit time, and anything but a
     ``Solution``.
     """
     if not isinstance(solution, Solution):
-        raise InvalidInputError(f"singular_arcs takes a Solution, got {solution!r:.80}; try what solve returns")
+        raise InvalidInputError(f"find_singular_arcs takes a Solution, got {solution!r:.80}; try what solve returns")
     problem = problem.with_parameters(solution.parameters) if problem.takes_parameters else problem
     if problem.time_dependent:
         raise InvalidInputError(
             "singular arcs are classified for functions of (q, u), got a problem with time_dependent=True; try the "
             "time as a state, t' = 1"
         )
-    structure = control_structure(problem, solution)
+    structure = switching_structure(problem, solution)
     linear = ControlCurvature(problem, None)(solution, None) == 0
     found = list[ClassifiedArc]()
     for k, sides in enumerate(structure.sides):

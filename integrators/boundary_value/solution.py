@@ -3,6 +3,7 @@
 from collections.abc import Collection
 from dataclasses import dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 
@@ -18,7 +19,13 @@ from .guess import Guess
 from .interpolation import Interpolant, Sample
 
 VERSION = 6  # of the file
-SYMBOLS = {"t": "times", "q": "states", "x": "states", "u": "controls", "p": "costates", "J": "cost", "T": "horizon"}
+NAMED_ELSEWHERE = {
+    "x": "states",
+    "y": "states",
+    "J": "cost",
+    "T": "horizon",
+    "nit": "statistics.iterations",
+}  # by others
 Status = Literal["minimum", "stationary", "failed"]
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
@@ -121,6 +128,31 @@ class Solution:
         """Number of steps N."""
         return len(self.times) - 1
 
+    @property
+    def t(self) -> np.ndarray:
+        """The times of the nodes, ``times``."""
+        return self.times
+
+    @property
+    def q(self) -> Any:
+        """The states at the nodes, ``states``."""
+        return self.states
+
+    @property
+    def p(self) -> Any:
+        """The costates at the nodes, ``costates``."""
+        return self.costates
+
+    @property
+    def u(self) -> Any:
+        """The controls at the stages, ``controls``."""
+        return self.controls
+
+    @property
+    def message(self) -> str:
+        """A sentence on how the computation ended, ``result``."""
+        return self.result
+
     def __call__(self, t: Any) -> Sample:
         """States, controls and costates at a time, or an array of times, by the polynomials of the method on the
         manifold.
@@ -143,7 +175,7 @@ class Solution:
     if not TYPE_CHECKING:  # a checker knows the attributes
 
         def __getattr__(self, name: str) -> Any:
-            near = SYMBOLS.get(name) or next(iter(get_close_matches(name, _ATTRIBUTES, 1)), "")
+            near = NAMED_ELSEWHERE.get(name) or next(iter(get_close_matches(name, _ATTRIBUTES, 1)), "")
             hint = f"; did you mean {near}?" if near and not name.startswith("_") else ""
             raise AttributeError(f"a Solution has no attribute {name!r}{hint}")
 
@@ -187,6 +219,10 @@ class Solution:
         from .solution_report import report_text
 
         return report_text(self)
+
+    def _repr_html_(self) -> str:
+        """The report, as a notebook shows it."""
+        return f"<pre>{escape(str(self))}</pre>"
 
     def require_success(self) -> "Solution":
         """This solution, or a ``ConvergenceError`` with its result if the conditions are not met."""
@@ -232,6 +268,12 @@ class Solution:
         from ...interop import to_pandas
 
         return to_pandas(self, at)
+
+    def plot(self) -> Any:
+        """The histories of states and controls as a Matplotlib figure; see ``retrax.plotting.histories``."""
+        from ...plotting import histories
+
+        return histories(self)
 
     def to_html(self, path: str | Path, mesh: tuple[Any, Any] | None = None, title: str = "") -> None:
         """Write a page that shows the solution in motion, in one file; see ``retrax.plotting.to_html``."""

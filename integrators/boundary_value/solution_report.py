@@ -110,6 +110,9 @@ def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
     least, most = float(steps.min()), float(steps.max())
     length = f"{least:.6g}" if most - least <= EQUAL * most else f"{least:.3g} to {most:.3g}"
     length += _unit(solution, "time")
+    if solution.interpolant is not None and len(solution.stage_times):
+        stages = many(len(solution.stage_times) // solution.steps, "stage")
+        yield "discretization", f"{stages} a step, retraction {solution.interpolant.retraction}"
     yield "iterations", f"{many(statistics.iterations, f'{method} step')} on {many(solution.steps, 'step')} of {length}"
     if solution.singular is not None:
         seconds = statistics.compile_seconds + statistics.run_seconds

@@ -4,11 +4,13 @@ from collections.abc import Callable
 from typing import Any
 
 from ...reading import reads_once
+from ...retractions import Gauss, default_retraction
+from ..former_order import former_order
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
-from .arguments import Given, Method, Options, check_accuracy
+from .arguments import Given, Method, Options, check_accuracy, require_problem
 from .differentiable import INSTEAD
 from .engine.found import Iteration
 from .guess import Guess
@@ -17,50 +19,116 @@ from .request import Request
 from .solution import Solution
 from .solver import Solver
 
+DEFAULT_ACCURACY = 1e-6  # relative error of the steps, where no steps are given
+DEFAULT_STEPS = 20  # of the first mesh, which is refined to an accuracy
+DEFAULT_STAGES = 3  # of the Gauss method, of order 6, where no method is given
+FORMER = "problem", "discretization", "start", "end", "horizon", "steps", "guess", "tolerance", "max_iterations"
 
+
+@former_order(*FORMER)
 @known_options
 @reads_once
 def solve(
     problem: OptimalControlProblem,
-    discretization: Method,
     start: Any,
     end: Any,
-    horizon: float,
-    steps: Any,
+    horizon: Any,
+    *,
+    method: Method | None = None,
+    steps: Any = None,
+    accuracy: float | None = None,
     guess: Guess | Solution | None = None,
+    parameters: Any = None,
     tolerance: float | None = None,
     max_iterations: int = 100,
     throw: bool = True,
     classification: Classification | None = None,
     integrator: SingularIntegrator | None = None,
-    parameters: Any = None,
     callback: Callable[[Iteration], Any] | None = None,
     verbose: bool = False,
-    accuracy: float | None = None,
 ) -> Solution:
-    """Solve an optimal control problem between two boundary conditions over ``[0, horizon]`` with ``steps`` steps.
+    """Solve an optimal control problem between two boundary conditions.
 
-    ``start`` and ``end`` are points; ``None`` is free, and so is a ``None`` in the tuple of a product: ``end=(R1,
-    None)`` prescribes the attitude only. The discrete extremal solves the equations of the presymplectic integrator at
-    every step; Newton's method on the KKT system of the whole trajectory finds it. ``guess``: by default the curve of
-    the retraction from start to end (a walk towards the end outside its image); or a ``Guess``, or any ``Solution``.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The dynamics, the cost and the constraints.
+    start, end : point, None or Free
+        Points of ``problem.manifold``. ``None`` is free. In the tuple of a product, each factor may be free: ``end=(R1,
+        None)`` prescribes the attitude only. ``Free(x)`` is free, with the guess ``x``.
+    horizon : float or Free
+        The duration ``T > 0`` in the unit of time of the dynamics. ``Free(guess, lower, upper)`` is optimised.
+    method : Gauss or DiscretizationMap, optional
+        The discretization, such as ``Gauss(2, retraction)`` or ``Midpoint(retraction)``; by default ``Gauss(3,
+        default_retraction(problem.manifold))``, of order 6.
+    steps : int or array_like of shape (N,), optional
+        The number of steps ``N``, or their lengths relative to their sum. By default the mesh is refined from 20 steps
+        to an ``accuracy`` of 1e-6.
+    accuracy : float, optional
+        The relative error of the discretization to which the mesh is refined from ``steps``.
+    guess : Guess or Solution, optional
+        The trajectory to begin from; by default the curve of the retraction from start to end.
+    parameters : pytree of numbers, arrays and Free, optional
+        Values for functions that take one argument more.
+    tolerance : float, optional
+        The bound of the relative defects and the relative stationarity; by default ``eps^0.7``, 1e-11 in double
+        precision. The next Newton step is then below its square root.
+    max_iterations : int
+        The most Newton iterations of one search.
+    throw : bool
+        Whether to raise ``ConvergenceError`` without success; otherwise read ``solution.success``.
+    classification : Classification, optional
+        The result of ``classify(problem)`` for a singular problem, which saves the time to find it.
+    integrator : SingularIntegrator, optional
+        The integrator on the final manifold of a singular problem; by default chosen by ``singular_integrator``.
+    callback : callable, optional
+        A function of an ``Iteration``, called in every iteration; it stops the iteration by returning ``True``.
+    verbose : bool
+        Whether to print a line for each iteration.
 
-    A singular problem is classified, and its interior singular extremal found by multiple shooting on ``P_f`` with the
-    steps of ``singular_integrator``; ``classification`` and ``integrator``, if given, save the work and the choice.
+    Returns
+    -------
+    Solution
+        The discrete extremal with its costates, and what was checked.
 
-    Converged where the relative gaps and the relative stationarity are below ``tolerance`` (default ``eps^0.7``, 1e-11
-    in double precision) and Newton's next step is below its square root. Raises ``InvalidInputError``,
-    ``NotOnManifoldError`` or ``DomainError`` for input that cannot be solved as given (of a singular problem: boundary
-    data off ``P_f``), and, if ``throw``, ``ConvergenceError`` if the conditions are not met; otherwise read
-    ``success``.
+    Raises
+    ------
+    InvalidInputError, NotOnManifoldError, DomainError
+        For input that cannot be solved as given; for boundary data of a singular problem off ``P_f``.
+    ConvergenceError
+        If the conditions are not met and ``throw`` is true.
+
+    Notes
+    -----
+    The discrete extremal satisfies the equations of the presymplectic integrator ``R_h^{T*Q}`` at every step
+    [Barbero-Liñán and Martin de Diego 2023]. Newton's method on the KKT system of the whole trajectory finds it. The
+    interior singular extremal of a singular problem is found by multiple shooting on ``P_f``.
+
+    Examples
+    --------
+    >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> found = solve(line, 0.0, 1.0, 2.0)
+    >>> print(f"{found.status}, cost {found.cost:.3f}")
+    minimum, cost 0.250
     """
     require_concrete("solve", start, end, horizon, problem, guess, parameters, instead=INSTEAD)
     if accuracy is not None:
         check_accuracy(accuracy)
-    solver, given = Solver(problem, discretization, steps), Given(start, end, horizon, parameters)
+    if steps is None:
+        steps, accuracy = DEFAULT_STEPS, DEFAULT_ACCURACY if accuracy is None else accuracy
+    solver, given = (
+        Solver(problem, _default_method(problem) if method is None else method, steps),
+        Given(start, end, horizon, parameters),
+    )
     options = Options.of(tolerance, max_iterations, callback, verbose)
     request = Request.of(solver.reader, given, guess, options, classification, integrator)
     found = (
         solver.solved(request) if accuracy is None else Refinement(solver, request, accuracy, tolerance is None).solve()
     )
     return found.require_success() if throw else found
+
+
+def _default_method(problem: OptimalControlProblem) -> Method:
+    """The method of order 6 in the default retraction; raises ``InvalidInputError`` for what is no problem."""
+    require_problem(problem)
+    return Gauss(DEFAULT_STAGES, default_retraction(problem.manifold))

@@ -20,7 +20,7 @@ from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
 from ..unchanged import Unchanged
 from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
-from .differentiable import INSTEAD, Extremal, extremal_of
+from .differentiable import INSTEAD, DifferentiableSolution, extremal_of
 from .engine.derivatives import Sensitivities
 from .engine.found import Found, Iteration
 from .engine.stopwatch import Stopwatch
@@ -309,16 +309,6 @@ class Solver:
         layouts = self._posing.state, self._posing.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
 
-    def curvature_of_controls(self, solution: Solution) -> np.ndarray:
-        """Second derivatives of the Hamiltonian along the controls themselves, of a solution that this solver found:
-        ``u' H_uu u`` at the stages, shape (N s,)."""
-        kept, state, control = self._kept[solution], self._posing.state, self._posing.control
-        layouts = (state, solution.stage_states), (control, solution.controls), (state, solution.stage_costates)
-        states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)
-        given = kept.posed.conditions.data.parameters[[kept.place]]
-        _, parts = kept.posed.traced.diagnosis.in_controls((states, controls, costates), given)
-        return np.einsum("ki,kij,kj->k", controls[0], parts[0, :, 0] - parts[0, :, 1], controls[0])
-
     @known_options
     def extremal(
         self,
@@ -329,7 +319,7 @@ class Solver:
         parameters: Any = None,
         tolerance: float | None = None,
         max_iterations: int = 100,
-    ) -> Extremal:
+    ) -> DifferentiableSolution:
         """Cost, states, costates and controls of the extremal as JAX arrays, functions of the other arguments but
         ``guess``.
 

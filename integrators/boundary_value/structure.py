@@ -25,7 +25,7 @@ class _Run(NamedTuple):
 
 
 @final
-class ControlStructure(NamedTuple):
+class SwitchingStructure(NamedTuple):
     """K arcs: ``times``, shape (K + 1,), of their ends, and ``sides``, shape (K, m), of the entries of the control.
 
     A side is -1 where the entry stays at its lower bound, 1 where it stays at its upper one, and 0 elsewhere.
@@ -44,14 +44,14 @@ class ControlStructure(NamedTuple):
         """Whether a control leaves a bound by a jump."""
         return self.arcs > 1
 
-    def without_vanished(self) -> "ControlStructure":
+    def without_vanished(self) -> "SwitchingStructure":
         """The structure without arcs that have no duration; of neighbours that are then alike one is left."""
         lasting = np.diff(self.times) > VANISHED * (self.times[-1] - self.times[0])
         times, sides = self.times[:-1][lasting], self.sides[lasting]
         changes = np.concatenate([[True], np.any(sides[1:] != sides[:-1], axis=1)])
         begins = times[changes]
         begins[0] = self.times[0]
-        return ControlStructure(np.append(begins, self.times[-1]), sides[changes])
+        return SwitchingStructure(np.append(begins, self.times[-1]), sides[changes])
 
     def __str__(self) -> str:
         """A line for each arc."""
@@ -61,7 +61,7 @@ class ControlStructure(NamedTuple):
         )
 
 
-def control_structure(problem: OptimalControlProblem, solution: Solution) -> ControlStructure:
+def switching_structure(problem: OptimalControlProblem, solution: Solution) -> SwitchingStructure:
     """The arcs along which the entries of the control stay at their bounds, as far as the mesh of a solution shows
     them.
 
@@ -69,7 +69,7 @@ def control_structure(problem: OptimalControlProblem, solution: Solution) -> Con
     arc is longer than one step. Raises ``InvalidInputError`` for a problem without control bounds.
     """
     if not isinstance(solution, Solution):
-        raise InvalidInputError(f"control_structure takes a Solution, got {solution!r:.80}; try what solve returns")
+        raise InvalidInputError(f"switching_structure takes a Solution, got {solution!r:.80}; try what solve returns")
     if not any(problem.limits.bounded.values()):
         raise InvalidInputError(
             f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"
@@ -90,7 +90,7 @@ def control_structure(problem: OptimalControlProblem, solution: Solution) -> Con
         np.array([run.side for run in own])[np.searchsorted(at, middles)]
         for own, at in zip(runs, switches, strict=True)
     ]
-    return ControlStructure(times, np.stack(found, axis=1))
+    return SwitchingStructure(times, np.stack(found, axis=1))
 
 
 def _between(solution: Solution, before: int, after: int) -> float:

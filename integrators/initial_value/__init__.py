@@ -5,7 +5,7 @@ from .flow import Flow
 from .geodesic import GeodesicRetraction
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
 from .many import integrate_many
-from .preservation import form_defect
+from .preservation import symplecticity_defect
 from .trajectory import Trajectory, integrate, load_trajectory
 
 __all__ = [
@@ -22,8 +22,8 @@ __all__ = [
     "PresymplecticIntegrator",
     "SymplecticIntegrator",
     "Trajectory",
-    "form_defect",
     "integrate",
     "integrate_many",
     "load_trajectory",
+    "symplecticity_defect",
 ]

@@ -15,7 +15,9 @@ from .integrator import Integrator
 Pair = tuple[Ambient, Ambient]
 
 
-def form_defect(space: PresymplecticManifold, integrator: Integrator, system: object, z: Pair, h: ArrayLike) -> Array:
+def symplecticity_defect(
+    space: PresymplecticManifold, integrator: Integrator, system: object, z: Pair, h: ArrayLike
+) -> Array:
     """Largest entry of ``F_h^* omega - omega`` at ``z``, for one step ``F_h``, in an orthonormal basis of ``T_zP``.
 
     ``space``: the manifold ``P`` in ``T*Q``, on which the step starts and ends, with its form, as

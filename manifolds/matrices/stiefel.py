@@ -9,16 +9,17 @@ import numpy as np
 from jaxtyping import Array
 
 from ..groups.special_orthogonal import skew_basis
+from ..groups.unitary import U
 from ..manifold import HomogeneousSpace
 from ..metric import Metric
 from ..numerics import ambient as vec
 from ..numerics.errors import InvalidInputError
 from ..numerics.frames import complement, qr_factor
-from ..numerics.precision import real
+from ..numerics.matrices import symmetric
+from ..numerics.precision import complex_entries, real
 from ..numerics.sizes import are_whole, plain
 
 
-@final
 class Stiefel(HomogeneousSpace):
     """Stiefel manifold ``St(n, p) = {x : x'x = I}`` of ``p`` orthonormal columns in ``R^n``; points have shape ``(n,
     p)``.
@@ -34,8 +35,8 @@ class Stiefel(HomogeneousSpace):
     def __check_init__(self) -> None:
         if not are_whole(self.n, self.p) or not 1 <= self.p <= self.n:
             raise InvalidInputError(
-                "Stiefel(n, p) holds p orthonormal columns in R^n, whole numbers 1 <= p <= n; "
-                f"got n = {self.n!r}, p = {self.p!r}; try Stiefel(3, 2)"
+                f"{type(self).__name__}(n, p) holds p orthonormal columns of n entries, whole numbers 1 <= p <= n; "
+                f"got n = {self.n!r}, p = {self.p!r}; try {type(self).__name__}(3, 2)"
             )
 
     @property
@@ -46,34 +47,63 @@ class Stiefel(HomogeneousSpace):
     def ambient(self) -> jax.ShapeDtypeStruct:
         return real((self.n, self.p))
 
+    def turns(self, k: int) -> np.ndarray:
+        """Orthogonal basis of the skew ``k x k`` matrices, of one length."""
+        return skew_basis(k)
+
     def skew(self, x: Array, v: Array) -> Array:
         """Rotation of the frame in its own span, ``skew(x'v)``, shape ``(p, p)``; exactly skew for any ambient
         ``v``."""
-        a = x.T @ v
-        return (a - a.T) / 2
+        a = x.conj().T @ v
+        return (a - a.conj().T) / 2
 
     def projection(self, x: Array, a: Array) -> Array:
-        m = x.T @ a
-        return a - x @ (m + m.T) / 2
+        return a - x @ symmetric(x.conj().T @ a)
 
     def basis(self, x: Array) -> Array:
         """Rotations of the frame in its span, then turns of each column towards each direction of the complement."""
-        inside = x @ jnp.asarray(skew_basis(self.p) / np.sqrt(2), x.dtype)
-        outside = jnp.einsum("ni,jk->ijnk", complement(x), jnp.eye(self.p, dtype=x.dtype))
+        turns, units = self.turns(self.p), jnp.eye(self.p, dtype=x.dtype)
+        inside = x @ jnp.asarray(turns / np.linalg.norm(turns, axis=(1, 2), keepdims=True), x.dtype)
+        units = jnp.concatenate([units, 1j * units]) if jnp.iscomplexobj(x) else units
+        outside = jnp.einsum("ni,jk->ijnk", complement(x), units)
         return jnp.concatenate([inside, outside.reshape(-1, self.n, self.p)])
 
     def restore(self, x: Array) -> Array:
         # Newton-Schulz: the polar factor to second order.
-        return x @ (3 * jnp.eye(self.p, dtype=x.dtype) - x.T @ x) / 2
+        return x @ (3 * jnp.eye(self.p, dtype=x.dtype) - x.conj().T @ x) / 2
 
     def violations(self, x: Array) -> dict[str, Array]:
-        return {"max |x'x - I|": vec.size(x.T @ x - jnp.eye(self.p, dtype=x.dtype))}
+        return {"max |x'x - I|": vec.size(x.conj().T @ x - jnp.eye(self.p, dtype=x.dtype))}
 
     def generators(self, x: Array) -> Array:
-        return jnp.asarray(skew_basis(self.n), x.dtype) @ x
+        return jnp.asarray(self.turns(self.n), x.dtype) @ x
 
     def random_point(self, key: Array) -> Array:
-        return qr_factor(jax.random.normal(key, (self.n, self.p)))
+        return qr_factor(jax.random.normal(key, (self.n, self.p), self.ambient.dtype))
+
+
+@final
+class ComplexStiefel(Stiefel):
+    """Complex Stiefel manifold ``{x : x'x = I}`` of ``p`` orthonormal columns in ``C^n``, ``x'`` the conjugate
+    transpose; points are complex, shape ``(n, p)``.
+
+    Of dimension ``2np - p^2``. ``ComplexStiefel(n, 1)`` is the sphere of dimension ``2n - 1``, the states of a quantum
+    system with their phases; ``ComplexStiefel(n, n)`` is U(n). The basis ``e_i`` of the momentum is that of U(n).
+
+    >>> ComplexStiefel(2, 1).dimension
+    3
+    """
+
+    @property
+    def dimension(self) -> int:
+        return self.p * (2 * self.n - self.p)
+
+    @property
+    def ambient(self) -> jax.ShapeDtypeStruct:
+        return complex_entries((self.n, self.p))
+
+    def turns(self, k: int) -> np.ndarray:
+        return U(k).algebra
 
 
 @final
@@ -92,8 +122,9 @@ class CanonicalMetric(Metric):
     manifold: Stiefel
 
     def inner_product(self, x: Array, v: Array, w: Array) -> Array:
-        return jnp.sum(v * w) - jnp.sum((x.T @ v) * (x.T @ w)) / 2
+        return vec.pairing(v, w) - vec.pairing(x.conj().T @ v, x.conj().T @ w) / 2
 
     def kinetic_energy(self, x: Array, p: Array) -> Array:
         p = self.manifold.projection(x, p)
-        return (jnp.sum(p * p) + jnp.sum((x.T @ p) ** 2)) / 2
+        inside = x.conj().T @ p
+        return (vec.pairing(p, p) + vec.pairing(inside, inside)) / 2

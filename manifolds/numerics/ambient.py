@@ -29,7 +29,7 @@ def is_traced(*trees: object) -> bool:
     return any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(trees))
 
 
-def shared_hash(tree: PyTree) -> int:
+def shared_hash(self: PyTree) -> int:
     """A hash that equal trees share, in which arrays count by their shapes and kinds.
 
     Raises
@@ -37,10 +37,10 @@ def shared_hash(tree: PyTree) -> int:
     TypeError
         For a tree with arrays under ``jit``, where nothing tells whether two arrays are equal.
     """
-    leaves, structure = jax.tree.flatten(tree)
+    leaves, structure = jax.tree.flatten(self)
     of_arrays = [isinstance(leaf, np.ndarray | jax.Array) for leaf in leaves]
     if any(of_arrays) and is_jitting():
-        raise TypeError(f"unhashable type: {type(tree).__name__!r} with arrays under jit")
+        raise TypeError(f"unhashable type: {type(self).__name__!r} with arrays under jit")
     keys = [(a.shape, a.dtype) if is_array else a for a, is_array in zip(leaves, of_arrays, strict=True)]
     return hash((structure, *keys))
 

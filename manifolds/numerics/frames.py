@@ -72,13 +72,14 @@ def complement(x: Frame) -> Float[Array, "n n-p"]:
     """Orthonormal frame of the orthogonal complement of the span of an orthonormal frame.
 
     With ``e`` the first ``p`` columns of the identity, ``s`` diagonal with entries of size one and ``w = x - e s``, the
-    matrix ``I + w (w'e s)^-1 w'`` is orthogonal and takes ``e s`` to ``x``, hence the other columns of the identity to
-    the complement. The signs are those of Householder's reflections, which keep ``w'e s`` invertible.
+    matrix ``I + w (w'e s)^-1 w'`` is orthogonal, unitary for a complex ``x``, and takes ``e s`` to ``x``, hence the
+    other columns of the identity to the complement. The signs are those of Householder's reflections, which keep
+    ``w'e s`` invertible.
     """
     p = x.shape[1]
     s = _reflection_signs(jax.lax.stop_gradient(x[:p]))
     w = jnp.asarray(x).at[:p].add(-jnp.diag(s))
-    z = w @ jnp.linalg.solve(w[:p].T * s, w[p:].T)
+    z = w @ jnp.linalg.solve(w[:p].conj().T * s, w[p:].conj().T)
     return z.at[p:].add(jnp.eye(z.shape[1], dtype=x.dtype))
 
 
@@ -89,7 +90,7 @@ def _reflection_signs(top: Matrix) -> Float[Array, " p"]:
 
 def _eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
     a, s = state
-    sign = jnp.where(a[k, k] < 0, 1.0, -1.0).astype(a.dtype)
+    sign = jnp.where(a[k, k].real < 0, 1.0, -1.0).astype(a.dtype)
     return a - jnp.outer(a[:, k], a[k] / (a[k, k] - sign)), s.at[k].set(sign)
 
 

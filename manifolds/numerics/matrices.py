@@ -23,18 +23,26 @@ _SQUARINGS = 14  # for norms to 9e4, of skew matrices; others overflow before
 
 
 def symmetric(a: Matrix) -> Matrix:
-    """Symmetric part ``(a + a')/2``."""
-    return (a + a.T) / 2
+    """Symmetric part ``(a + a')/2``, the Hermitian one of a complex matrix."""
+    return (a + a.conj().T) / 2
 
 
 def lyapunov(s: Matrix, c: Matrix) -> Matrix:
-    """Symmetric-definite Lyapunov equation ``s x + x s = c``, closed under differentiation and transposition."""
+    """Lyapunov equation ``s x + x s = c`` of a symmetric (Hermitian) definite ``s``, closed under differentiation and
+    transposition."""
+    fixed = jax.lax.stop_gradient(s)
 
-    def solve(_: object, right: Matrix) -> Matrix:
-        values, vectors = jnp.linalg.eigh(jax.lax.stop_gradient(s))
-        return vectors @ ((vectors.T @ right @ vectors) / (values[:, None] + values[None, :])) @ vectors.T
+    def solve(s: Matrix, right: Matrix) -> Matrix:
+        values, vectors = jnp.linalg.eigh(s)
+        adjoint = vectors.conj().T
+        return vectors @ ((adjoint @ right @ vectors) / (values[:, None] + values[None, :])) @ adjoint
 
-    return jax.lax.custom_linear_solve(lambda x: s @ x + x @ s, c, solve, transpose_solve=solve, symmetric=True)
+    return jax.lax.custom_linear_solve(
+        lambda x: s @ x + x @ s,
+        c,
+        lambda _, right: solve(fixed, right),
+        transpose_solve=lambda _, right: solve(fixed.T, right),
+    )
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(1,))

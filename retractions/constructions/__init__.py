@@ -3,6 +3,6 @@
 from .power import PowerRetraction
 from .product import ProductRetraction
 from .second_order import SecondOrder, acceleration
-from .stabilized import Stabilized
+from .stabilized import RestoredAfter
 
-__all__ = ["PowerRetraction", "ProductRetraction", "SecondOrder", "Stabilized", "acceleration"]
+__all__ = ["PowerRetraction", "ProductRetraction", "RestoredAfter", "SecondOrder", "acceleration"]

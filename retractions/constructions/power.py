@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import InvalidInputError, Power
 from ...manifolds.numerics.ambient import Ambient
-from ..differential import DifferentiatedRetraction, differentiated, fibre_adjoint
+from ..differential import DifferentiatedRetraction, differential_adjoint, differentiated
 from ..retraction import Retraction
 
 
@@ -41,8 +41,8 @@ class PowerRetraction(DifferentiatedRetraction):
     def fibre_derivative(self, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
         return jax.vmap(lambda *parts: differentiated(self.factor, *parts))(x, v, w)
 
-    def fibre_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
-        return jax.vmap(lambda *parts: fibre_adjoint(self.factor, *parts))(x, v, xi)
+    def differential_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+        return jax.vmap(lambda *parts: differential_adjoint(self.factor, *parts))(x, v, xi)
 
     def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
         return jnp.all(jax.vmap(self.factor.domain)(x, v))

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Bool
 
 from ...manifolds import InvalidInputError, Product
-from ..differential import DifferentiatedRetraction, differentiated, fibre_adjoint
+from ..differential import DifferentiatedRetraction, differential_adjoint, differentiated
 from ..retraction import Retraction
 
 
@@ -52,8 +52,8 @@ class ProductRetraction(DifferentiatedRetraction):
     def fibre_derivative(self, x: tuple[Any, ...], v: tuple[Any, ...], w: tuple[Any, ...]) -> tuple[Any, ...]:
         return tuple(differentiated(r, *parts) for r, *parts in zip(self.factors, x, v, w, strict=True))
 
-    def fibre_adjoint(self, x: tuple[Any, ...], v: tuple[Any, ...], xi: tuple[Any, ...]) -> tuple[Any, ...]:
-        return tuple(fibre_adjoint(r, *parts) for r, *parts in zip(self.factors, x, v, xi, strict=True))
+    def differential_adjoint(self, x: tuple[Any, ...], v: tuple[Any, ...], xi: tuple[Any, ...]) -> tuple[Any, ...]:
+        return tuple(differential_adjoint(r, *parts) for r, *parts in zip(self.factors, x, v, xi, strict=True))
 
     def domain(self, x: tuple[Any, ...], v: tuple[Any, ...]) -> Bool[Array, ""]:
         return jnp.all(jnp.stack([r.domain(xi, vi) for r, xi, vi in zip(self.factors, x, v, strict=True)]))

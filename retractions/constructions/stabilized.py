@@ -6,12 +6,12 @@ from jaxtyping import Array, Bool
 
 from ...manifolds import Manifold
 from ...manifolds.numerics.ambient import Ambient
-from ..differential import DifferentiatedRetraction, differentiated, fibre_adjoint
+from ..differential import DifferentiatedRetraction, differential_adjoint, differentiated
 from ..retraction import Retraction
 
 
 @final
-class Stabilized(DifferentiatedRetraction):
+class RestoredAfter(DifferentiatedRetraction):
     """``R`` followed by ``Manifold.restore``: the same retraction, whose rounding errors do not add up from step to
     step.
 
@@ -20,7 +20,7 @@ class Stabilized(DifferentiatedRetraction):
 
     ``S(x, v) = restore(R(x, v))``.
 
-    >>> Stabilized(Cayley(SO(3))).manifold
+    >>> RestoredAfter(Cayley(SO(3))).manifold
     SO(n=3)
     """
 
@@ -39,8 +39,8 @@ class Stabilized(DifferentiatedRetraction):
     def fibre_derivative(self, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
         return differentiated(self.inner, x, v, w)
 
-    def fibre_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
-        return fibre_adjoint(self.inner, x, v, xi)
+    def differential_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
+        return differential_adjoint(self.inner, x, v, xi)
 
     def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
         return self.inner.domain(x, v)

@@ -48,7 +48,7 @@ class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
         h = self._half_way(x, v)
         return x @ h @ self.manifold.left_trivialise(x, w) @ h
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         h = self._half_way(x, v)
         return x @ self.manifold.algebra_part(h.T @ x.T @ xi @ h.T)
 
@@ -86,7 +86,7 @@ class SOPolar(_SymmetricRotation, DifferentiatedRetraction):
         g = self.group_map(omega)
         return x @ g @ rotations.polar_turn(omega, g, g.T @ a + a @ g)
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         omega = self.manifold.left_trivialise(x, v)
         g = self.group_map(omega)
         t = rotations.polar_turn(omega, g, self.manifold.left_trivialise(x @ g, xi))

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
 from ...manifolds import Oblique
-from ..differential import DifferentiatedRetraction, differentiated, fibre_adjoint
+from ..differential import DifferentiatedRetraction, differential_adjoint, differentiated
 from ..retraction import MidpointRetraction
 
 
@@ -33,8 +33,8 @@ class Columnwise(MidpointRetraction, DifferentiatedRetraction):
     def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
         return jax.vmap(lambda *parts: differentiated(self.column, *parts), 1, 1)(x, v, w)
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
-        return jax.vmap(lambda *parts: fibre_adjoint(self.column, *parts), 1, 1)(x, v, xi)
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+        return jax.vmap(lambda *parts: differential_adjoint(self.column, *parts), 1, 1)(x, v, xi)
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return jnp.all(jax.vmap(self.column.domain, 1)(x, v))

@@ -98,7 +98,7 @@ class SPDSecondOrder(DifferentiatedRetraction):
     def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
         return w + symmetric(v @ jnp.linalg.solve(x, w))
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         xi = symmetric(xi)
         return xi + symmetric(jnp.linalg.solve(x, v @ xi))
 

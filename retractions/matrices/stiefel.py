@@ -24,12 +24,17 @@ def _right_divide(a: Array, b: Array) -> Array:
 
 
 def _skew(a: Array) -> Array:
-    return (a - a.T) / 2
+    return (a - a.conj().T) / 2
+
+
+def _triangle(a: Array) -> Array:
+    """The strictly lower triangle and half of the diagonal; less its adjoint it is skew."""
+    return (jnp.tril(a) + jnp.tril(a, -1)) / 2
 
 
 def _defect(x: Array, d: Array) -> Array:
     """``2I - a - a'`` of ``a = x'y``, from ``d = y - x``."""
-    return -2 * symmetric(x.T @ d)
+    return -2 * symmetric(x.conj().T @ d)
 
 
 @final
@@ -51,18 +56,18 @@ class StiefelPolar(DifferentiatedRetraction):
 
     def preimage(self, x: Array, y: Array) -> Array:
         d = y - x
-        t = symmetric_factor(x.T @ y, _defect(x, d))
+        t = symmetric_factor(x.conj().T @ y, _defect(x, d))
         positive = jnp.linalg.eigvalsh(t)[0] > -1
         return nan_unless(positive, d + y @ t)
 
     def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
         y, s = self._factors(x, v)
-        return y @ lyapunov(s, 2 * _skew(y.T @ w)) + _right_divide(w - y @ (y.T @ w), s)
+        return y @ lyapunov(s, 2 * _skew(y.conj().T @ w)) + _right_divide(w - y @ (y.conj().T @ w), s)
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         y, s = self._factors(x, v)
-        turn = 2 * lyapunov(s, _skew(y.T @ xi))
-        return self.manifold.projection(x, y @ turn + _right_divide(xi - y @ (y.T @ xi), s))
+        turn = 2 * lyapunov(s, _skew(y.conj().T @ xi))
+        return self.manifold.projection(x, y @ turn + _right_divide(xi - y @ (y.conj().T @ xi), s))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return keeps_half_the_digits(length(v))
@@ -70,7 +75,7 @@ class StiefelPolar(DifferentiatedRetraction):
     def _factors(self, x: Array, v: Array) -> tuple[Array, Array]:
         """``y`` and the symmetric ``s`` of ``x + v = y s``."""
         y = polar_factor(x + v)
-        return y, symmetric(y.T @ (x + v))
+        return y, symmetric(y.conj().T @ (x + v))
 
 
 @final
@@ -92,22 +97,21 @@ class StiefelQR(DifferentiatedRetraction):
 
     def preimage(self, x: Array, y: Array) -> Array:
         d = y - x
-        t = triangular_factor(x.T @ y, _defect(x, d))
-        return nan_unless(jnp.all(jnp.diagonal(t) > -1), d + y @ t)
+        t = triangular_factor(x.conj().T @ y, _defect(x, d))
+        return nan_unless(jnp.all(jnp.diagonal(t).real > -1), d + y @ t)
 
     def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
         y, r = self._factors(x, v)
         moved = _right_divide(w, r)
-        inside = y.T @ moved
-        below = jnp.tril(inside, -1)
-        return y @ (below - below.T) + moved - y @ inside
+        inside = y.conj().T @ moved
+        return y @ (2 * _skew(_triangle(inside))) + moved - y @ inside
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         y, r = self._factors(x, v)
-        inside = y.T @ xi
+        inside = y.conj().T @ xi
         # The skew part, because <y s, xi> for a skew s does not see the symmetric one.
-        turned = y @ jnp.tril(inside - inside.T, -1) + xi - y @ inside
-        return self.manifold.projection(x, _right_divide(turned, r.T))
+        turned = y @ _triangle(2 * _skew(inside)) + xi - y @ inside
+        return self.manifold.projection(x, _right_divide(turned, r.conj().T))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return comes_back(self, x, v)
@@ -115,7 +119,7 @@ class StiefelQR(DifferentiatedRetraction):
     def _factors(self, x: Array, v: Array) -> tuple[Array, Array]:
         """``y`` and the upper triangular ``r`` of ``x + v = y r``."""
         y = qr_factor(x + v)
-        return y, jnp.triu(y.T @ (x + v))
+        return y, jnp.triu(y.conj().T @ (x + v))
 
 
 @final
@@ -143,23 +147,23 @@ class StiefelCayley(DifferentiatedRetraction):
     def preimage(self, x: Array, y: Array) -> Array:
         # With w = x + y, d = y - x: I + x'y = (2 w'w + w'd - d'w) / 4, exact near x and near the edge of the image.
         w, d = x + y, y - x
-        turn = _skew(w.T @ d) / 2
-        t = jnp.linalg.solve(w.T @ w / 2 + turn, d.T @ d / 2 - turn)
+        turn = _skew(w.conj().T @ d) / 2
+        t = jnp.linalg.solve(w.conj().T @ w / 2 + turn, d.conj().T @ d / 2 - turn)
         inside = jnp.linalg.norm(w, -2) > EDGE * jnp.finfo(x.dtype).eps
         return nan_unless(inside, d + d @ t + 2 * x @ symmetric(t))
 
     def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:
         total, k, inverse = self._sum(x, v)
-        across = w - x @ (x.T @ w)
-        bend = (symmetric(k.T @ across) - self.manifold.skew(x, w)) / 2
+        across = w - x @ (x.conj().T @ w)
+        bend = (symmetric(k.conj().T @ across) - self.manifold.skew(x, w)) / 2
         return (across - total @ bend) @ inverse
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         total, k, inverse = self._sum(x, v)
-        pulled = xi @ inverse.T
-        z = total.T @ pulled
+        pulled = xi @ inverse.conj().T
+        z = total.conj().T @ pulled
         across = pulled - k @ symmetric(z) / 2
-        return across - x @ (x.T @ across) + x @ _skew(z) / 2
+        return across - x @ (x.conj().T @ across) + x @ _skew(z) / 2
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:
         return comes_back(self, x, v)
@@ -168,8 +172,8 @@ class StiefelCayley(DifferentiatedRetraction):
         """``R(x, v) + x``, ``k`` and ``s^-1``, from the QR factorisation of ``[I; k/2]``, whose Gram matrix is ``sym
         s``."""
         p = x.shape[1]
-        eye, k = jnp.eye(p, dtype=x.dtype), v - x @ (x.T @ v)
+        eye, k = jnp.eye(p, dtype=x.dtype), v - x @ (x.conj().T @ v)
         q = jnp.linalg.qr(jnp.concatenate([eye, k / 2]))[0]
         top, bottom = q[:p], q[p:]
-        unwound = jnp.linalg.solve(eye - top.T @ self.manifold.skew(x, v) @ top / 2, top.T)
+        unwound = jnp.linalg.solve(eye - top.conj().T @ self.manifold.skew(x, v) @ top / 2, top.conj().T)
         return 2 * (x @ top + bottom) @ unwound, k, top @ unwound

@@ -81,7 +81,7 @@ class HyperbolicProjection(MidpointRetraction, DifferentiatedRetraction):
         space = w[1:] / root + (u @ self.manifold.at_apex(x, w)) / root**2 * y[1:]
         return jnp.concatenate([(y[1:] @ space / y[0])[None], space])
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         u, root, y = self._parts(x, v)
         space = xi[1:] + xi[0] / y[0] * y[1:]
         pulled = space / root + (space @ y[1:]) / root**2 * u

@@ -46,7 +46,7 @@ class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
         sinc, turned = self._rate(x, v)
         return sinc * w - (v @ w) * turned
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         sinc, turned = self._rate(x, v)
         return self.manifold.projection(x, sinc * xi - (turned @ xi) * v)
 
@@ -91,7 +91,7 @@ class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
         y = self(x, v)
         return (w - (y @ w) * y) / jnp.sqrt((x + v) @ (x + v))
 
-    def fibre_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
+    def differential_adjoint(self, x: Array, v: Array, xi: Array) -> Array:
         y = self(x, v)
         return self.manifold.projection(x, xi - (y @ xi) * y) / jnp.sqrt((x + v) @ (x + v))
 

@@ -1,9 +1,8 @@
-"""Geometric integration and optimal control on manifolds: a manifold and a retraction are all a user has to supply."""
+"""Geometric integration and optimal control on manifolds: ``import retrax as rx`` has the everyday names."""
 
 import logging
 from importlib import import_module
-from types import ModuleType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from .threads import ask_for_threads
 
@@ -14,18 +13,68 @@ from .undisturbed import put_off
 
 with put_off():
     from . import integrators, manifolds, retractions
-from .integrators import Free
+from .integrators import (
+    Free,
+    Guess,
+    OptimalControlProblem,
+    Phase,
+    Solver,
+    classify,
+    integrate,
+    solve,
+    solve_phases,
+)
+from .loading import load
+from .manifolds import SE, SO, SPD, SU, Euclidean, Grassmann, LevelSet, Sphere, Stiefel, hat
+from .retractions import Cayley, Exponential, Gauss, Midpoint
 
 if TYPE_CHECKING:
-    from . import problems
+    from . import plotting, problems
 
-__all__ = ["Free", "__version__", "integrators", "manifolds", "problems", "retractions"]
+__all__ = [
+    "SE",
+    "SO",
+    "SPD",
+    "SU",
+    "Cayley",
+    "Euclidean",
+    "Exponential",
+    "Free",
+    "Gauss",
+    "Grassmann",
+    "Guess",
+    "LevelSet",
+    "Midpoint",
+    "OptimalControlProblem",
+    "Phase",
+    "Solver",
+    "Sphere",
+    "Stiefel",
+    "__version__",
+    "classify",
+    "hat",
+    "integrate",
+    "integrators",
+    "load",
+    "manifolds",
+    "plotting",
+    "problems",
+    "retractions",
+    "solve",
+    "solve_phases",
+]
+LAZY = "plotting", "problems"  # packages that take long to import
 
 logging.getLogger(__name__).addHandler(logging.NullHandler())  # what is heard of it is the user's choice
 
 
-def __getattr__(name: str) -> ModuleType:
-    """``problems``, which takes as long to import as a solve, when it is asked for."""
-    if name == "problems":
-        return import_module(".problems", __name__)
+def __getattr__(name: str) -> Any:
+    """The packages that are imported when they are asked for."""
+    if name in LAZY:
+        return import_module(f".{name}", __name__)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)

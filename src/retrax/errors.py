@@ -1,5 +1,15 @@
-"""Errors below tape and layers."""
+"""Errors below tape and layers, and how much of a traceback is shown of them."""
 
+import os
+from collections.abc import Callable
+from functools import wraps
+from types import TracebackType
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+TRACING = frozenset({"retrax", "jax", "jaxlib", "equinox"})  # packages between a call and the user's functions
 TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp.where in place of if"
 
 
@@ -21,6 +31,14 @@ class InvalidInputError(RetraxError, ValueError):
     """
 
 
+class InvalidCallError(InvalidInputError, TypeError):
+    """A call has an argument that the function does not have, or lacks one.
+
+    >>> issubclass(InvalidCallError, TypeError), issubclass(InvalidCallError, InvalidInputError)
+    (True, True)
+    """
+
+
 class CompilingInterrupted(KeyboardInterrupt):
     """An interrupt while a kernel is compiled: there is nothing yet that could be returned."""
 
@@ -32,3 +50,35 @@ class NotDifferentiableError(RetraxError, ValueError):
     >>> issubclass(NotDifferentiableError, ValueError)
     True
     """
+
+
+def _users_frames(error: Exception) -> TracebackType | None:
+    """The frames of a user's function that raised an error, with what it called; None for an error of another
+    origin."""
+    places, entry = [], error.__traceback__
+    while entry is not None:
+        places.append(entry)
+        entry = entry.tb_next
+    names = [place.tb_frame.f_globals.get("__name__", "").partition(".")[0] for place in places]
+    last = max((k for k, name in enumerate(names) if name in TRACING), default=-1)
+    return places[last + 1] if last + 1 < len(places) else None
+
+
+def concise(function: Callable[P, R]) -> Callable[P, R]:
+    """A public function whose errors are shown with the frames of users and one of the library.
+
+    With the environment variable ``RETRAX_TRACEBACK=full``, all frames and causes are shown.
+    """
+
+    @wraps(function)
+    def call(*arguments: P.args, **options: P.kwargs) -> R:
+        try:
+            return function(*arguments, **options)
+        except Exception as error:
+            frames = error.__traceback__ if isinstance(error, RetraxError) else _users_frames(error)
+            if frames is None or os.environ.get("RETRAX_TRACEBACK") == "full":
+                raise
+            error.__notes__ = [note for note in getattr(error, "__notes__", []) if "internal frames" not in note]
+            raise error.with_traceback(None if isinstance(error, RetraxError) else frames) from None
+
+    return call

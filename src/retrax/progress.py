@@ -1,4 +1,5 @@
-"""Progress of long work: a bar where tqdm is installed and there is a terminal, else lines of the logger ``retrax``."""
+"""Progress of long work: a bar in a terminal or a notebook where tqdm is installed, else lines of the logger
+``retrax``."""
 
 import logging
 import sys
@@ -29,11 +30,11 @@ def progress(what: str, total: int, unit: str, verbose: bool, done: int = 0) -> 
 
 
 def _bar(what: str, total: int, unit: str, done: int) -> "_Bar | None":
-    """A bar; None without a terminal, or without tqdm."""
-    if not sys.stderr.isatty():
+    """A bar; None without a terminal and a notebook, or without tqdm."""
+    if not (sys.stderr.isatty() or "ipykernel" in sys.modules):
         return None
     try:
-        from tqdm import tqdm
+        from tqdm.auto import tqdm
     except ModuleNotFoundError:
         return None
     return _Bar(tqdm(total=total, desc=what, unit=f" {unit}", initial=done))

@@ -17,7 +17,7 @@ import jax
 from jax._src.interpreters import partial_eval
 from jax.extend.core import ClosedJaxpr
 
-from .errors import NotDifferentiableError, RetraxError
+from .errors import NotDifferentiableError, RetraxError, concise
 from .undisturbed import with_room
 
 # Parts of what JAX says of functions without derivatives, and what may be tried.
@@ -128,7 +128,7 @@ def reads_once(function: Callable[P, R]) -> Callable[P, R]:
         with one_reading():
             return function(*arguments, **options)
 
-    return call
+    return concise(call)
 
 
 def traced(function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:

@@ -190,7 +190,7 @@ def test_a_solution_on_another_manifold_is_no_guess():
     solution = found(point, Midpoint(point.retraction), 4)
     flat = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: u @ u / 2, 2)
     with pytest.raises(InvalidInputError, match=r"guess: states have the shapes \(3,\) each, expected \(2,\)"):
-        solve(flat, Midpoint(Exponential(plane)), np.zeros(2), np.ones(2), 1.0, 4, guess=solution)
+        solve(flat, np.zeros(2), np.ones(2), 1.0, method=Midpoint(Exponential(plane)), steps=4, guess=solution)
     guess = solution.guess()
     for wrong, words in (
         (guess._replace(nodes=None), "come together"),
@@ -220,7 +220,7 @@ def test_a_record_on_a_manifold_of_ones_own_is_told_its_retraction(tmp_path):
     start = np.array([1.0, 0, 0]), np.zeros(3)
     end = np.array([0.6, 0.4, 0.2]) / np.sqrt(0.36 + 2 * 0.16 + 3 * 0.04), None
     retraction = default_retraction(space)
-    solution = solve(drifting, Midpoint(retraction), start, end, 1.0, 6)
+    solution = solve(drifting, start, end, 1.0, method=Midpoint(retraction), steps=6)
     solution.save(tmp_path / "own.npz")
     loaded = load_solution(tmp_path / "own.npz")
     with pytest.raises(
@@ -229,7 +229,9 @@ def test_a_record_on_a_manifold_of_ones_own_is_told_its_retraction(tmp_path):
         loaded(0.5)
     told = load_solution(tmp_path / "own.npz", retraction)
     np.testing.assert_array_equal(entries(told(TIMES / 2).states), entries(solution(TIMES / 2).states))
-    assert solve(drifting, Midpoint(retraction), start, end, 1.0, 9, guess=loaded).statistics.iterations <= 3
+    assert (
+        solve(drifting, start, end, 1.0, method=Midpoint(retraction), steps=9, guess=loaded).statistics.iterations <= 3
+    )
     for wrong, words in ((Cayley(RIGID), "states have the shapes"), ("Cayley", "with a retraction and the manifold")):
         with pytest.raises(InvalidInputError, match=words):
             load_solution(tmp_path / "own.npz", wrong)

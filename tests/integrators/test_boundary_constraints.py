@@ -122,7 +122,7 @@ def test_an_axis_of_an_attitude_is_pointed():
     aim = np.array([np.sin(1.1), 0.0, np.cos(1.1)])
     pointed = {"boresight": lambda a, b: (b.T @ aim)[:2]}
     problem = OptimalControlProblem(TURN, lambda q, u: q @ hat(u), effort, 3, boundary_constraints=pointed)
-    found = solve(problem, Gauss(2, Cayley(TURN)), np.eye(3), Free(np.array(np.eye(3))), 1.0, 6)
+    found = solve(problem, np.eye(3), Free(np.array(np.eye(3))), 1.0, method=Gauss(2, Cayley(TURN)), steps=6)
     assert found.cost == pytest.approx(1.1**2 / 2, rel=1e-6)
     np.testing.assert_allclose(found.states[-1] @ [0, 0, 1], aim, atol=1e-11)
     body = next(iter(found.body_costates.values()))
@@ -140,7 +140,7 @@ def test_a_periodic_optimum_under_a_periodic_force():
         periodic=True,
         time_dependent=True,
     )
-    found = solve(forced, Gauss(3, Addition(LINE)), Free(np.zeros(1)), None, 1.0, 12)
+    found = solve(forced, Free(np.zeros(1)), None, 1.0, method=Gauss(3, Addition(LINE)), steps=12)
     size, phase = 10 / (11 + 4 * np.pi**2), 2 * np.pi * found.times
     np.testing.assert_allclose(found.states[:, 0], size * np.cos(phase), atol=1e-8)
     np.testing.assert_allclose(found.costates[:, 0], size * (np.cos(phase) - 2 * np.pi * np.sin(phase)), atol=1e-7)
@@ -162,7 +162,7 @@ def test_periodic_up_to_a_rotation():
         TURN, lambda q, u: q @ hat(u), effort, 3, initial_cost=lambda q: -jnp.trace(q), periodic=turned
     )
     aside = np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1.0]])
-    found = solve(problem, Gauss(2, Cayley(TURN)), Free(aside), Free(turn @ aside), 1.0, 6)
+    found = solve(problem, Free(aside), Free(turn @ aside), 1.0, method=Gauss(2, Cayley(TURN)), steps=6)
     assert found.cost == pytest.approx(angle**2 / 2 - 3, rel=1e-7)
     np.testing.assert_allclose(found.states[0], np.eye(3), atol=1e-9)
     np.testing.assert_allclose(found.states[-1], turn @ found.states[0], atol=1e-11)
@@ -230,7 +230,7 @@ def test_what_are_no_boundary_constraints_is_named(between, words):
 
     def solved():
         problem = OptimalControlProblem(GLOBE, lambda q, u: jnp.cross(u, q), effort, 3, boundary_constraints=between)
-        return solve(problem, Midpoint(default_retraction(GLOBE)), start, end, 1.0, 3)
+        return solve(problem, start, end, 1.0, method=Midpoint(default_retraction(GLOBE)), steps=3)
 
     with pytest.raises(InvalidInputError, match=words):
         solved()
@@ -263,7 +263,9 @@ def test_equations_that_depend_on_each_other_where_they_hold():
     places = np.array([0.2, 0.1, 1.0]) / np.linalg.norm([0.2, 0.1, 1.0])
     method, words = Midpoint(default_retraction(GLOBE)), r"depend on each other, .*\[2\]; try .* periodic=True"
     for most in (9, 30):
-        solution = solve(problem, method, Free(places), Free(places), 1.0, 3, max_iterations=most, throw=False)
+        solution = solve(
+            problem, Free(places), Free(places), 1.0, method=method, steps=3, max_iterations=most, throw=False
+        )
         assert re.search(words, solution.result)
         assert not solution.checks.strict_minimum
 
@@ -277,7 +279,7 @@ def test_an_optimum_whose_equations_depend_on_each_other_is_not_shown_to_be_one(
     method, start, end = Midpoint(Addition(PLANE)), np.zeros(2), Free(np.array([0.8, 0.3]))
     free = OptimalControlProblem(PLANE, direct, effort, 2)
     whole = free.replaced(boundary_constraints={"twice": lambda a, b: twice(b)})
-    found = solve(whole, method, start, end, 1.0, 3)
+    found = solve(whole, start, end, 1.0, method=method, steps=3)
     assert found.cost == pytest.approx(0.5)
     assert "depend on each other" in found.result
     assert not found.checks.strict_minimum
@@ -291,7 +293,7 @@ def test_an_optimum_whose_equations_depend_on_each_other_is_not_shown_to_be_one(
 def test_periodic_ends_that_are_prescribed_are_named():
     problem = OptimalControlProblem(PLANE, direct, effort, 2, periodic=True)
     with pytest.raises(InvalidInputError, match=r"2 equations, of which 0 are .* free: periodic depends on"):
-        solve(problem, Midpoint(Addition(PLANE)), np.zeros(2), np.ones(2), 1.0, 3)
+        solve(problem, np.zeros(2), np.ones(2), 1.0, method=Midpoint(Addition(PLANE)), steps=3)
 
 
 @pytest.mark.slow
@@ -300,9 +302,9 @@ def test_what_is_not_periodic_is_named():
         OptimalControlProblem(PLANE, direct, effort, 2, periodic="yes")
     wrong = OptimalControlProblem(PLANE, direct, effort, 2, periodic=lambda q: q[:1])
     with pytest.raises(InvalidInputError, match=r"the value of periodic, a point"):
-        solve(wrong, Midpoint(Addition(PLANE)), Free(np.ones(2)), None, 1.0, 3)
+        solve(wrong, Free(np.ones(2)), None, 1.0, method=Midpoint(Addition(PLANE)), steps=3)
     fine = OptimalControlProblem(PLANE, direct, effort, 2, boundary_constraints={"nan": lambda a, b: jnp.nan * b[0]})
-    solution = solve(fine, Midpoint(Addition(PLANE)), np.zeros(2), Free(np.ones(2)), 1.0, 3, throw=False)
+    solution = solve(fine, np.zeros(2), Free(np.ones(2)), 1.0, method=Midpoint(Addition(PLANE)), steps=3, throw=False)
     assert "NaN or infinity at the guess" in solution.result
 
 

@@ -126,7 +126,7 @@ def test_a_classification_of_other_values_is_refused():
     with pytest.raises(
         InvalidInputError, match="classification must be that of the problem with its functions as they are"
     ):
-        solve(problem, Midpoint(Exponential(LINE)), np.zeros(1), np.ones(1), 1.0, 4, classification=found)
+        solve(problem, np.zeros(1), np.ones(1), 1.0, method=Midpoint(Exponential(LINE)), steps=4, classification=found)
 
 
 def test_a_root_with_a_rule_of_its_own_is_compiled_once():
@@ -198,6 +198,6 @@ def test_a_manifold_that_changes_is_another_one_and_is_read_a_few_times_in_a_cal
     for radius in (1.0, 2.0, 0.5):
         RADIUS[:] = [radius]
         start = np.array([radius, 0.0])
-        found = solve(problem, Midpoint(Projection(circle)), start, start[::-1], 1.0, 40)
+        found = solve(problem, start, start[::-1], 1.0, method=Midpoint(Projection(circle)), steps=40)
         assert found.cost == pytest.approx((np.pi * radius / 2) ** 2 / 2, rel=1e-3)
         assert len(RADIUS) < 150  # it would be 600 times if each of its derivatives were traced wherever it is used

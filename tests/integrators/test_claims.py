@@ -89,7 +89,7 @@ def test_a_terminal_cost_bends_with_its_normal_gradient(strength):
     pole, pull = np.array([0.0, 0.0, 1.0]), Pull(jnp.asarray(strength))
     problem = OptimalControlProblem(SPHERE, SPHERE.projection, half_square, 3, terminal_cost=pull.cost)
     guess = Guess(np.tile(pole, (3, 1)), np.zeros((3, 3)))
-    solution = solve(problem, Midpoint(Exponential(SPHERE)), pole, None, 1.0, 3, guess=guess)
+    solution = solve(problem, pole, None, 1.0, method=Midpoint(Exponential(SPHERE)), steps=3, guess=guess)
     assert solution.cost == pytest.approx(strength, abs=1e-14)
     assert solution.checks.strict_minimum == (strength < 1)
 
@@ -98,7 +98,7 @@ def hurried() -> ConvergenceError:
     """Too few steps for a cost that is not quadratic, with linear dynamics: its ends meet, but it is not stationary."""
     problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: half_square(q, u) + jnp.cosh(3 * q[0]), 1)
     with pytest.raises(ConvergenceError) as raised:
-        solve(problem, Midpoint(Exponential(LINE)), np.zeros(1), np.full(1, 2.0), 1.0, 4, max_iterations=1)
+        solve(problem, np.zeros(1), np.full(1, 2.0), 1.0, method=Midpoint(Exponential(LINE)), steps=4, max_iterations=1)
     return raised.value
 
 
@@ -129,7 +129,7 @@ def test_a_norm_at_rest_is_named_with_its_place(part, words):
         lambda q, u: u @ u + size.get("cost", lambda q: 0.0)(q),
         2,
     )
-    found = solve(problem, Midpoint(Addition(plane)), np.zeros(2), np.zeros(2), 1.0, 4, throw=False)
+    found = solve(problem, np.zeros(2), np.zeros(2), 1.0, method=Midpoint(Addition(plane)), steps=4, throw=False)
     assert not found.success
     assert words in found.result
     assert "as sqrt(x @ x + 1e-6) in place of a norm" in found.result

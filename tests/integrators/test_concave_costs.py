@@ -121,7 +121,7 @@ def test_a_cost_without_curvature_along_some_controls_is_not_concave(width):
         2,
         control_bounds=(-9.0, 9.0),
     )
-    found = solve(problem, Gauss(2, Addition(LINE)), np.zeros(1), np.ones(1), 1.0, 5)
+    found = solve(problem, np.zeros(1), np.ones(1), 1.0, method=Gauss(2, Addition(LINE)), steps=5)
     assert found.success
     assert found.cost == pytest.approx(1 + width / 49, rel=1e-7)
 
@@ -181,7 +181,7 @@ def test_phases_are_told_by_their_numbers():
 def test_an_oscillator_is_a_minimum_until_its_conjugate_point(horizon, tmp_path):
     """Of the action ``int (u^2 - q^2) / 2`` with both ends fixed, at pi."""
     problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: (u @ u - q @ q) / 2, 1)
-    found = solve(problem, Gauss(4, Addition(LINE)), np.zeros(1), np.ones(1), horizon, 20)
+    found = solve(problem, np.zeros(1), np.ones(1), horizon, method=Gauss(4, Addition(LINE)), steps=20)
     status = "minimum" if horizon < np.pi else "stationary"
     assert found.cost == pytest.approx(1 / np.tan(horizon) / 2, rel=1e-6)
     assert found.status == status

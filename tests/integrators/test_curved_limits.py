@@ -35,7 +35,7 @@ def moved(limit: Any, method: Any, number: float) -> Solution:
 def within(most: float, method: Any) -> Solution:
     """The same with a bound of the control."""
     problem = OptimalControlProblem(PLANE, particle, effort, 1, control_bounds=(-most, most))
-    return solve(problem, method, np.zeros(2), np.array([1.0, 0.0]), 1.0, 20)
+    return solve(problem, np.zeros(2), np.array([1.0, 0.0]), 1.0, method=method, steps=20)
 
 
 POWERS = {power: lambda q, u, most, power=power: (u[0] / most) ** power - 1 for power in (2, 4)}
@@ -83,12 +83,12 @@ def test_the_size_of_a_torque_is_limited_from_a_guess_without_torque():
     """A ball through the largest torque of the free slew, some 20 N m, and one around it."""
     start, end, retraction = (IDENTITY, REST), (SLEW_END, REST), Cayley(RIGID)
     free = OptimalControlProblem(RIGID, spacecraft, half_square, 3)
-    known = solve(free, Midpoint(retraction), start, end, 60.0, 40)
+    known = solve(free, start, end, 60.0, method=Midpoint(retraction), steps=40)
     largest = np.max(np.linalg.norm(known.controls, axis=1))
     for share in (0.8, 0.999, 1.001, 5.0):
         ball = {"torque": lambda q, u, share=share: u @ u - (share * largest) ** 2}
         problem = OptimalControlProblem(RIGID, spacecraft, half_square, 3, constraints=ball)
-        found = solve(problem, Midpoint(retraction), start, end, 60.0, 40)
+        found = solve(problem, start, end, 60.0, method=Midpoint(retraction), steps=40)
         assert np.max(np.linalg.norm(found.controls, axis=1)) <= min(share, 1.0) * largest * (1 + 1e-6)
         if share > 1:
             assert found.cost == pytest.approx(known.cost, rel=1e-9)

@@ -20,8 +20,8 @@ from retrax.integrators import (
     HamiltonianStage,
     Integrator,
     OptimalControlProblem,
-    form_defect,
     integrate,
+    symplecticity_defect,
 )
 from retrax.integrators.initial_value.step import StepEquations, StepResult
 from retrax.manifolds import (
@@ -197,7 +197,7 @@ def test_the_form_changes_at_first_order_in_the_step():
     allowed = Submanifold(bundle, lambda z: PARTICLE.constraint(z[0], PARTICLE.velocity(*z)))
     space = PresymplecticManifold(allowed, bundle.two_form)
     sizes = np.array([0.02, 0.01])
-    limits = np.asarray(form_defect(space, NODES, PARTICLE, START, sizes)) / sizes
+    limits = np.asarray(symplecticity_defect(space, NODES, PARTICLE, START, sizes)) / sizes
     assert limits[1] == pytest.approx(limits[0], rel=0.05)
     assert limits[1] > 0.1
 

@@ -30,7 +30,7 @@ def constant(control):
 
 
 def solved(problem, mean, **more):
-    return solve(problem, METHOD, np.zeros(1), np.array([mean]), 1.0, STEPS, **more)
+    return solve(problem, np.zeros(1), np.array([mean]), 1.0, method=METHOD, steps=STEPS, **more)
 
 
 @pytest.mark.parametrize("name", COSTS)
@@ -77,7 +77,7 @@ def test_several_members_phases_and_a_free_horizon():
     assert solve_phases(two).cost == pytest.approx(-2 * np.log(2), rel=1e-9)
     # T (2 - log(1 / T)) is least at log T = -3.
     timed = moving(lambda q, u: 2 - jnp.log(u[0]), control_bounds=(0.0, np.inf))
-    assert solve(timed, METHOD, np.zeros(1), np.ones(1), Free(0.2), STEPS).horizon == pytest.approx(
+    assert solve(timed, np.zeros(1), np.ones(1), Free(0.2), method=METHOD, steps=STEPS).horizon == pytest.approx(
         np.exp(-3), rel=1e-8
     )
 
@@ -87,7 +87,7 @@ def test_a_domain_of_the_state(guessed):
     """With ``q = exp(z)`` and ``z' = u``: the cost ``(u^2 + z^2) / 2`` from ``z = 1`` is ``tanh(1) / 2``."""
     problem = OptimalControlProblem(LINE, lambda q, u: u * q, lambda q, u: (u @ u + jnp.log(q[0]) ** 2) / 2, 1)
     guess = Guess(np.full((40, 1), 2.0), np.zeros((40, 1))) if guessed else None
-    found = solve(problem, METHOD, np.array([np.e]), None, 1.0, 40, guess=guess)
+    found = solve(problem, np.array([np.e]), None, 1.0, method=METHOD, steps=40, guess=guess)
     assert found.cost == pytest.approx(np.tanh(1) / 2, rel=2e-3)
 
 

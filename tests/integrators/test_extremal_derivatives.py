@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Extremal, OptimalControlProblem, Solver
+from retrax.integrators import DifferentiableSolution, OptimalControlProblem, Solver
 from retrax.manifolds import Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Exponential, Gauss, Midpoint, Projection, default_retraction
 
@@ -56,7 +56,7 @@ CASES = {
 
 
 @jax.jit
-def loss(found: Extremal):
+def loss(found: DifferentiableSolution):
     """One number of everything that an extremal has."""
     parts = [
         jnp.sum(jnp.sin(leaf) * jnp.cos(jnp.arange(leaf.size).reshape(leaf.shape))) for leaf in jax.tree.leaves(found)

@@ -79,7 +79,7 @@ def check(found: Solution, problem: OptimalControlProblem, name: str, feasible: 
 @cache
 def least_limit() -> float:
     """The least limit of the torques by which the slew is done in its time: a parameter that is all that costs."""
-    free = solve(OptimalControlProblem(CRAFT, turn, effort, 3), METHOD, *ENDS, HORIZON, STEPS)
+    free = solve(OptimalControlProblem(CRAFT, turn, effort, 3), *ENDS, HORIZON, method=METHOD, steps=STEPS)
     within = {"above": lambda q, u, limit: u - 10 * limit, "below": lambda q, u, limit: -u - 10 * limit}
     problem = OptimalControlProblem(
         CRAFT,
@@ -89,21 +89,21 @@ def least_limit() -> float:
         terminal_cost=lambda q, limit: limit,
         constraints=within,
     )
-    found = solve(problem, METHOD, *ENDS, HORIZON, STEPS, guess=free, parameters=Free(1.0, 0.1, 2.0))
+    found = solve(problem, *ENDS, HORIZON, method=METHOD, steps=STEPS, guess=free, parameters=Free(1.0, 0.1, 2.0))
     return 10 * float(found.parameters)
 
 
 @cache
 def least_time() -> float:
     quickest = OptimalControlProblem(CRAFT, turn, lambda q, u: 1.0, 3, control_bounds=(-8.0, 8.0))
-    return solve(quickest, METHOD, *ENDS, Free(HORIZON), STEPS).horizon
+    return solve(quickest, *ENDS, Free(HORIZON), method=METHOD, steps=STEPS).horizon
 
 
 @pytest.mark.slow
 def test_the_least_time_and_the_least_limit_belong_together():
     limit = least_limit()
     quickest = OptimalControlProblem(CRAFT, turn, lambda q, u: 1.0, 3, control_bounds=(-limit, limit))
-    assert solve(quickest, METHOD, *ENDS, Free(HORIZON), STEPS).horizon == pytest.approx(HORIZON, rel=1e-7)
+    assert solve(quickest, *ENDS, Free(HORIZON), method=METHOD, steps=STEPS).horizon == pytest.approx(HORIZON, rel=1e-7)
 
 
 @pytest.mark.long("-0.5", "10.0")
@@ -112,7 +112,7 @@ def test_the_least_time_and_the_least_limit_belong_together():
 )
 def test_a_limit_of_torques_through_the_least(share):
     limit = least_limit() * (1 + share)
-    found = solve(limited(limit), METHOD, *ENDS, HORIZON, STEPS, max_iterations=200, throw=False)
+    found = solve(limited(limit), *ENDS, HORIZON, method=METHOD, steps=STEPS, max_iterations=200, throw=False)
     check(found, limited(limit), "control_bounds", share > 0)
     assert not found.success or np.abs(found.controls).max() <= limit * (1 + 1e-9)
     assert found.success == (share > 0)
@@ -125,7 +125,7 @@ def test_a_limit_of_torques_through_the_least(share):
 def test_a_horizon_through_the_least_time(share):
     horizon = least_time() * (1 + share)
     # A tenth of the least time asks for a hundred times the torque, and the excess grows to it step by step.
-    found = solve(limited(8.0), METHOD, *ENDS, horizon, STEPS, throw=False, max_iterations=200)
+    found = solve(limited(8.0), *ENDS, horizon, method=METHOD, steps=STEPS, throw=False, max_iterations=200)
     check(found, limited(8.0), "control_bounds", share > 0)
     assert not found.success or np.abs(found.controls).max() <= 8.0 * (1 + 1e-9)
     assert found.success == (share > 0)

@@ -185,7 +185,9 @@ def test_phases_say_in_which_of_them_a_limit_is_flat(place):
 
 def test_what_is_asked_of_the_accuracy_changes_nothing():
     for limit, flat in BOTH:
-        found = solve(problem_of(limit), METHOD, *ENDS, 1.0, 10, accuracy=1e-3, tolerance=1e-6, throw=False)
+        found = solve(
+            problem_of(limit), *ENDS, 1.0, method=METHOD, steps=10, accuracy=1e-3, tolerance=1e-6, throw=False
+        )
         assert (VANISHES in found.result) == flat
         assert found.checks.strict_minimum == (not flat)
 

@@ -75,7 +75,7 @@ def test_a_free_horizon_is_found_from_far_above_and_below():
 def test_a_free_horizon_does_not_depend_on_the_unit_of_time(unit):
     """``x'' = u`` in other units of time: ``int 1 + unit^3 u^2 / 2``, so that ``T`` grows with the unit."""
     scaled = OptimalControlProblem(PLANE, cart, lambda q, u: 1 / unit + unit**3 * u @ u / 2, 1)
-    found = solve(scaled, GAUSS, REST, AHEAD, Free(3 * unit), 6)
+    found = solve(scaled, REST, AHEAD, Free(3 * unit), method=GAUSS, steps=6)
     assert found.horizon == pytest.approx(unit * T_BEST, rel=1e-10)
 
 
@@ -93,8 +93,8 @@ def test_a_free_horizon_does_not_depend_on_the_unit_of_length(stages):
             return jnp.concatenate([q[2:], unit * (u - np.array([0.0, 1.62]))])
 
         lander = OptimalControlProblem(space, land, lambda q, u: jnp.sqrt(u @ u + 0.01) + 0.01 * (u @ u), 2)
-        first = solve(lander, method, unit * start, np.zeros(4), 40.0, 20)
-        found.append(solve(lander, method, unit * start, np.zeros(4), Free(40.0), 20, guess=first))
+        first = solve(lander, unit * start, np.zeros(4), 40.0, method=method, steps=20)
+        found.append(solve(lander, unit * start, np.zeros(4), Free(40.0), method=method, steps=20, guess=first))
     assert {each.statistics.iterations for each in found} == {found[0].statistics.iterations}
     assert [each.horizon for each in found] == pytest.approx([31.1158] * len(found), rel=1e-4)
 
@@ -169,7 +169,7 @@ def test_a_parameter_and_the_horizon_are_optimised_together():
     cost = lambda q, u, given: 1 + u @ u / 2 + given["drift"] @ given["drift"] / 2  # noqa: E731
     both = OptimalControlProblem(LINE, drift, cost, 1)
     given = {"gain": 2.0, "drift": Free(np.zeros(1))}
-    found = solve(both, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), Free(1.0), 4, parameters=given)
+    found = solve(both, np.zeros(1), np.ones(1), Free(1.0), method=Midpoint(Addition(LINE)), steps=4, parameters=given)
     assert found.horizon == pytest.approx(0.1**0.5, rel=1e-11)
     assert found.parameters["drift"] == pytest.approx(0.4 / found.horizon, rel=1e-11)
 
@@ -181,7 +181,7 @@ MOVING = OptimalControlProblem(LINE, lambda q, u, t: u + jnp.sin(t), lambda q, u
 def test_the_time_in_the_functions(horizon):
     """``x' = u + sin t`` from 0 to 1: ``u`` is constant, ``(1 - (1 - cos T)) / T``; and ``H = p x' - u^2 / 2`` with ``p
     = u``."""
-    found = solve(MOVING, Gauss(4, Addition(LINE)), np.zeros(1), np.ones(1), horizon, 8)
+    found = solve(MOVING, np.zeros(1), np.ones(1), horizon, method=Gauss(4, Addition(LINE)), steps=8)
     best = np.cos(horizon) / horizon
     np.testing.assert_allclose(found.controls, best, rtol=1e-9)
     np.testing.assert_allclose(found.hamiltonians, best * (best / 2 + np.sin(found.stage_times)), atol=1e-9)
@@ -194,7 +194,7 @@ def test_the_time_of_a_free_horizon_ends_with_it():
     late = OptimalControlProblem(
         LINE, lambda q, u, t: u, lambda q, u, t: u @ u / 2, 1, terminal_cost=lambda q, t: t / 2, time_dependent=True
     )
-    found = solve(late, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), Free(3.0), 5)
+    found = solve(late, np.zeros(1), np.ones(1), Free(3.0), method=Midpoint(Addition(LINE)), steps=5)
     assert found.horizon == pytest.approx(1.0, rel=1e-11)
     np.testing.assert_allclose(found.hamiltonians, 0.5, rtol=1e-10)  # d Phi / dt at the end
 
@@ -207,8 +207,8 @@ def test_a_guess_and_a_solution_are_taken():
     assert found.horizon == pytest.approx(T_BEST, rel=1e-11)
     again = solver.solve(REST, AHEAD, Free(found.horizon), guess=found)
     assert again.statistics.iterations <= 1
-    moving = solve(MOVING, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), 1.0, 5)
-    again = solve(MOVING, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), 1.0, 5, guess=moving)
+    moving = solve(MOVING, np.zeros(1), np.ones(1), 1.0, method=Midpoint(Addition(LINE)), steps=5)
+    again = solve(MOVING, np.zeros(1), np.ones(1), 1.0, method=Midpoint(Addition(LINE)), steps=5, guess=moving)
     assert again.statistics.iterations <= 1
 
 
@@ -248,7 +248,7 @@ def test_derivatives_of_what_was_found():
 
 def test_a_record_with_parameters_is_read_again(tmp_path):
     given = {"gain": 2.0, "drift": Free(np.zeros(1))}
-    found = solve(DRIFTING, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), 2.0, 4, parameters=given)
+    found = solve(DRIFTING, np.zeros(1), np.ones(1), 2.0, method=Midpoint(Addition(LINE)), steps=4, parameters=given)
     found.save(tmp_path / "found.npz")
     read = load_solution(tmp_path / "found.npz")
     assert read.horizon == found.horizon
@@ -337,13 +337,20 @@ def test_free_is_frozen():
 def test_arguments_beside_a_free_horizon_are_checked(change, words):
     given = {"start": REST, "end": AHEAD, "steps": 6, **change}
     with pytest.raises((InvalidInputError, NotOnManifoldError), match=words):
-        solve(QUICK, GAUSS, **given)
+        solve(QUICK, method=GAUSS, **given)
 
 
 @pytest.mark.parametrize("cost", [lambda q, u: 1.0, lambda q, u: 1 + q[1] ** 2, lambda q, u: 1 + u[0]])
 def test_a_free_horizon_without_a_cost_of_every_control_is_refused(cost):
     with pytest.raises(InvalidInputError, match=r"the problem is singular, .* minimum time, and needs control_bounds"):
-        solve(OptimalControlProblem(PLANE, cart, cost, 1), Midpoint(Addition(PLANE)), REST, AHEAD, Free(2.0), 6)
+        solve(
+            OptimalControlProblem(PLANE, cart, cost, 1),
+            REST,
+            AHEAD,
+            Free(2.0),
+            method=Midpoint(Addition(PLANE)),
+            steps=6,
+        )
 
 
 def test_minimum_time_with_bounds():
@@ -379,7 +386,7 @@ def test_a_bound_of_the_horizon_from_where_it_holds_to_where_it_does_not(side, s
 def test_a_bound_of_a_parameter_from_where_it_holds_to_where_it_does_not(share):
     best = 2.0 / (2 * (1 + 2.0**2))
     given = {"gain": 2.0, "drift": Free(np.array([0.01]), upper=share * best)}
-    found = solve(DRIFTING, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), 2.0, 4, parameters=given)
+    found = solve(DRIFTING, np.zeros(1), np.ones(1), 2.0, method=Midpoint(Addition(LINE)), steps=4, parameters=given)
     drifted = min(share, 1.0) * best
     assert found.parameters["drift"] == pytest.approx(drifted, rel=1e-7)
     np.testing.assert_allclose(found.controls, 0.5 - 2 * drifted, rtol=1e-6)
@@ -408,4 +415,4 @@ def test_constraints_have_parameters_and_time():
 def test_functions_of_time_that_fail_are_named():
     wrong = OptimalControlProblem(LINE, lambda q, u, t: u + t[0], lambda q, u, t: u @ u, 1, time_dependent=True)
     with pytest.raises(InvalidInputError, match=r"functions fail at a point q of R\^1.*dynamics, line "):
-        solve(wrong, Midpoint(Addition(LINE)), np.zeros(1), np.ones(1), 1.0, 3)
+        solve(wrong, np.zeros(1), np.ones(1), 1.0, method=Midpoint(Addition(LINE)), steps=3)

@@ -246,7 +246,7 @@ def test_functions_without_derivatives_are_answered_with_what_has_some(name):
     function, hint = WITHOUT_DERIVATIVES[name]
     problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2 + function(q[0]), 1)
     with pytest.raises(NotDifferentiableError, match=f"JAX cannot differentiate, or map, a function.*{hint}"):
-        solve(problem, Gauss(2, Addition(LINE)), np.zeros(1), np.ones(1), 1.0, 5)
+        solve(problem, np.zeros(1), np.ones(1), 1.0, method=Gauss(2, Addition(LINE)), steps=5)
     with pytest.raises(NotDifferentiableError, match=f"JAX cannot differentiate, or map, a function.*{hint}"):
         integrate(
             lambda q, p: p @ p / 2 + function(q[0]),

@@ -29,7 +29,7 @@ def difference(a, b):
 def test_the_controls_of_a_solution_lead_to_its_states_to_second_order():
     off = []
     for steps in (10, 20, 40):
-        solution = solve(SLEW, METHOD, START, END, 60.0, steps)
+        solution = solve(SLEW, START, END, 60.0, method=METHOD, steps=steps)
         guess = Guess.from_controls(SLEW, METHOD, START, solution.controls, 60.0, steps)
         off.append(difference(guess.states, solution.stage_states))
     assert off[0] < 0.03
@@ -142,7 +142,7 @@ def test_waypoints_are_passed_at_their_times():
     aside = rotation([0.3, -0.2, 0.1]), REST
     guess = Guess.from_waypoints(SLEW, METHOD, [START, aside, END], 40, times=[0.0, 15.5, 40.0])
     np.testing.assert_allclose(guess.states[0][15], aside[0], atol=1e-12)
-    assert solve(SLEW, METHOD, START, END, 60.0, 40, guess=guess).success
+    assert solve(SLEW, START, END, 60.0, method=METHOD, steps=40, guess=guess).success
 
 
 def test_what_is_no_guess_is_said():
@@ -180,7 +180,7 @@ def test_rounding_of_a_guess_at_rest_measures_nothing(rate):
     problem = OptimalControlProblem(plane, hung, half_square, 1)
     for angle in (0.0, np.pi):
         guess = Guess(np.tile([angle, rate], (20, 1)), np.zeros((20, 1)))
-        solution = solve(problem, method, np.zeros(2), end, 2.0, 20, guess=guess)
+        solution = solve(problem, np.zeros(2), end, 2.0, method=method, steps=20, guess=guess)
         assert solution.checks.strict_minimum
         assert solution.statistics.iterations <= 30
 

@@ -42,7 +42,9 @@ def clipped_forces(bound):
 
 @pytest.mark.parametrize("bound", [4.2, 4.5, 5.0, 5.8, 5.84, 5.86, 5.9, 6.5, 100.0])
 def test_forces_are_those_of_the_conditions_as_a_bound_becomes_active(bound):
-    solution = solve(cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
+    solution = solve(
+        cart(bound), np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Midpoint(default_retraction(PLANE)), steps=STEPS
+    )
     expected, slope = clipped_forces(bound)
     # At 5 a bound is met with the multiplier zero: there s = nu = sqrt(mu).
     np.testing.assert_allclose(solution.controls[:, 0], expected, atol=1e-5 if bound == 5 else 1e-8)
@@ -59,14 +61,18 @@ def test_forces_are_those_of_the_conditions_as_a_bound_becomes_active(bound):
 @cache
 def limited_way():
     """Of one metre in one second."""
-    return solve(cart(4.5), Gauss(2, default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
+    return solve(
+        cart(4.5), np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Gauss(2, default_retraction(PLANE)), steps=STEPS
+    )
 
 
 @pytest.mark.parametrize(("length", "time"), [(2, 1), (1e-9, 1), (1e9, 1), (1, 1e4), (1e4, 1e-3), (1e-6, 1e6)])
 def test_units_do_not_matter(length, time):
     bound = 4.5 * length / time**2
     end = np.array([length, 0.0])
-    solution = solve(cart(bound), Gauss(2, default_retraction(PLANE)), np.zeros(2), end, float(time), STEPS)
+    solution = solve(
+        cart(bound), np.zeros(2), end, float(time), method=Gauss(2, default_retraction(PLANE)), steps=STEPS
+    )
     here = limited_way()
     assert solution.cost * time**3 / length**2 == pytest.approx(here.cost, rel=1e-9)
     assert abs(solution.statistics.iterations - here.statistics.iterations) <= 2
@@ -75,7 +81,13 @@ def test_units_do_not_matter(length, time):
 @pytest.mark.parametrize("bound", [3.0, 3.9, 3.99])
 def test_bounds_that_do_not_reach_the_end_are_named(bound):
     solution = solve(
-        cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS, throw=False
+        cart(bound),
+        np.zeros(2),
+        np.array([1.0, 0.0]),
+        1.0,
+        method=Midpoint(default_retraction(PLANE)),
+        steps=STEPS,
+        throw=False,
     )
     assert not solution.success
     assert "contradict" in solution.result
@@ -85,7 +97,7 @@ def test_bounds_that_do_not_reach_the_end_are_named(bound):
 @pytest.mark.parametrize("bound", [4.01, 4.1])
 def test_bounds_that_barely_reach_the_end_do(bound):
     assert solve(
-        cart(bound), Midpoint(default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS
+        cart(bound), np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Midpoint(default_retraction(PLANE)), steps=STEPS
     ).success
 
 
@@ -95,7 +107,9 @@ def test_a_state_that_is_kept_below_a_limit(limit):
     (1/6)."""
     optimum = 4 / (9 * limit) if limit <= 1 / 6 else 2 + 6 * max(0.0, 1 - 4 * limit) ** 2
     problem = cart(constraints={"height": lambda q, u: q[0] - limit})
-    solution = solve(problem, Gauss(3, default_retraction(PLANE)), np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0, 60)
+    solution = solve(
+        problem, np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0, method=Gauss(3, default_retraction(PLANE)), steps=60
+    )
     assert solution.cost == pytest.approx(optimum, rel=2e-4)
     assert np.max(solution.stage_states[:, 0]) <= limit * (1 + 1e-9)
     assert (np.max(solution.multipliers["height"]) > 1e-6) == (limit < 1 / 4)
@@ -108,7 +122,9 @@ def test_a_path_that_begins_inside_a_forbidden_cone_goes_round_it(steps, method)
     cone = {"cone": lambda q, u: q @ axis - np.cos(np.deg2rad(25))}
     problem = OptimalControlProblem(sphere, lambda q, u: jnp.cross(u, q), lambda q, u: u @ u / 2, 3, constraints=cone)
     end = np.array([0.05, 0.0, 1.0]) / np.hypot(0.05, 1.0)
-    solution = solve(problem, method(default_retraction(sphere)), np.array([0.0, 1.0, 0.0]), end, 1.0, steps)
+    solution = solve(
+        problem, np.array([0.0, 1.0, 0.0]), end, 1.0, method=method(default_retraction(sphere)), steps=steps
+    )
     # Two arcs of great circles that touch the cone, and the piece of its rim between them.
     rim = np.deg2rad(25)
 
@@ -134,16 +150,20 @@ def test_momenta_are_those_of_symmetries_unless_a_constraint_of_the_states_holds
         sphere, lambda q, u: jnp.cross(u, q), lambda q, u: u @ u / 2, 3, constraints=ceiling
     )
     ends = (np.array(q) / np.linalg.norm(q) for q in ([1.0, 0.0, 0.4], [-0.2, 1.0, 0.4]))
-    checks = solve(problem, Gauss(2, default_retraction(sphere)), *ends, 1.0, 8).checks
+    checks = solve(problem, *ends, 1.0, method=Gauss(2, default_retraction(sphere)), steps=8).checks
     assert (checks.active["ceiling"] > 0) == (height < 0.53)
     assert [*checks.conserved.values()] == [0 if height < 0.53 else 3]
     assert (max(checks.momentum_spreads.values()) < 1e-8) == (height > 0.53)
 
 
 def test_wide_bounds_change_nothing():
-    free = solve(cart(), Gauss(2, default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
+    free = solve(
+        cart(), np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Gauss(2, default_retraction(PLANE)), steps=STEPS
+    )
     for bound in (10.0, 1e3, 1e6):
-        bounded = solve(cart(bound), Gauss(2, default_retraction(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, STEPS)
+        bounded = solve(
+            cart(bound), np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Gauss(2, default_retraction(PLANE)), steps=STEPS
+        )
         np.testing.assert_allclose(bounded.controls, free.controls, atol=1e-9)
 
 
@@ -309,7 +329,7 @@ def test_a_guess_through_the_middle_of_an_obstacle_is_led_around(radius, beside)
     """As much speaks for either side there: the path is as long as those around from beside, and is one of them."""
     around = {"disk": lambda q, u: radius**2 - jnp.sum((q - jnp.array([0.5, beside])) ** 2)}
     problem = OptimalControlProblem(PLANE, lambda q, u: u, lambda q, u: u @ u / 2, 2, constraints=around)
-    found = solve(problem, Midpoint(Addition(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 1.0, 20)
+    found = solve(problem, np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Midpoint(Addition(PLANE)), steps=20)
     # Straight lines to the disk and an arc around it, at one speed.
     tangents = np.hypot(0.5, beside) ** 2 - radius**2
     angle = np.pi - 2 * np.arctan2(beside, 0.5) - 2 * np.arccos(radius / np.hypot(0.5, beside))
@@ -357,7 +377,7 @@ def test_ten_thousand_steps_with_bounds_that_hold():
     problem = OptimalControlProblem(
         plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u @ u / 2, 1, control_bounds=(-5.0, 5.0)
     )
-    found = solve(problem, Midpoint(Addition(plane)), np.zeros(2), np.array([1.0, 0.0]), 1.0, 10_000)
+    found = solve(problem, np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Midpoint(Addition(plane)), steps=10_000)
     assert found.checks.strict_minimum
     assert found.checks.active["control_bounds upper"] > 1000
     # u is odd about the middle and linear between the bounds, for a share b of the time: 5/4 - 5 b^2 / 12 is the way.

@@ -26,7 +26,7 @@ METHODS = {"Gauss": Gauss(2, Addition(LINE)), "midpoint": Midpoint(Addition(LINE
 def test_a_start_that_costs(name, weight):
     """``k (x - 3)^2 / 2`` at the start, 1 at the end of ``x' = u``: ``u = k (x(0) - 3) = (1 - x(0)) / T``."""
     paid = OptimalControlProblem(LINE, moving, half_square, 1, initial_cost=lambda q: weight * (q[0] - 3) ** 2 / 2)
-    found = solve(paid, METHODS[name], None, np.ones(1), 2.0, 4)
+    found = solve(paid, None, np.ones(1), 2.0, method=METHODS[name], steps=4)
     first = (3 * weight + 0.5) / (weight + 0.5)
     np.testing.assert_allclose(found.states[0], first, rtol=1e-10)
     np.testing.assert_allclose(found.controls, (1 - first) / 2, rtol=1e-9)
@@ -34,6 +34,27 @@ def test_a_start_that_costs(name, weight):
     assert found.cost == pytest.approx(weight * (first - 3) ** 2 / 2 + (1 - first) ** 2 / 4, rel=1e-10)
     assert found.checks.strict_minimum
     assert found.statistics.iterations <= 3
+
+
+@pytest.mark.parametrize("method", [Gauss, Midpoint, Euler], ids=lambda kind: kind.__name__)
+def test_a_linear_quadratic_problem_that_pays_at_both_ends_takes_one_step(method):
+    """And one that finds nothing left to do; at the ends costates are the slopes of what these cost."""
+    plane, oscillator = Euclidean(2), jnp.array([[0.0, 1.0], [-2.0, -0.3]])
+    first, last = np.array([[3.0, 1.5], [1.5, 3.0]]), 5 * np.eye(2)
+    problem = OptimalControlProblem(
+        plane,
+        lambda q, u: oscillator @ q + jnp.array([0.0, 1.0]) * u[0],
+        lambda q, u: q @ q / 2 + u @ u / 2,
+        1,
+        initial_cost=lambda q: (q - 1) @ first @ (q - 1) / 2,
+        terminal_cost=lambda q: (q - 1) @ last @ (q - 1) / 2,
+    )
+    given = method(2, Addition(plane)) if method is Gauss else method(Addition(plane))
+    found = solve(problem, Free(np.zeros(2)), None, 2.0, method=given, steps=10)
+    assert found.success
+    assert found.statistics.iterations <= 2
+    np.testing.assert_allclose(found.costates[0], first @ (found.states[0] - 1), rtol=1e-9)
+    np.testing.assert_allclose(found.costates[-1], -last @ (found.states[-1] - 1), rtol=1e-9)
 
 
 TARGET = np.asarray([[0.36, 0.48, -0.8], [-0.8, 0.6, 0.0], [0.48, 0.64, 0.6]])
@@ -112,4 +133,4 @@ def test_a_singular_problem_with_an_initial_cost_is_refused():
     with pytest.raises(
         InvalidInputError, match="the problem has an initial cost, which solve of a singular problem does not"
     ):
-        solve(flat, Midpoint(Addition(LINE)), None, np.zeros(1), 1.0, 4)
+        solve(flat, None, np.zeros(1), 1.0, method=Midpoint(Addition(LINE)), steps=4)

@@ -132,7 +132,7 @@ def test_what_takes_a_problem_names_its_kink():
     with pytest.raises(
         InvalidInputError, match=r"running_cost has a kink.* try u = a - b with the cost a \+ b.*jnp\.sqrt"
     ):
-        solve(fuel, MIDPOINT, np.zeros(2), np.array([1.0, 0.0]), 1.0, 10)
+        solve(fuel, np.zeros(2), np.array([1.0, 0.0]), 1.0, method=MIDPOINT, steps=10)
     for symbolic in (False, True):
         with pytest.raises(InvalidInputError, match="running_cost has a kink"):
             classify(fuel, symbolic=symbolic)
@@ -154,7 +154,7 @@ def test_a_success_is_stationary_at_the_controls_it_returns(price):
     found = []
     for number in 10.0 ** np.arange(-3, 3):
         given = problem(price, number)
-        solution = solve(given, MIDPOINT, np.zeros(2), np.array([1.0, 0.0]), 1.0, 10, throw=False)
+        solution = solve(given, np.zeros(2), np.array([1.0, 0.0]), 1.0, method=MIDPOINT, steps=10, throw=False)
         assert not solution.success or stationarity(given, solution) < 1e-9, number
         kink = "running_cost has a kink or a jump in the controls at u = [0.]" in solution.result
         assert kink == (price is mixed and not solution.success), (number, solution.result)
@@ -241,5 +241,5 @@ def test_a_smoothed_kink_is_followed_to_the_width_that_is_wanted():
     guess = None
     for width in (10.0, 3.0, 1.0, 0.3, 0.1):
         given = problem(smoothed, width)
-        guess = solve(given, MIDPOINT, np.zeros(2), np.array([1.0, 0.0]), 1.0, 10, guess=guess)
+        guess = solve(given, np.zeros(2), np.array([1.0, 0.0]), 1.0, method=MIDPOINT, steps=10, guess=guess)
     assert 2.0 < guess.cost < 2.3  # above the two impulses of the limit

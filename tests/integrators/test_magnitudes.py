@@ -34,7 +34,7 @@ def effort(weight: float) -> OptimalControlProblem:
 def test_a_horizon_is_found_whatever_its_guess(horizon):
     exact = float(horizon)
     weight = 18 / exact**4
-    found = solve(effort(weight), GAUSS, REST, np.array([1.0, 0.0]), Free(1.0), 10)
+    found = solve(effort(weight), REST, np.array([1.0, 0.0]), Free(1.0), method=GAUSS, steps=10)
     assert found.horizon == pytest.approx(exact, rel=1e-8)
     assert found.cost == pytest.approx(4 * weight * exact / 3, rel=1e-8)
     assert found.checks.strict_minimum
@@ -46,7 +46,7 @@ def test_a_least_time_is_found_whatever_its_guess(horizon):
     """From rest to rest over ``T^2 / 4`` with ``|u| <= 1``."""
     exact = float(horizon)
     quickest = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, control_bounds=(-1, 1))
-    found = solve(quickest, MIDPOINT, REST, np.array([exact**2 / 4, 0.0]), Free(1.0), 10)
+    found = solve(quickest, REST, np.array([exact**2 / 4, 0.0]), Free(1.0), method=MIDPOINT, steps=10)
     assert found.horizon == pytest.approx(exact, rel=1e-8)
     np.testing.assert_allclose(found.controls.ravel(), np.repeat([1.0, -1.0], 5), atol=1e-7)
 

@@ -27,12 +27,12 @@ POINTS = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, np.sqrt(1 / 6)]])
 
 
 def slew() -> tuple[OptimalControlProblem, DiscretizationMap, Solution]:
-    return SLEW, EXACT, solve(SLEW, EXACT, (IDENTITY, REST), (SLEW_END, REST), 60.0, STEPS)
+    return SLEW, EXACT, solve(SLEW, (IDENTITY, REST), (SLEW_END, REST), 60.0, method=EXACT, steps=STEPS)
 
 
 def drift() -> tuple[OptimalControlProblem, DiscretizationMap, Solution]:
     discretization = Theta(Projection(ELLIPSOID), 0.3)
-    return DRIFTING, discretization, solve(DRIFTING, discretization, *POINTS, 1.0, 8)
+    return DRIFTING, discretization, solve(DRIFTING, *POINTS, 1.0, method=discretization, steps=8)
 
 
 @pytest.fixture(
@@ -101,7 +101,7 @@ def test_the_cost_is_the_sum_of_the_running_cost_over_the_stages(solved):
 def test_a_slew_about_a_principal_axis_is_the_double_integrator(angle, axis):
     """Its cost from rest to rest is ``6 (J a)^2 / T^3``, and ``N^2 / (N^2 - 1)`` times that in N steps."""
     end = rotation(angle * IDENTITY[axis])
-    solution = solve(SLEW, EXACT, (IDENTITY, REST), (end, REST), 60.0, STEPS)
+    solution = solve(SLEW, (IDENTITY, REST), (end, REST), 60.0, method=EXACT, steps=STEPS)
     limit = 6 * (SPACECRAFT[axis] * angle) ** 2 / 60.0**3
     assert solution.cost == pytest.approx(limit * STEPS**2 / (STEPS**2 - 1), rel=1e-10)
     assert norm(np.delete(solution.controls, axis, axis=1)) < 1e-9 * norm(solution.controls)

@@ -29,14 +29,14 @@ def slew(curvature, quartic=0.0):
 
 @pytest.mark.parametrize("curvature", [1.0, 0.1, 0.01, -0.01, -0.1, -1.0])
 def test_a_concave_cost_of_a_turn_falls_without_end(curvature):
-    solution = solve(slew(curvature), ON_ROTATIONS, np.eye(3), TARGET, 1.0, 10, throw=False)
+    solution = solve(slew(curvature), np.eye(3), TARGET, 1.0, method=ON_ROTATIONS, steps=10, throw=False)
     assert solution.success == (curvature > 0)
     assert (solution.result == FALLING) == (curvature < 0)
 
 
 @pytest.mark.parametrize("quartic", [1.0, 1e-2, 1e-3, 1e-4, 0.0])
 def test_a_concave_cost_that_far_off_is_convex_has_a_minimum(quartic):
-    solution = solve(slew(-1.0, quartic), ON_ROTATIONS, np.eye(3), TARGET, 1.0, 20, throw=False)
+    solution = solve(slew(-1.0, quartic), np.eye(3), TARGET, 1.0, method=ON_ROTATIONS, steps=20, throw=False)
     assert (solution.result == FALLING) == (quartic == 0)
 
 
@@ -44,7 +44,7 @@ def test_a_concave_cost_that_far_off_is_convex_has_a_minimum(quartic):
 @pytest.mark.parametrize("power", [2, 4])
 def test_states_that_pay_more_than_they_cost_escape(power, most):
     problem = OptimalControlProblem(PLANE, pushed, lambda q, u: u @ u / 2 - jnp.sqrt(1 + q[0] ** 2) ** power / 40, 1)
-    solution = solve(problem, ON_PLANE, np.ones(2), None, 2.0, 10, throw=False, max_iterations=most)
+    solution = solve(problem, np.ones(2), None, 2.0, method=ON_PLANE, steps=10, throw=False, max_iterations=most)
     assert solution.success == (power == 2)
     assert (solution.result == FALLING) == (power == 4 and most + 1 >= FEWEST)  # the guess is tried too
 
@@ -68,7 +68,7 @@ def test_a_horizon_that_is_never_long_enough_is_named(rate):
 def test_a_horizon_that_grows_is_named_in_all_units(time, price):
     """In other units of the time the same problem, with the same answer; it does not say that a longer one may help."""
     problem = OptimalControlProblem(PLANE, pushed, lambda q, u: price * u @ u / 2, 1)
-    grown = solve(problem, ON_PLANE, np.zeros(2), np.array([1.0, 0.0]), Free(time), 20, throw=False)
+    grown = solve(problem, np.zeros(2), np.array([1.0, 0.0]), Free(time), method=ON_PLANE, steps=20, throw=False)
     assert grown.horizon / time == pytest.approx(2870.36, rel=1e-3)
     begins = f"The iteration limit of a search came before the conditions were met. The horizon grew from {time:.3g} to"
     assert grown.result.startswith(begins)
@@ -87,7 +87,7 @@ def test_a_slew_whose_horizon_grows_is_told_so_in_all_units(time, price):
 
     problem = OptimalControlProblem(space, turned, lambda q, u: price * u @ u / 2, 3)
     ends = (np.eye(3), np.zeros(3)), (Rotation.from_rotvec([0.3, -1.0, 0.9]).as_matrix(), np.zeros(3))
-    grown = solve(problem, Gauss(2, Cayley(space)), *ends, Free(time), 10, throw=False)
+    grown = solve(problem, *ends, Free(time), method=Gauss(2, Cayley(space)), steps=10, throw=False)
     assert not grown.success
     assert "a longer one still costs less" in grown.result
     assert "or a longer horizon" not in grown.result

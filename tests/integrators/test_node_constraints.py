@@ -68,7 +68,7 @@ def test_the_costate_jumps_by_the_multiplier_times_the_slope(method):
     problem = OptimalControlProblem(
         PLANE, particle, half_square, 1, node_constraints={"bent": lambda q: jnp.exp(3 * q[0]) - jnp.exp(0.3)}
     )
-    found = solve(problem, method, START, END, 1.0, 31)
+    found = solve(problem, START, END, 1.0, method=method, steps=31)
     pulls = found.node_multipliers["bent"][:, 0] * 3 * np.exp(3 * found.states[:, 0])
     np.testing.assert_allclose(np.diff(found.costates[:, 0]), pulls[1:], atol=1e-9 * np.max(pulls))
     assert np.flatnonzero(found.jumps).tolist() == [9, 10, 21, 22]
@@ -82,7 +82,7 @@ def test_the_costate_jumps_by_the_multiplier_times_the_slope(method):
 @pytest.mark.parametrize("theta", [0.0, 0.25, 0.5, 1.0])
 def test_costates_are_read_on_this_side_of_a_jump_by_every_discretization_map(theta):
     method = Theta(Addition(PLANE), theta) if theta else Euler(Addition(PLANE))
-    found = solve(below(0.1), method, START, END, 1.0, 31)
+    found = solve(below(0.1), START, END, 1.0, method=method, steps=31)
     for node in np.flatnonzero(found.jumps):
         before = found(found.times[node] - 1e-6).costates[0]
         assert before == pytest.approx(found.costates[node - 1, 0], rel=1e-6)
@@ -93,10 +93,10 @@ def test_a_slew_beside_a_cone_at_the_nodes_costs_what_ipopt_finds(method):
     """From and to points where the cone holds, with a turn between them that crosses it."""
     start, end = (IDENTITY, REST), (SLEW_END, REST)
     free = OptimalControlProblem(RIGID, spacecraft, half_square, 3)
-    largest = np.max(solve(free, method, start, end, 60.0, 20).states[0][:, 2, 1])
+    largest = np.max(solve(free, start, end, 60.0, method=method, steps=20).states[0][:, 2, 1])
     cone = {"cone": lambda q: q[0][2, 1] - 0.9 * largest}
     problem = OptimalControlProblem(RIGID, spacecraft, half_square, 3, node_constraints=cone)
-    found = solve(problem, method, start, end, 60.0, 20)
+    found = solve(problem, start, end, 60.0, method=method, steps=20)
     assert found.checks.strict_minimum
     assert found.checks.active == {"cone": 1}
     assert np.max(found.states[0][:, 2, 1]) == pytest.approx(0.9 * largest, rel=1e-9)
@@ -110,7 +110,10 @@ def test_stages_and_nodes_have_limits_of_their_own(method):
     """A limit at both is as the stricter of the two, and that of the stages alone leaves the nodes beyond it."""
     ceiling = {"stages": lambda q, u: q[0] - 0.1}
     stages = OptimalControlProblem(PLANE, particle, half_square, 1, constraints=ceiling)
-    alone, both = (solve(problem, method, START, END, 1.0, 14) for problem in (stages, below(0.1, constraints=ceiling)))
+    alone, both = (
+        solve(problem, START, END, 1.0, method=method, steps=14)
+        for problem in (stages, below(0.1, constraints=ceiling))
+    )
     assert np.max(alone.states[:, 0]) > 0.1 + 5e-6
     assert np.max(both.states[:, 0]) <= 0.1 + 1e-9
     assert np.max(both.stage_states[:, 0]) <= 0.1 + 1e-9
@@ -141,7 +144,7 @@ def test_derivatives_with_active_nodes(method):
 def test_a_free_start_is_held_at_the_first_node(method):
     """It costs its distance from a point beyond the ceiling; the rest is of order ``h^2`` for free."""
     problem = below(0.1, initial_cost=lambda q: (q[0] - 1.0) ** 2 + (q[1] + 0.3) ** 2)
-    found = solve(problem, method, None, np.zeros(2), 1.0, 20)
+    found = solve(problem, None, np.zeros(2), 1.0, method=method, steps=20)
     assert found.states[0, 0] == pytest.approx(0.1, abs=1e-9)
     assert found.node_multipliers["ceiling"][0, 0] == pytest.approx(1.8, rel=1e-6)
     distance = 2 * (found.states[0] - [1.0, -0.3])
@@ -156,7 +159,7 @@ def test_a_start_that_is_prescribed_in_part_is_not_asked_for_what_it_cannot_give
     limits = {"ceiling": lambda q: q[0] - 0.1, "speed": lambda q: -0.3 - q[1]}
     problem = OptimalControlProblem(LINES, lambda q, u: (q[1], u), half_square, 1, node_constraints=limits)
     start, end = (np.array([0.1 + above]), None), (np.zeros(1), np.zeros(1))
-    found = solve(problem, method(default_retraction(LINES)), start, end, 1.0, 20, throw=False)
+    found = solve(problem, start, end, 1.0, method=method(default_retraction(LINES)), steps=20, throw=False)
     assert found.success == (above <= 0)
     assert found.node_multipliers["ceiling"][0, 0] == 0
     if above > 0:
@@ -174,7 +177,7 @@ def test_a_ceiling_that_moves_with_the_time(method):
         time_dependent=True,
         node_constraints=limits,
     )
-    found = solve(timed, method, START, END, 1.0, 30)
+    found = solve(timed, START, END, 1.0, method=method, steps=30)
     assert np.max(found.states[:, 0] - 0.1 - 0.05 * found.times) == pytest.approx(0.0, abs=1e-9)
     assert found.checks.active["ceiling"] > 0
 
@@ -184,8 +187,8 @@ def test_jumps_do_not_depend_on_whether_the_horizon_is_free(method):
     problem = OptimalControlProblem(
         PLANE, particle, lambda q, u: u @ u / 2 + 1, 1, node_constraints={"ceiling": lambda q: q[0] - 0.1}
     )
-    free = solve(problem, method, START, END, Free(1.0), 30)
-    given = solve(problem, method, START, END, free.horizon, 30)
+    free = solve(problem, START, END, Free(1.0), method=method, steps=30)
+    given = solve(problem, START, END, free.horizon, method=method, steps=30)
     assert free.cost == pytest.approx(given.cost, rel=1e-9)
     jumps = [found.node_multipliers["ceiling"] for found in (free, given)]
     np.testing.assert_allclose(*jumps, atol=1e-6 * np.max(jumps))
@@ -203,7 +206,7 @@ def test_periodic_ends_are_one_node(method):
         node_constraints=limits,
     )
     guess = default_guess(problem, method, np.zeros(2), np.zeros(2), 10)
-    found = solve(problem, method, None, None, 1.0, 10, guess=guess)
+    found = solve(problem, None, None, 1.0, method=method, steps=10, guess=guess)
     assert found.checks.strict_minimum
     assert found.cost == pytest.approx(100 * 0.15**2, rel=1e-6)
     pulls = found.node_multipliers["ceiling"][:, 0]
@@ -224,7 +227,7 @@ def test_a_turn_that_is_no_identity_leaves_both_ends_their_limits(method):
         node_constraints={"ceiling": lambda q: q[0] - 0.3},
     )
     guess = default_guess(problem, method, np.zeros(2), np.zeros(2), 10)
-    found = solve(problem, method, None, None, 1.0, 10, guess=guess)
+    found = solve(problem, None, None, 1.0, method=method, steps=10, guess=guess)
     assert found.states[0, 0] == pytest.approx(0.3, abs=1e-8)
     assert found.node_multipliers["ceiling"][0, 0] > 0.1
 
@@ -232,9 +235,9 @@ def test_a_turn_that_is_no_identity_leaves_both_ends_their_limits(method):
 @BOTH
 def test_a_solution_is_a_guess_near_to_the_end_also_on_another_mesh(method):
     problem = below(0.1)
-    found = solve(problem, method, START, END, 1.0, 31)
-    assert solve(problem, method, START, END, 1.0, 31, guess=found).statistics.iterations <= 2
-    other, fresh = (solve(problem, method, START, END, 1.0, 40, guess=guess) for guess in (found, None))
+    found = solve(problem, START, END, 1.0, method=method, steps=31)
+    assert solve(problem, START, END, 1.0, method=method, steps=31, guess=found).statistics.iterations <= 2
+    other, fresh = (solve(problem, START, END, 1.0, method=method, steps=40, guess=guess) for guess in (found, None))
     assert other.cost == pytest.approx(fresh.cost, rel=1e-9)
 
 
@@ -256,7 +259,7 @@ def test_a_batch_is_its_members(solvers, method):
 def test_two_halves_are_the_whole(method):
     """Where they meet, on the ceiling, the constraint is of both."""
     problem = below(0.1)
-    whole = solve(problem, method, START, END, 1.0, 32)
+    whole = solve(problem, START, END, 1.0, method=method, steps=32)
     first = Phase(problem, method, 16, 0.5, start=START)
     found = solve_phases([first, Phase(problem, method, 16, 0.5, end=END)])
     assert found.cost == pytest.approx(whole.cost, rel=1e-9)
@@ -276,13 +279,13 @@ def test_what_is_not_on_a_tape_holds_too():
     plain = limited(lambda q: jnp.maximum(q[1], q[2]) - 0.75)
     for method in (Midpoint(default_retraction(sphere)), Gauss(2, default_retraction(sphere))):
         # The end is prescribed beyond the limit: the words are the same, and so is the way.
-        found, expected = (solve(p, method, start, end, 1.0, 7, throw=False) for p in (by_values, plain))
+        found, expected = (solve(p, start, end, 1.0, method=method, steps=7, throw=False) for p in (by_values, plain))
         assert "The end violates limit by 0.05" in found.result
         assert found.cost == pytest.approx(expected.cost, rel=1e-8)
 
 
 def test_steps_between_nodes_beyond_the_ceiling_are_seen():
-    found = solve(below(0.1), METHODS[2], START, END, 1.0, 7, accuracy=1e-5)
+    found = solve(below(0.1), START, END, 1.0, method=METHODS[2], steps=7, accuracy=1e-5)
     assert found.checks.between["ceiling"] <= 1e-5 * 0.1
     assert found.steps > 7
     assert found.cost == pytest.approx(least(0.1), rel=1e-4)
@@ -294,7 +297,7 @@ def test_contradictions_are_named():
     start, end = np.array([0.15, 1.0]), np.array([0.15, -1.0])
     for method in METHODS[:2]:
         with pytest.raises(ConvergenceError, match="contradict each other") as raised:
-            solve(problem, method, start, end, 1.0, 20)
+            solve(problem, start, end, 1.0, method=method, steps=20)
         assert "ceiling by up to" in str(raised.value)
         assert "floor by up to" in str(raised.value)
 
@@ -304,17 +307,17 @@ def test_limits_that_depend_on_each_other_or_are_flat_show_no_minimum():
     flat = {"flat": lambda q: (q[0] - 0.1) * jnp.abs(q[0] - 0.1)}
     for limits, words in ((twice, "once and again hold"), (flat, "The derivative of flat vanishes")):
         problem = OptimalControlProblem(PLANE, particle, half_square, 1, node_constraints=limits)
-        found = solve(problem, METHODS[0], START, END, 1.0, 31, throw=False)
+        found = solve(problem, START, END, 1.0, method=METHODS[0], steps=31, throw=False)
         assert words in found.result
         assert not found.checks.strict_minimum
 
 
 def test_files_tables_and_words(tmp_path):
-    found = solve(below(0.1), METHODS[1], START, END, 1.0, 20)
+    found = solve(below(0.1), START, END, 1.0, method=METHODS[1], steps=20)
     found.save(tmp_path / "found.npz")
     again = load_solution(tmp_path / "found.npz")
     np.testing.assert_array_equal(again.node_multipliers["ceiling"], found.node_multipliers["ceiling"])
-    assert solve(below(0.1), METHODS[1], START, END, 1.0, 20, guess=again).statistics.iterations <= 3
+    assert solve(below(0.1), START, END, 1.0, method=METHODS[1], steps=20, guess=again).statistics.iterations <= 3
     assert found.to_pandas()["multiplier of ceiling[0]"].max() == np.max(found.node_multipliers["ceiling"])
     assert found.to_xarray()["multiplier of ceiling"].dims == ("time", "ceiling_0")
     assert f"ceiling: active at {found.checks.active['ceiling']} of 21 nodes" in str(found)
@@ -360,7 +363,7 @@ def test_bad_node_constraints_are_named(given, words):
 def test_functions_that_fail_are_named(function, words):
     problem = OptimalControlProblem(PLANE, particle, half_square, 1, node_constraints={"a": function})
     with pytest.raises(InvalidInputError, match=words):
-        solve(problem, METHODS[0], START, END, 1.0, 5)
+        solve(problem, START, END, 1.0, method=METHODS[0], steps=5)
 
 
 @pytest.mark.parametrize(
@@ -375,4 +378,4 @@ def test_functions_that_fail_are_named(function, words):
 def test_bad_multipliers_of_nodes_are_named(given, words):
     guess = default_guess(below(0.1), METHODS[0], START, END, 5)
     with pytest.raises(InvalidInputError, match=words):
-        solve(below(0.1), METHODS[0], START, END, 1.0, 5, guess=Guess(*guess[:3], node_multipliers=given))
+        solve(below(0.1), START, END, 1.0, method=METHODS[0], steps=5, guess=Guess(*guess[:3], node_multipliers=given))

@@ -47,7 +47,7 @@ def test_what_is_flat_far_from_an_end_is_asked_for_there(name):
     )
     for method in (Midpoint(default_retraction(LINES)), Gauss(2, default_retraction(LINES))):
         guess = default_guess(problem, method, start, (np.ones(1), np.zeros(1)), 10)
-        found = solve(problem, method, start, end, 1.0, 10, guess=guess)
+        found = solve(problem, start, end, 1.0, method=method, steps=10, guess=guess)
         assert float(limit((found.states[0][-1], found.states[1][-1]))) == pytest.approx(0.0, abs=1e-9)
         assert found.node_multipliers["speed"][-1, 0] > 1
 
@@ -65,7 +65,9 @@ def test_a_turn_leaves_both_ends_their_limits_in_any_unit(method, unit):
         node_constraints={"ceiling": lambda q: q[0] - 0.3 * unit},
     )
     guess = default_guess(problem, method, np.zeros(2), np.zeros(2), 10)
-    assert solve(problem, method, None, None, 1.0, 10, guess=guess).states[0, 0] == pytest.approx(0.3 * unit, rel=1e-8)
+    assert solve(problem, None, None, 1.0, method=method, steps=10, guess=guess).states[0, 0] == pytest.approx(
+        0.3 * unit, rel=1e-8
+    )
 
 
 @BOTH
@@ -79,7 +81,7 @@ def test_periodic_ends_are_one_node_of_a_ceiling_that_is_optimised(method):
         node_constraints={"ceiling": lambda q, a: q[0] - a},
     )
     guess = default_guess(problem, method, np.zeros(2), np.zeros(2), 10)
-    found = solve(problem, method, None, None, 1.0, 10, guess=guess, parameters=Free(0.1))
+    found = solve(problem, None, None, 1.0, method=method, steps=10, guess=guess, parameters=Free(0.1))
     assert found.checks.strict_minimum
     assert found.parameters == pytest.approx(0.175)
     assert found.node_multipliers["ceiling"][0, 0] == 0
@@ -98,7 +100,7 @@ def test_an_end_is_swept_across_a_ceiling_that_moves_with_the_time(method, above
         time_dependent=True,
         node_constraints=limits,
     )
-    found = solve(problem, method, START, np.array([0.0, 0.3]), 1.0, 20, throw=False)
+    found = solve(problem, START, np.array([0.0, 0.3]), 1.0, method=method, steps=20, throw=False)
     assert found.success == (above < 1e-5)
     assert ("The end violates ceiling" in found.result) == (above > 1e-5)
     assert found.cost == pytest.approx(3.395, rel=2e-2)
@@ -118,18 +120,18 @@ def test_rounding_does_not_put_an_end_beyond_a_limit():
     method = Gauss(2, default_retraction(sphere))
     for first, last in ((1.1, 3.1), (0.3, 1.7), (2.0, 0.1)):
         ends = [Rotation.from_euler("ZY", [turn, angle]).as_matrix()[:, 2] for turn in (first, last)]
-        assert solve(problem, method, *ends, 1.0, 16).checks.active["cap"] > 0
+        assert solve(problem, *ends, 1.0, method=method, steps=16).checks.active["cap"] > 0
 
 
 @BOTH
 def test_an_equation_that_puts_an_end_on_a_limit_is_named_with_it(method):
     problem = below(0.1, boundary_constraints={"pin": lambda a, b: b[0] - 0.1})
     guess = default_guess(problem, method, START, END, 20)
-    found = solve(problem, method, START, None, 1.0, 20, guess=guess, throw=False)
+    found = solve(problem, START, None, 1.0, method=method, steps=20, guess=guess, throw=False)
     assert "ceiling and boundary_constraints['pin'] hold the trajectory near t = 1" in found.result
     assert not found.checks.strict_minimum
     apart = below(0.1, boundary_constraints={"pin": lambda a, b: b[0] - 0.05})
-    assert "hold" not in solve(apart, method, START, None, 1.0, 20, guess=guess).result
+    assert "hold" not in solve(apart, START, None, 1.0, method=method, steps=20, guess=guess).result
 
 
 def test_a_node_that_two_phases_share_has_its_limit_once():
@@ -153,11 +155,13 @@ def test_a_speed_limit_between_switches_that_are_found(method):
         PLANE, particle, lambda q, u: 1.0, 1, control_bounds=(-1, 1), node_constraints=limits
     )
     end = np.array([1.0, 0.0])
-    found = solve(problem, method, np.zeros(2), end, Free(3.0), 20, accuracy=1e-3)
+    found = solve(problem, np.zeros(2), end, Free(3.0), method=method, steps=20, accuracy=1e-3)
     assert found.horizon == pytest.approx(2.9, rel=2e-3)
     assert found.checks.active["speed"] == np.sum(found.jumps) > 10
     wide = problem.replaced(constraints=None, control_bounds=(-1, 1), node_constraints={"speed": lambda q: q[1] - 1.2})
-    assert solve(wide, method, np.zeros(2), end, Free(3.0), 20, accuracy=1e-8).horizon == pytest.approx(2.0, abs=1e-9)
+    assert solve(wide, np.zeros(2), end, Free(3.0), method=method, steps=20, accuracy=1e-8).horizon == pytest.approx(
+        2.0, abs=1e-9
+    )
 
 
 def test_what_a_trajectory_without_success_violates_is_named():
@@ -172,6 +176,6 @@ def test_what_a_trajectory_without_success_violates_is_named():
         node_constraints={"rate": lambda q: q[1] @ q[1] - 0.01},
     )
     end = Rotation.from_euler("ZYX", [100, 30, 40], degrees=True).as_matrix(), REST
-    found = solve(problem, Midpoint(Cayley(RIGID)), (IDENTITY, REST), end, 2.5, 16, throw=False)
+    found = solve(problem, (IDENTITY, REST), end, 2.5, method=Midpoint(Cayley(RIGID)), steps=16, throw=False)
     assert not found.success
     assert re.search(r"violates control_bounds lower by up to .*, rate by up to 0\.", found.result)

@@ -21,7 +21,7 @@ ANGLE, AXIS = 2.5, np.array([2.0, -1.0, 2.0]) / 3.0
 
 @cache
 def kinematic_slew(steps: int) -> Solution:
-    return solve(KINEMATIC, Midpoint(Exponential(SO3)), IDENTITY, rotation(ANGLE * AXIS), 1.0, steps)
+    return solve(KINEMATIC, IDENTITY, rotation(ANGLE * AXIS), 1.0, method=Midpoint(Exponential(SO3)), steps=steps)
 
 
 @pytest.mark.parametrize("steps", [1, pytest.param(3, marks=pytest.mark.slow), 10])
@@ -44,7 +44,7 @@ def test_a_kinematic_slew_anywhere_costs_half_the_square_of_its_angle(seed):
     rng = np.random.default_rng(seed)
     start, axis, angle = rotation(rng.standard_normal(3)), rng.standard_normal(3), rng.uniform(0.1, 3.0)
     end = start @ rotation(angle * axis / np.linalg.norm(axis))
-    solution = solve(KINEMATIC, Midpoint(Exponential(SO3)), start, end, 2.0, 3)
+    solution = solve(KINEMATIC, start, end, 2.0, method=Midpoint(Exponential(SO3)), steps=3)
     assert solution.cost == pytest.approx(angle**2 / 4, rel=1e-10)
 
 
@@ -55,7 +55,7 @@ PULLED = OptimalControlProblem(
 
 @cache
 def pulled() -> Solution:
-    return solve(PULLED, Midpoint(Exponential(SO3)), rotation(REST), None, 1.0, 3)
+    return solve(PULLED, rotation(REST), None, 1.0, method=Midpoint(Exponential(SO3)), steps=3)
 
 
 def test_a_terminal_cost_on_the_rotations_balances_the_way_against_the_rest():
@@ -79,7 +79,7 @@ MIDPOINT_LINE = Midpoint(Exponential(LINE))
 
 def test_the_regulator_costs_half_the_hyperbolic_tangent_of_one_to_order_two():
     steps = np.array([8, 16, 32])
-    solutions = [solve(REGULATOR, MIDPOINT_LINE, np.ones(1), None, 1.0, int(n)) for n in steps]
+    solutions = [solve(REGULATOR, np.ones(1), None, 1.0, method=MIDPOINT_LINE, steps=int(n)) for n in steps]
     errors = np.abs([s.cost - np.tanh(1.0) / 2 for s in solutions])
     assert slope(1.0 / steps, errors, 0.0) == pytest.approx(2.0, abs=0.01)
     assert errors[-1] < 1e-4
@@ -94,20 +94,20 @@ def test_the_regulator_solves_the_discrete_riccati_equation(theta):
     for _ in range(steps):
         uu, qu, qq = h * (theta * h) ** 2 + h + value * h**2, theta * h**2 + value * h, h + value
         value = qq - qu**2 / uu
-    solution = solve(REGULATOR, Theta(Exponential(LINE), theta), np.ones(1), None, 1.0, steps)
+    solution = solve(REGULATOR, np.ones(1), None, 1.0, method=Theta(Exponential(LINE), theta), steps=steps)
     assert solution.cost == pytest.approx(value / 2, abs=1e-14)
     assert solution.costates[0] == pytest.approx(-value, abs=1e-13)
 
 
 @pytest.mark.parametrize("steps", [1, 8])
 def test_a_terminal_cost_on_the_line_is_exact_for_any_number_of_steps(steps):
-    solution = solve(PARABOLA, MIDPOINT_LINE, np.ones(1), None, 1.0, steps)
+    solution = solve(PARABOLA, np.ones(1), None, 1.0, method=MIDPOINT_LINE, steps=steps)
     assert solution.cost == pytest.approx(5 / 11, abs=1e-14)
     assert solution.states[-1] == pytest.approx(1 / 11, abs=1e-13)
 
 
 def test_where_the_end_rate_is_free_its_costate_vanishes():
-    solution = solve(SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, REST), (SLEW_END, None), 60.0, 10)
+    solution = solve(SLEW, (IDENTITY, REST), (SLEW_END, None), 60.0, method=Midpoint(Cayley(RIGID)), steps=10)
     attitude, rate = solution.states
     assert norm(attitude[-1] - SLEW_END) < 1e-11
     assert norm(rate[-1]) > 1e-2
@@ -115,7 +115,7 @@ def test_where_the_end_rate_is_free_its_costate_vanishes():
 
 
 def test_where_the_start_rate_is_free_its_costate_vanishes():
-    solution = solve(SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, None), (SLEW_END, REST), 60.0, 10)
+    solution = solve(SLEW, (IDENTITY, None), (SLEW_END, REST), 60.0, method=Midpoint(Cayley(RIGID)), steps=10)
     attitude, rate = solution.states
     assert norm(attitude[0] - IDENTITY) < 1e-15
     assert norm(rate[0]) > 1e-2
@@ -126,7 +126,7 @@ def test_rest_at_the_best_place_is_optimal_where_both_ends_are_free():
     """Everything vanishes at this optimum, the costates and every derivative too."""
     problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: half_square(q, u) + jnp.cosh(q[0] - 0.3), 1)
     guess = Guess(np.ones((8, 1)), np.ones((8, 1)))
-    solution = solve(problem, MIDPOINT_LINE, None, None, 1.0, 8, guess=guess)
+    solution = solve(problem, None, None, 1.0, method=MIDPOINT_LINE, steps=8, guess=guess)
     assert solution.cost == pytest.approx(1.0, abs=1e-14)
     assert norm(solution.states - 0.3) < 1e-7
 
@@ -147,7 +147,7 @@ def test_a_hanging_chain_is_found_with_headings_on_the_sphere():
     wedge = np.repeat([[0.8, 0.0, -0.6], [0.8, 0.0, 0.6]], steps // 2, axis=0)
     pull = np.stack([np.full(steps + 1, 0.5), np.zeros(steps + 1), np.linspace(-0.5, 0.5, steps + 1)], axis=1)
     guess = Guess((np.cumsum(wedge, axis=0) - wedge / 2) / steps, wedge, pull)
-    solution = solve(chain, Midpoint(Exponential(space)), np.zeros(3), nodes[-1], 1.0, steps, guess=guess)
+    solution = solve(chain, np.zeros(3), nodes[-1], 1.0, method=Midpoint(Exponential(space)), steps=steps, guess=guess)
     assert norm(solution.controls - hanging) < 1e-10
     assert norm(solution.states - nodes) < 1e-10
     assert norm(solution.stage_costates[:, 0] - tension) < 1e-10

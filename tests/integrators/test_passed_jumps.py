@@ -191,7 +191,9 @@ def test_singular_problems_are_looked_at_too():
         assert (c.jump != "") == (height > 1e-6) == ("JUMP" in str(c))
         for end in (0.5, 1.0):
             ends = (np.zeros(1), None), (np.full(1, end), None)
-            found = solve(problem, Midpoint(Exponential(pair)), *ends, 1.0, 8, classification=c, throw=False)
+            found = solve(
+                problem, *ends, 1.0, method=Midpoint(Exponential(pair)), steps=8, classification=c, throw=False
+            )
             passes = height > 1e-6 and end > 0.6
             assert found.success != passes
             assert ("the Hamiltonian jumps by -1 where" in found.result) == passes

@@ -25,7 +25,7 @@ def problem(price: float, limit: float) -> OptimalControlProblem:
 
 
 def whole(price: float, limit: float) -> Solution:
-    return solve(problem(price, limit), METHOD, START, END, 2.0, 20, throw=False)
+    return solve(problem(price, limit), START, END, 2.0, method=METHOD, steps=20, throw=False)
 
 
 def halves(price: float, limits: tuple[float, float]) -> PhasedSolution:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, solve
 from retrax.manifolds import Euclidean, Product, Sphere
-from retrax.retractions import Midpoint, default_retraction
+from retrax.retractions import Addition, Midpoint, default_retraction
 
 STEPS = 40
 PLACES = (np.arange(STEPS) + 0.5) / STEPS
@@ -101,6 +101,32 @@ def test_great_circles_beyond_half_a_turn_are_found_from_guesses_on_them(angle):
     assert found.checks.strict_minimum == (angle < np.pi)
 
 
+def resting_chain(resting: int, axes: np.ndarray, **limits: Any) -> Solver:
+    """A double integrator, and a chain beside it that nothing moves, in other axes."""
+
+    def chain(q: Any, u: Any) -> Any:
+        q = axes.T @ q
+        return axes @ jnp.concatenate([jnp.stack([q[1], u[0]]), q[3:], jnp.zeros(min(resting, 1))])
+
+    problem = OptimalControlProblem(Euclidean(2 + resting), chain, lambda q, u: u @ u / 2, 1, **limits)
+    return Solver(problem, Midpoint(Addition(problem.manifold)), 20)
+
+
+def turned(size: int, seed: int) -> np.ndarray:
+    """Random axes, for a seed of zero those that are."""
+    return np.linalg.qr(np.random.default_rng(seed).standard_normal((size, size)))[0] if seed else np.eye(size)
+
+
+@pytest.mark.parametrize("limits", [{}, {"control_bounds": (-5.0, 5.0)}])
+@pytest.mark.parametrize("off", [1e-9, 1e-6, 1e-3, 1.0])
+def test_states_at_rest_reach_no_other_ends(off, limits):
+    """An equation that contradicts those before it is not taken for one that follows from them."""
+    solver = resting_chain(1, np.eye(3), **limits)
+    found = solver.solve(np.zeros(3), np.array([1.0, 0.0, off]), 1.0, max_iterations=100, throw=False)
+    assert not found.success
+    assert "cannot be reached" in found.result
+
+
 def test_a_car_at_rest_beside_its_place_parks_with_any_heading():
     """The heading is free and guessed as it is at the start: nothing turns a car that stands, and nothing moves it
     sideways."""
@@ -112,7 +138,7 @@ def test_a_car_at_rest_beside_its_place_parks_with_any_heading():
 
     problem = OptimalControlProblem(space, drive, lambda q, u: 1.0, 2, control_bounds=(-1.0, 1.0))
     start, place = (np.zeros(2), np.zeros(1), np.zeros(1)), (np.array([0.0, 1.0]), None, np.zeros(1))
-    found = solve(problem, Midpoint(default_retraction(space)), start, place, Free(3.0), 30)
+    found = solve(problem, start, place, Free(3.0), method=Midpoint(default_retraction(space)), steps=30)
     assert found.success
     np.testing.assert_allclose(found.states[0][-1], [0.0, 1.0], atol=1e-9)
 
@@ -134,3 +160,65 @@ def test_all_searches_are_counted_and_shown():
     many = solver.solve_many(ends[0], others, 1.0, guesses=[guess, guess])
     assert many.success[0]
     assert many.cost[0] == pytest.approx(found.cost, rel=1e-10)
+
+
+@pytest.mark.parametrize("guessed", [-0.5, 0.0, 0.5, 1.0])
+@pytest.mark.parametrize("start", [0.0, 0.5, 0.9, 1.0, 1.1, 3.0])
+def test_an_end_that_pays_is_gone_to_as_far_as_it_pays(pushed, start, guessed):
+    """A constant control ``u = x(0)``, or a bound, from guesses with controls on the bound and inside."""
+    along = Guess(start + guessed * PLACES[:, None], np.full((STEPS, 1), guessed))
+    found = pushed.solve(np.array([start]), None, 1.0, guess=along)
+    u = min(start, 1.0)
+    assert found.cost == pytest.approx(u**2 / 2 - (start + u) ** 2 / 4, rel=1e-7, abs=1e-9)
+    assert found.checks.strict_minimum
+
+
+@pytest.fixture(scope="module")
+def pushed():
+    line = Euclidean(1)
+    problem = OptimalControlProblem(
+        line,
+        lambda q, u: u,
+        lambda q, u: u @ u / 2,
+        1,
+        terminal_cost=lambda q: -q @ q / 4,
+        control_bounds=(-1.0, 1.0),
+    )
+    return Solver(problem, Midpoint(Addition(line)), STEPS)
+
+
+@pytest.mark.parametrize("end", [None, np.zeros(2)])
+def test_a_discount_of_any_rate_costs_nothing_of_the_search(end):
+    """Time enters the cost by a factor that may be one but for rounding; a dense linear-quadratic problem judges."""
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(
+        plane,
+        lambda q, u, t, rate: jnp.stack([q[1], u[0]]),
+        lambda q, u, t, rate: jnp.exp(-rate * t) * (q @ q + u @ u) / 2,
+        1,
+        time_dependent=True,
+    )
+    solver, h = Solver(problem, Midpoint(Addition(plane)), STEPS), 10.0 / STEPS
+    # States at the middles of the steps, and the end, by controls: x_{k+1} = x_k + h (v_k + h u_k / 2).
+    speeds = h * (np.tri(STEPS, STEPS, -1) + np.eye(STEPS) / 2)
+    places = h**2 * (np.clip(np.subtract.outer(np.arange(STEPS), np.arange(STEPS)), 0, None) + np.eye(STEPS) / 4)
+    ends = np.stack([h**2 * (STEPS - np.arange(STEPS) - 0.5), np.full(STEPS, h)])
+    for rate in (0.0, 1e-12, 1e-9, 1e-6, 1e-3, 1e-1, 1.0):
+        root = np.sqrt(h * np.exp(-rate * 10.0 * PLACES))[:, None]
+        rows = np.concatenate([root * places, root * speeds, root * np.eye(STEPS)])
+        side = np.concatenate([-root[:, 0], np.zeros(2 * STEPS)])
+        count = 0 if end is None else 2
+        kkt = np.block([[rows.T @ rows, ends[:count].T], [ends[:count], np.zeros((count, count))]])
+        u = np.linalg.solve(kkt, np.concatenate([rows.T @ side, [-1.0, 0.0][:count]]))[:STEPS]
+        found = solver.solve(np.array([1.0, 0.0]), end, 10.0, parameters=rate)
+        assert found.cost == pytest.approx(np.sum((rows @ u - side) ** 2) / 2, rel=1e-9)
+        assert found.statistics.iterations <= 5
+
+
+def test_a_failure_says_which_guesses_help(pushed):
+    """Where the search is cut short, and where the ends are out of reach."""
+    cut = pushed.solve(np.array([0.5]), None, 1.0, max_iterations=1, throw=False)
+    missed = resting_chain(1, np.eye(3)).solve(np.zeros(3), np.ones(3), 1.0, throw=False)
+    for found in (cut, missed):
+        assert not found.success
+        assert all(name in found.result for name in ("Guess.from_controls", "Free(value)", "continuation"))

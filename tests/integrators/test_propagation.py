@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, discretization_error, solve
-from retrax.integrators.boundary_value.propagation import DiscretizationError, Propagator, factor_distances
+from retrax.integrators.boundary_value.propagation import DiscretizationError, Propagator, _AtOnce, factor_distances
 from retrax.manifolds import SE, SO, DomainError, Euclidean, Power, Product, Sphere, hat
 from retrax.retractions import Cayley, Exponential, Gauss, Projection
 from scipy.integrate import solve_ivp
@@ -97,6 +97,22 @@ def test_states_off_by_known_distances(propagator: Propagator, stages: int) -> N
             off = np.abs(found.distances[name] - growth)
             assert np.max(off) <= found.resolution[name] + 1e-12
             assert found.resolution[name] <= max(0.01 * angle, 1e-13)
+
+
+@pytest.mark.parametrize("parts", [1, 2, 8])
+def test_steps_at_once_lead_where_they_lead_one_after_the_other(propagator: Propagator, parts: int) -> None:
+    """From states that are off by more than rounding, where the first move is not the last one."""
+    attitudes, rates = body_states(TIMES, 1)
+    axis, at = np.array([2.0, -1.0, 2.0]) / 3, stage_times(TIMES, 2)
+    for angle in (0.0, 1e-6, 1e-3, 0.1):
+        growth = np.linspace(0, angle, len(TIMES))
+        turned = np.stack([attitude @ rotation(a * axis) for attitude, a in zip(attitudes, growth, strict=True)])
+        given = propagator._given(
+            TIMES, (turned, rates + growth[:, None] * axis), at, np.array([torque(t, 1) for t in at]), None
+        )
+        found = _AtOnce(propagator, given)(parts)
+        assert found is not None
+        np.testing.assert_allclose(found, propagator.in_turn(given, parts), rtol=0, atol=1e-5 * angle + 1e-11)
 
 
 @pytest.mark.parametrize("manifold", [S2, SO3], ids=str)
@@ -292,7 +308,8 @@ def test_the_error_of_a_solution_falls_with_the_order_of_its_method(stages: int)
     rest, method = np.zeros(3), Gauss(stages, Cayley(RIGID))
     ends = (np.eye(3), rest), (rotation([1.0, -0.4, 0.7]), rest)
     coarse, fine = (
-        discretization_error(problem(), Cayley(RIGID), solve(problem(), method, *ends, 1.0, n)) for n in (8, 16)
+        discretization_error(problem(), Cayley(RIGID), solve(problem(), *ends, 1.0, method=method, steps=n))
+        for n in (8, 16)
     )
     for name in NAMES:
         assert np.log2(coarse.largest[name] / fine.largest[name]) == pytest.approx(2 * stages, abs=0.25)

@@ -195,5 +195,5 @@ def test_a_trajectory_on_its_way_through_an_obstacle_is_held_by_nothing(iteratio
     disc = {"disc": lambda q, u: 0.9**2 - (q[0] - 2.2) ** 2 - (q[1] + 0.6) ** 2}
     problem = OptimalControlProblem(PLANE, velocity, lambda q, u: 1.0, 1, constraints=disc)
     ends = np.zeros(2), np.array([4.0, 0.0]), Free(4.0, 0.5, 20.0)
-    found = solve(problem, Gauss(2, Addition(PLANE)), *ends, 20, max_iterations=iterations, throw=False)
+    found = solve(problem, *ends, method=Gauss(2, Addition(PLANE)), steps=20, max_iterations=iterations, throw=False)
     assert "derivative of disc" not in found.result

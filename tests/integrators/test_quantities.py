@@ -99,7 +99,7 @@ def test_names_follow_a_problem_into_its_solutions_and_their_files(tmp_path):
     end = np.asarray(Cayley(SO(3))(jnp.eye(3), hat(jnp.array([0.3, 0.2, 0.1]))))
     method = Gauss(1, Cayley(SO(3)))
     for horizon, parameters in ((2.0, 1.0), (Free(2.0), Free(1.0, 0.5, 1.5))):
-        solution = solve(problem, method, np.eye(3), end, horizon, 2, parameters=parameters)
+        solution = solve(problem, np.eye(3), end, horizon, method=method, steps=2, parameters=parameters)
         assert solution.quantities == problem.quantities
         assert "rad^2/s" in str(solution).splitlines()[1]
         solution.save(tmp_path / "solution.npz")

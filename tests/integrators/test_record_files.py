@@ -270,11 +270,11 @@ def test_a_file_is_written_into_a_folder_that_exists(record, tmp_path):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        *(("u", "controls"), ("t", "times"), ("x", "states"), ("state", "states"), ("control", "controls")),
-        *(("p", "costates"), ("requires_success", "require_success")),
+        *(("x", "states"), ("y", "states"), ("T", "horizon"), ("nit", "statistics.iterations")),
+        *(("state", "states"), ("control", "controls"), ("requires_success", "require_success")),
     ],
 )
-def test_an_attribute_of_a_solution_is_found_by_its_symbol(name, words):
+def test_an_attribute_of_a_solution_is_found_by_a_similar_name(name, words):
     with pytest.raises(AttributeError, match=rf"^a Solution has no attribute '{name}'; did you mean {words}\?$"):
         getattr(SOLUTION, name)
 

@@ -8,11 +8,11 @@ from retrax.integrators import (
     Free,
     OptimalControlProblem,
     Solver,
-    control_structure,
     discretization_error,
     load_solution,
     solve,
     step_errors,
+    switching_structure,
 )
 from retrax.manifolds import SO, ConvergenceError, Euclidean, InvalidInputError, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
@@ -45,7 +45,7 @@ def test_errors_of_steps_sum_up_to_that_of_the_cost(stages):
 
 def test_the_steps_that_are_too_long_are_those_in_the_layers():
     entry = HYPERSENSITIVE
-    found = solve(entry.problem, entry.discretization, entry.start, entry.end, 30.0, 30)
+    found = solve(entry.problem, entry.start, entry.end, 30.0, method=entry.discretization, steps=30)
     bad = step_errors(entry.problem, found).each
     assert set(np.argsort(bad)[-4:]) <= {0, 1, 2, 27, 28, 29}
     assert np.max(bad[10:20]) < 1e-9 * np.max(bad)
@@ -56,8 +56,8 @@ def test_an_accuracy_is_reached_or_what_is_reached_is_said(steps):
     """From what a coarse mesh has to what no mesh has; the closed form neglects ``exp(-40)``."""
     entry = HYPERSENSITIVE
     for accuracy in (1e-2, 1e-6, 1e-11, 1e-17):
-        given = entry.problem, entry.discretization, entry.start, entry.end, 40.0, steps
-        found = solve(*given, accuracy=accuracy, throw=False)
+        given = entry.problem, entry.start, entry.end, 40.0
+        found = solve(*given, method=entry.discretization, steps=steps, accuracy=accuracy, throw=False)
         assert found.success == (found.checks.error <= accuracy) == (accuracy > 1e-15), found.result
         assert abs(entry.distance(found.cost)) < 10 * max(found.checks.error, 1e-13)
         if not found.success:
@@ -80,7 +80,9 @@ def test_a_mesh_that_is_too_coarse_to_begin_with(longer):
     dynamics, resting = (lambda q, u: u - q**3), (lambda q, u: (q @ q + u @ u) / 2)
     problem, method = OptimalControlProblem(LINE, dynamics, resting, 1), Gauss(3, Addition(LINE))
     for share in longer:
-        found = solve(problem, method, np.ones(1), np.array([1.5]), 1e4 * share, np.ones(20), accuracy=1e-6)
+        found = solve(
+            problem, np.ones(1), np.array([1.5]), 1e4 * share, method=method, steps=np.ones(20), accuracy=1e-6
+        )
         assert found.cost == pytest.approx(3.36205689, rel=1e-5)
 
 
@@ -90,12 +92,14 @@ def test_a_switch_is_found_wherever_it_is(speeds):
     for speed in speeds:
         least, first, sign = quickest(speed)
         ends = np.array([0.0, speed]), np.array([1.0, 0.0])
-        found = solve(QUICKEST, Gauss(2, Addition(PLANE)), *ends, Free(3.0), 10, accuracy=1e-9, throw=False)
+        found = solve(
+            QUICKEST, *ends, Free(3.0), method=Gauss(2, Addition(PLANE)), steps=10, accuracy=1e-9, throw=False
+        )
         assert abs(found.horizon - least) < max(found.checks.error, 1e-9) * least
         assert found.success or 0 < first < 1e-4  # an arc shorter than that may not be seen
         if first > 0.1 and least - first > 0.1:
             assert found.checks.hamiltonian_spread < 1e-8
-            structure = control_structure(QUICKEST, found)
+            structure = switching_structure(QUICKEST, found)
             np.testing.assert_allclose(structure.times, [0, first, least], atol=1e-10)
             assert structure.sides.tolist() == [[sign], [-sign]]
             side = found.multipliers["control_bounds upper"] - found.multipliers["control_bounds lower"]
@@ -122,7 +126,16 @@ def test_a_coast_between_two_switches_comes_with_a_limit_of_the_speed(stages, st
             PLANE, cart, lambda q, u: 1.0, 1, control_bounds=(-1, 1), constraints={"speed": speed}, **held
         )
         method = Gauss(stages, Addition(PLANE))
-        found = solve(problem, method, np.zeros(2), np.array([1.0, 0.0]), Free(3.0), steps, accuracy=1e-4, throw=False)
+        found = solve(
+            problem,
+            np.zeros(2),
+            np.array([1.0, 0.0]),
+            Free(3.0),
+            method=method,
+            steps=steps,
+            accuracy=1e-4,
+            throw=False,
+        )
         assert found.success, (limit, found.result)
         assert found.cost == pytest.approx(limit + 1 / limit if limit < 1 else 2.0, rel=1e-4), limit
 
@@ -140,11 +153,13 @@ def test_ends_on_a_set_hold_in_arcs_too(slopes):
             PLANE, cart, lambda q, u: 1.0, 1, control_bounds=(-1, 1), boundary_constraints=ends, labels=labels
         )
         guess = Free(np.array([1.0, 0.5]))
-        found = solve(problem, Gauss(2, Addition(PLANE)), np.array([0.0, 0.9]), guess, Free(2.0), 10, accuracy=1e-9)
+        found = solve(
+            problem, np.array([0.0, 0.9]), guess, Free(2.0), method=Gauss(2, Addition(PLANE)), steps=10, accuracy=1e-9
+        )
         least = np.sqrt(2.81 - c**2) - 0.9 + c if c > 0 else c - 0.9 + np.sqrt((0.9 - c) ** 2 + 2 + 1.8 * c)
         assert found.horizon == pytest.approx(least, rel=1e-9)
         assert abs(found.states[-1, 0] - 1 - c * found.states[-1, 1]) < 1e-12
-        assert control_structure(problem, found).arcs == 1 + (c > 0)
+        assert switching_structure(problem, found).arcs == 1 + (c > 0)
         along = found.states[-1, 1] - c * (1 if c < 0 else -1)  # what the rate of the equation is at the end
         np.testing.assert_allclose(found.multipliers["line"], [-1 / along], rtol=1e-8)
         assert found.quantities.controls[0].name == "force"
@@ -161,7 +176,7 @@ def test_a_bound_of_the_horizon_holds_in_arcs_where_it_pulls(shares):
     ends = np.array([0.0, 0.9]), np.array([1.0, 0.0])
     for share in shares:
         horizon = Free(3.0, lower=share * least)
-        found = solve(QUICKEST, Gauss(2, Addition(PLANE)), *ends, horizon, 10, accuracy=1e-9)
+        found = solve(QUICKEST, *ends, horizon, method=Gauss(2, Addition(PLANE)), steps=10, accuracy=1e-9)
         assert found.horizon == pytest.approx(max(share, 1.0) * least, rel=1e-11)
         np.testing.assert_allclose(found.states[-1], ends[1], atol=1e-9)
 
@@ -173,7 +188,13 @@ def test_a_bound_a_little_beyond_the_least_time_leads_to_no_false_success():
     for share in 1 + np.geomspace(1e-10, 1e-6, 5):
         ends = np.array([0.0, 0.9]), np.array([1.0, 0.0])
         found = solve(
-            QUICKEST, Gauss(2, Addition(PLANE)), *ends, Free(3.0, lower=share * least), 10, accuracy=1e-9, throw=False
+            QUICKEST,
+            *ends,
+            Free(3.0, lower=share * least),
+            method=Gauss(2, Addition(PLANE)),
+            steps=10,
+            accuracy=1e-9,
+            throw=False,
         )
         assert found.horizon == pytest.approx(share * least, rel=1e-10)
         np.testing.assert_allclose(found.states[-1], ends[1], atol=1e-9)
@@ -190,10 +211,10 @@ def test_a_singular_arc_comes_and_goes():
     for horizon in (1.2, 1.49, 1.5, 1.51, 2.0, 5.0):
         lowest = max((1.5 - horizon) / 2, 0)
         cost = (1 + 1 / 8 - 2 * lowest**3) / 3
-        found = solve(DECAY, method, np.ones(1), np.array([0.5]), horizon, 20, accuracy=1e-8, throw=False)
+        found = solve(DECAY, np.ones(1), np.array([0.5]), horizon, method=method, steps=20, accuracy=1e-8, throw=False)
         assert found.success, found.result
         assert abs(found.cost - cost) < 1e-8
-    assert control_structure(DECAY, found).sides.tolist() == [[-1], [0], [1]]
+    assert switching_structure(DECAY, found).sides.tolist() == [[-1], [0], [1]]
 
 
 def test_a_bound_that_becomes_inactive():
@@ -203,7 +224,7 @@ def test_a_bound_that_becomes_inactive():
         problem = OptimalControlProblem(PLANE, cart, energy, 1, control_bounds=(-limit, limit))
         width = np.sqrt(3 * (0.25 - 1 / limit)) if limit < 6 else 0.5
         cost = limit**2 * (0.5 - 2 * width / 3) if limit < 6 else 6.0
-        found = solve(problem, method, np.zeros(2), np.array([1.0, 0.0]), 1.0, 10, accuracy=1e-8)
+        found = solve(problem, np.zeros(2), np.array([1.0, 0.0]), 1.0, method=method, steps=10, accuracy=1e-8)
         assert abs(found.cost / cost - 1) < 1e-8
         held = np.max([np.max(rows) for rows in found.multipliers.values()])
         assert (held > 1e-2) == (limit < 6)
@@ -215,34 +236,34 @@ def test_what_is_violated_between_the_points():
     alone."""
     low = {"ceiling": lambda q, u: q[0] - 1 / 9}
     problem = OptimalControlProblem(PLANE, cart, energy, 1, constraints=low)
-    given = problem, Gauss(3, Addition(PLANE)), np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0
+    given, method = (problem, np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0), Gauss(3, Addition(PLANE))
     for steps in (7, 20):
-        found = solve(*given, steps)
+        found = solve(*given, method=method, steps=steps)
         errors = step_errors(problem, found)
         along = found(np.linspace(0, 1, 20_001)).states[:, 0] - 1 / 9
         assert found.checks.violation < 1e-9 < np.max(along)
         np.testing.assert_allclose(np.max(errors.violations["ceiling"]), np.max(along), rtol=0.2)
-    found = solve(*given, 7, accuracy=1e-6)
+    found = solve(*given, method=method, steps=7, accuracy=1e-6)
     assert found.checks.between["ceiling"] < 1e-6
     assert abs(found.cost - 4) < 1e-5
 
 
 def test_stages_are_added_where_all_steps_err_and_steps_where_few_do():
-    smooth = solve(REGULATOR, Gauss(2, Addition(LINE)), np.ones(1), None, 1.0, 4, accuracy=1e-9)
+    smooth = solve(REGULATOR, np.ones(1), None, 1.0, method=Gauss(2, Addition(LINE)), steps=4, accuracy=1e-9)
     assert (smooth.steps, len(smooth.stage_times) > 8) == (4, True)
     entry = HYPERSENSITIVE
-    layered = solve(entry.problem, entry.discretization, entry.start, entry.end, 100.0, 30, accuracy=1e-8)
+    layered = solve(entry.problem, entry.start, entry.end, 100.0, method=entry.discretization, steps=30, accuracy=1e-8)
     lengths = np.diff(layered.times)
     assert len(layered.stage_times) == 3 * layered.steps
     assert np.max(lengths) > 10 * np.min(lengths)
 
 
 def test_the_midpoint_rule_gets_more_steps():
-    given = REGULATOR, Midpoint(Addition(LINE)), np.ones(1), None, 1.0, 5
-    found = solve(*given, accuracy=1e-5)
+    given, on = (REGULATOR, np.ones(1), None, 1.0), {"method": Midpoint(Addition(LINE)), "steps": 5}
+    found = solve(*given, **on, accuracy=1e-5)
     assert found.steps > 20
     with pytest.raises(ConvergenceError, match="not to the accuracy"):
-        solve(*given, accuracy=1e-14)
+        solve(*given, **on, accuracy=1e-14)
     assert abs(found.cost / (np.tanh(1) / 2) - 1) < 1e-5
 
 
@@ -257,9 +278,9 @@ def test_parameters_and_time_are_kept(tmp_path):
         PLANE, pulled, lambda q, u, t, p: 1.0 + p["offset"] ** 2, 1, control_bounds=(-1, 1), time_dependent=True
     )
     parameters = {"pull": 0.3, "offset": Free(0.5)}
-    given = problem, Gauss(3, Addition(PLANE)), np.zeros(2), np.array([1.0, 0.0]), Free(2.0), 8
-    found = solve(*given, parameters=parameters, accuracy=1e-9)
-    structure = control_structure(problem, found)
+    given, method = (problem, np.zeros(2), np.array([1.0, 0.0]), Free(2.0)), Gauss(3, Addition(PLANE))
+    found = solve(*given, method=method, steps=8, parameters=parameters, accuracy=1e-9)
+    structure = switching_structure(problem, found)
     assert structure.sides.tolist() == [[1], [-1]]
     s, T = structure.times[1:]
     speed, place = 2 * s - T + 0.3 * (1 - np.cos(T)), 2 * s * T - s**2 - T**2 / 2 + 0.3 * (T - np.sin(T))
@@ -289,13 +310,13 @@ def test_a_solver_in_other_steps_is_the_same_solver():
 
 
 def test_what_accuracy_cannot_be():
-    given = REGULATOR, Gauss(2, Addition(LINE)), np.ones(1), None, 1.0, 4
+    given, on = (REGULATOR, np.ones(1), None, 1.0), {"method": Gauss(2, Addition(LINE)), "steps": 4}
     for wrong in (0.0, -1e-8, np.nan, np.inf, 10**400, True, np.ones(2), "fine"):
         with pytest.raises(InvalidInputError, match="accuracy must be"):
-            solve(*given, accuracy=wrong)
+            solve(*given, **on, accuracy=wrong)
     with pytest.raises(InvalidInputError, match="without control_bounds"):
-        control_structure(REGULATOR, solve(*given))
-    for looks in (control_structure, step_errors):
+        switching_structure(REGULATOR, solve(*given, **on))
+    for looks in (switching_structure, step_errors):
         with pytest.raises(InvalidInputError, match=f"{looks.__name__} takes .* got 3; try what solve returns"):
             looks(REGULATOR, 3)
 
@@ -307,7 +328,7 @@ def test_least_times_to_ten_digits(name, steps, stages):
     entry = problems.get(name)
     found = entry.solve(steps, Gauss(stages, entry.discretization.retraction), accuracy=1e-9)
     assert abs(entry.distance(found.cost)) < 1e-9
-    assert control_structure(entry.problem, found).arcs == 6
+    assert switching_structure(entry.problem, found).arcs == 6
 
 
 @pytest.mark.slow
@@ -333,7 +354,9 @@ def test_a_cone_whose_slopes_pass_through_zero_is_solved_to_any_accuracy(slope, 
         space, lambda q, u: (q[1], u + gravity), lambda q, u: u @ u / 2, 3, constraints={"cone": cone}
     )
     start = np.array([2.0, 1.0, 3.0]), np.array([0.3, -0.2, -0.5])
-    solution = solve(problem, Gauss(2, default_retraction(space)), start, (rest, rest), 3.0, 10, accuracy=accuracy)
+    solution = solve(
+        problem, start, (rest, rest), 3.0, method=Gauss(2, default_retraction(space)), steps=10, accuracy=accuracy
+    )
     assert solution.checks.strict_minimum
     assert solution.cost == pytest.approx({1.4: 6.88101245, 2.0: 5.343992}[slope], rel=max(10 * accuracy, 1e-7))
 
@@ -356,7 +379,7 @@ def test_a_minimum_that_touches_a_cone_is_shown_with_any_accuracy(degrees, accur
     problem = OptimalControlProblem(space, dynamics, energy, 3, constraints={"outside": outside})
     turned = np.array([[np.cos(1.6), -np.sin(1.6), 0.0], [np.sin(1.6), np.cos(1.6), 0.0], [0.0, 0.0, 1.0]])
     ends, method = ((np.eye(3), np.zeros(3)), (turned, np.zeros(3))), Gauss(2, Cayley(space))
-    solution = solve(problem, method, *ends, 5.0, 10, accuracy=accuracy)
+    solution = solve(problem, *ends, 5.0, method=method, steps=10, accuracy=accuracy)
     assert solution.checks.strict_minimum
     assert (solution.checks.active["outside"] > 0) == (degrees > 17)
 
@@ -368,7 +391,7 @@ def test_constraints_with_an_explicit_time_are_looked_at_between_the_points(kind
     problem = OptimalControlProblem(
         line, lambda q, u, t: u, lambda q, u, t: u @ u / 2, 1, time_dependent=True, **{kind: {"tube": tube}}
     )
-    found = solve(problem, Gauss(2, Addition(line)), np.zeros(1), np.ones(1), 1.0, 10, accuracy=1e-6)
+    found = solve(problem, np.zeros(1), np.ones(1), 1.0, method=Gauss(2, Addition(line)), steps=10, accuracy=1e-6)
     assert found.cost == pytest.approx(0.5, rel=1e-9)
     assert found.checks.between == {"tube": 0.0}
 
@@ -389,7 +412,7 @@ def test_bounds_of_durations_and_horizons_break_no_symmetry(horizon, constraints
     bounds = {"control_bounds": (-1, 1), "constraints": constraints}
     problem = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, **bounds)
     ends = np.zeros(2), np.array([1.0, 0.0])
-    found = solve(problem, Gauss(2, Addition(PLANE)), *ends, horizon, 12, accuracy=accuracy)
+    found = solve(problem, *ends, horizon, method=Gauss(2, Addition(PLANE)), steps=12, accuracy=accuracy)
     assert found.checks.conserved == {"R^2": count}
     if count:
         assert np.ptp(found.momenta["R^2"][:, 0]) < 1e-9

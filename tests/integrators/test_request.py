@@ -57,7 +57,7 @@ def test_a_horizon_found_again_is_not_checked_again(checks):
 
 def test_meshes_are_refined_after_one_check(checks):
     options = {"accuracy": 1e-6, "classification": classify(QUICK)}
-    found = solve(QUICK, Gauss(2, Addition(PLANE)), REST, AHEAD, 1.0, 2, **options)
+    found = solve(QUICK, REST, AHEAD, 1.0, method=Gauss(2, Addition(PLANE)), steps=2, **options)
     assert found.checks.error <= 1e-6
     assert checks == {**ONCE, "check_classification": 1}
 
@@ -98,4 +98,4 @@ def test_an_integrator_for_a_problem_that_has_become_singular_is_not_refused_as_
 def test_a_singular_problem_with_a_free_horizon_is_refused_with_its_own_classification():
     singular = WEIGHED.with_parameters(0.0)
     with pytest.raises(InvalidInputError, match=r"the problem is singular, .* a free horizon"):
-        solve(singular, METHOD, REST, AHEAD, Free(1.0), 6, classification=classify(singular))
+        solve(singular, REST, AHEAD, Free(1.0), method=METHOD, steps=6, classification=classify(singular))

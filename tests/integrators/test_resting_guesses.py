@@ -67,7 +67,7 @@ def test_coordinates_that_brackets_of_three_fields_reach(method, end):
     problem = OptimalControlProblem(
         FOUR, lambda q, u: jnp.stack([u[0], u[1], q[0] * u[1], q[0] ** 2 * u[1] / 2]), energy, 2
     )
-    assert solve(problem, method(Addition(FOUR)), np.zeros(4), np.array(end), 1.0, STEPS).cost > 1
+    assert solve(problem, np.zeros(4), np.array(end), 1.0, method=method(Addition(FOUR)), steps=STEPS).cost > 1
 
 
 @METHODS
@@ -75,7 +75,7 @@ def test_a_vehicle_moves_sideways(method):
     group = SE(2)
     problem = OptimalControlProblem(group, lambda q, u: q @ group.hat(jnp.stack([u[1], u[0], 0 * u[0]])), energy, 2)
     aside = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
-    found = solve(problem, method(Cayley(group)), np.eye(3), aside, 1.0, STEPS)
+    found = solve(problem, np.eye(3), aside, 1.0, method=method(Cayley(group)), steps=STEPS)
     assert found.cost == pytest.approx(5.579079358, rel=1e-2)
 
 

@@ -45,14 +45,14 @@ def test_what_is_no_real_number_is_named_wherever_it_is_asked_for(kind):
     running = OptimalControlProblem(PLANE, cart, lambda q, u: number(u), 1)
     final = OptimalControlProblem(PLANE, cart, effort, 1, terminal_cost=number)
     for run in (
-        lambda: solve(running, MIDPOINT, REST, AHEAD, 1.0, 4),
+        lambda: solve(running, REST, AHEAD, 1.0, method=MIDPOINT, steps=4),
         lambda: classify(running),
         lambda: integrate(running, PRESYMPLECTIC, (REST, AHEAD), 0.1, 2),
     ):
         with pytest.raises(InvalidInputError, match=f"^running_cost {words}"):
             run()
     with pytest.raises(InvalidInputError, match=f"^terminal_cost {words}"):
-        solve(final, MIDPOINT, REST, None, 1.0, 4)
+        solve(final, REST, None, 1.0, method=MIDPOINT, steps=4)
     with pytest.raises(InvalidInputError, match=f"^the Hamiltonian {words}"):
         integrate(lambda q, p: number(p), SYMPLECTIC, (REST, AHEAD), 0.1, 2)
 
@@ -72,7 +72,7 @@ def test_what_is_no_real_number_is_named_wherever_it_is_asked_for(kind):
 )
 def test_what_is_no_velocity_is_named(dynamics, words):
     given = OptimalControlProblem(PLANE, dynamics, effort, 1)
-    for run in (lambda: solve(given, MIDPOINT, REST, AHEAD, 1.0, 4), lambda: classify(given)):
+    for run in (lambda: solve(given, REST, AHEAD, 1.0, method=MIDPOINT, steps=4), lambda: classify(given)):
         with pytest.raises(InvalidInputError, match=words):
             run()
 
@@ -82,13 +82,13 @@ def test_points_of_other_kinds_are_refused(start):
     with pytest.raises(
         NotOnManifoldError, match=r"start: .* (real entries, got complex|numbers as entries, got an array)"
     ):
-        solve(OptimalControlProblem(PLANE, cart, effort, 1), MIDPOINT, start, AHEAD, 1.0, 4)
+        solve(OptimalControlProblem(PLANE, cart, effort, 1), start, AHEAD, 1.0, method=MIDPOINT, steps=4)
 
 
 def test_whole_numbers_are_numbers():
     """A terminal cost of 3, a velocity of 2, and the Hamiltonian 0."""
     line = OptimalControlProblem(LINE, lambda q, u: 2 + jnp.array([1]) * u, effort, 1, terminal_cost=lambda q: 3)
-    solution = solve(line, Midpoint(Addition(LINE)), np.zeros(1, int), None, 1, 4)
+    solution = solve(line, np.zeros(1, int), None, 1, method=Midpoint(Addition(LINE)), steps=4)
     assert solution.cost == 3
     assert solution.states[-1] == pytest.approx(2)
     still = integrate(lambda q, p: 0, SYMPLECTIC, (REST, AHEAD), 0.1, 2)
@@ -104,7 +104,13 @@ def test_single_precision_is_raised_with_a_warning(where):
     assert exact(REST, jnp.ones(1)).dtype == float
     with pytest.warns(UserWarning, match=f"{where} returns float32 values where float64 is in use") as caught:
         solution = solve(
-            OptimalControlProblem(PLANE, **functions, controls=1), MIDPOINT, REST, AHEAD, 1.0, 10, tolerance=1e-5
+            OptimalControlProblem(PLANE, **functions, controls=1),
+            REST,
+            AHEAD,
+            1.0,
+            method=MIDPOINT,
+            steps=10,
+            tolerance=1e-5,
         )
     assert solution.cost == pytest.approx(600 / 99, rel=1e-5)
     assert caught[0].filename == __file__, "the line is the one that called the library"
@@ -143,7 +149,7 @@ def test_a_function_that_jax_cannot_trace_is_named_with_its_line(cost):
         rf"fail at a point q of R\^2.* in running_cost, line {line} of {__file__}: JAX cannot trace them \(TracerBool"
     )
     for run in (
-        lambda: solve(OptimalControlProblem(PLANE, cart, cost, 1), MIDPOINT, REST, AHEAD, 1.0, 4),
+        lambda: solve(OptimalControlProblem(PLANE, cart, cost, 1), REST, AHEAD, 1.0, method=MIDPOINT, steps=4),
         lambda: classify(OptimalControlProblem(PLANE, cart, cost, 1)),
     ):
         with pytest.raises(InvalidInputError, match=words):
@@ -153,4 +159,4 @@ def test_a_function_that_jax_cannot_trace_is_named_with_its_line(cost):
 def test_an_error_in_a_function_is_found_in_it():
     given = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([q[1], u.speed]), effort, 1)
     with pytest.raises(InvalidInputError, match=rf"in dynamics, line \d+ of {__file__}: .*has no attribute"):
-        solve(given, MIDPOINT, REST, AHEAD, 1.0, 4)
+        solve(given, REST, AHEAD, 1.0, method=MIDPOINT, steps=4)

@@ -54,7 +54,7 @@ def test_the_short_way_costs_half_the_square_of_the_angle_and_is_a_strict_minimu
 
 def test_a_quarter_turn_is_outside_the_image_of_the_projection_and_solved_all_the_same():
     ends = on_equator(0.0), on_equator(np.pi / 2)
-    solution = solve(GEODESIC, Midpoint(Projection(SPHERE)), *ends, 1.0, STEPS)
+    solution = solve(GEODESIC, *ends, 1.0, method=Midpoint(Projection(SPHERE)), steps=STEPS)
     assert solution.checks.strict_minimum
     # Each step is a chord of length 2 tan(a/2) for an angle a.
     assert solution.cost == pytest.approx(STEPS**2 * (2 * np.tan(np.pi / 4 / STEPS)) ** 2 / 2, rel=1e-9)

@@ -71,7 +71,7 @@ CART = OptimalControlProblem(PLANE, cart, effort, 1)
 CAUGHT = OptimalControlProblem(PLANE, cart, effort, 1, terminal_cost=quartic)
 ON_SPHERE = OptimalControlProblem(SPHERE, turned, pulled, 3, terminal_cost=lambda q: q[0] ** 3 / 2 + q[1] * q[2] / 2)
 SLEW = OptimalControlProblem(RIGID, body, effort, 3, terminal_cost=lambda q: 0.3 * q[1] @ q[1] + jnp.sum(q[0] ** 3))
-BOAT = OptimalControlProblem(Euclidean(3), boat, lambda q, u: 1 + q @ q / 2 + 0.2 * u[0] ** 2, Sphere(2))
+BOAT = OptimalControlProblem(Euclidean(3), boat, lambda q, u: 1 + q @ q / 2 + 0.2 * u[1:] @ u[1:], Sphere(2))
 SUBJECTS = {
     "cart": Subject(CART, Midpoint(Exponential(PLANE)), UNEQUAL, np.zeros(2), np.array([1.0, 0.0])),
     "caught cart": Subject(CAUGHT, Gauss(2, Exponential(PLANE)), UNEQUAL, np.zeros(2), None),
@@ -82,7 +82,7 @@ SUBJECTS = {
     ),
     "slew": Subject(SLEW, Midpoint(default_retraction(RIGID)), 4, *TURN),
     "slew by Gauss": Subject(SLEW, Gauss(2, default_retraction(RIGID)), UNEQUAL[:3], TURN[0], (TURN[1][0], None)),
-    "boat": Subject(BOAT, Midpoint(Exponential(Euclidean(3))), 4, np.zeros(3), np.array([0.3, 0.9, -0.2])),
+    "boat": Subject(BOAT, Midpoint(Exponential(Euclidean(3))), 4, np.zeros(3), np.array([0.33, 0.99, -0.22])),
 }
 OFTEN = "cart", "caught cart", "theta", "sphere by Gauss", "slew"
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax import problems
-from retrax.integrators import Guess, OptimalControlProblem, singular_arcs, solve
+from retrax.integrators import Guess, OptimalControlProblem, find_singular_arcs, solve
 from retrax.integrators.boundary_value.singular_arcs import _nearest
 from retrax.manifolds import Euclidean, InvalidInputError, Sphere
 from retrax.retractions import Addition, Gauss, default_retraction
@@ -28,8 +28,10 @@ def test_an_arc_between_bangs_has_order_one_and_its_feedback():
     for width, constraints in ((0.0, None), (1.0, None), (1.0, idle)):
         given = {**BOUNDS, "constraints": constraints}
         problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, **given)
-        found = solve(problem, Gauss(2, Addition(LINE)), np.ones(1), np.ones(1), 2.0 + width, 24, accuracy=1e-9)
-        arcs = singular_arcs(problem, found)
+        found = solve(
+            problem, np.ones(1), np.ones(1), 2.0 + width, method=Gauss(2, Addition(LINE)), steps=24, accuracy=1e-9
+        )
+        arcs = find_singular_arcs(problem, found)
         assert len(arcs) == (width > 0)
         for arc in arcs:
             assert (arc.begin, arc.end) == pytest.approx((1.0, 1.0 + width), abs=1e-6)
@@ -53,9 +55,9 @@ def test_the_condition_of_kelley_tells_a_minimum_from_none(order, condition, sig
 
     problem = OptimalControlProblem(manifold, chain, lambda q, u: sign * q[0] ** 2, 1, **BOUNDS)
     rest, guess = np.zeros(order), at_rest(order, 20)
-    found = solve(problem, Gauss(2, Addition(manifold)), rest, rest, 1.0, 10, guess=guess, throw=False)
+    found = solve(problem, rest, rest, 1.0, method=Gauss(2, Addition(manifold)), steps=10, guess=guess, throw=False)
     assert found.success
-    (arc,) = singular_arcs(problem, found)
+    (arc,) = find_singular_arcs(problem, found)
     assert arc.order == order
     assert f"{condition} {'met' if sign > 0 else 'fails'} (largest eigenvalue {-2 * sign}" in arc.second_order
 
@@ -65,7 +67,7 @@ def test_the_arc_of_a_rocket():
     """Goddard's: full thrust, a singular arc of order one, none."""
     known = problems.get("goddard")
     found = known.solve()
-    (arc,) = singular_arcs(known.problem, found)
+    (arc,) = find_singular_arcs(known.problem, found)
     assert (arc.order, arc.classification.dimension) == (1, 4)
     assert arc.feedback_error < 2e-3
     assert "strict generalised Legendre-Clebsch condition met" in arc.second_order
@@ -84,8 +86,8 @@ def test_an_arc_on_the_sphere_beside_a_control_at_its_bound():
 
     problem = OptimalControlProblem(SPHERE, turning, price, 2, **BOUNDS)
     start, method = np.array([np.cos(0.4), 0.0, np.sin(0.4)]), Gauss(4, default_retraction(SPHERE))
-    found = solve(problem, method, start, None, 2.0, 20, parameters=1.0, accuracy=1e-9)
-    (arc,) = singular_arcs(problem, found)
+    found = solve(problem, start, None, 2.0, method=method, steps=20, parameters=1.0, accuracy=1e-9)
+    (arc,) = find_singular_arcs(problem, found)
     assert (arc.controls, arc.order) == ((0,), 1)
     # Where a rotation about (-1, 0, 1) takes the start to the equator, and the integral until there.
     assert arc.begin == pytest.approx(0.8153418309513, abs=1e-6)
@@ -97,16 +99,16 @@ def test_an_arc_on_the_sphere_beside_a_control_at_its_bound():
 def test_arcs_that_a_cost_or_a_constraint_determines_are_none():
     method = Gauss(2, Addition(LINE))
     curved = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q + u @ u, 1, **BOUNDS)
-    assert not singular_arcs(curved, solve(curved, method, np.ones(1), np.ones(1), 3.0, 20))
+    assert not find_singular_arcs(curved, solve(curved, np.ones(1), np.ones(1), 3.0, method=method, steps=20))
     floor = {"floor": lambda q, u: 0.5 - q}
     held = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, constraints=floor, **BOUNDS)
-    assert not singular_arcs(held, solve(held, method, np.ones(1), np.ones(1), 3.0, 20))
+    assert not find_singular_arcs(held, solve(held, np.ones(1), np.ones(1), 3.0, method=method, steps=20))
 
 
 @pytest.mark.parametrize(
     ("options", "given", "words"),
     [
-        (BOUNDS, 3, r"singular_arcs takes a Solution, got 3; try what solve returns"),
+        (BOUNDS, 3, r"find_singular_arcs takes a Solution, got 3; try what solve returns"),
         ({}, None, r"a problem without control_bounds"),
         (
             {**BOUNDS, "time_dependent": True},
@@ -119,9 +121,9 @@ def test_what_has_no_such_arcs_is_named(options, given, words):
     timed = "time_dependent" in options
     functions: Any = (lambda q, u, t: u, lambda q, u, t: u @ u) if timed else (lambda q, u: u, lambda q, u: u @ u)
     problem = OptimalControlProblem(LINE, *functions, 1, **options)
-    solution = given or solve(problem, Gauss(1, Addition(LINE)), np.zeros(1), np.full(1, 0.5), 1.0, 4)
+    solution = given or solve(problem, np.zeros(1), np.full(1, 0.5), 1.0, method=Gauss(1, Addition(LINE)), steps=4)
     with pytest.raises(InvalidInputError, match=words):
-        singular_arcs(problem, solution)
+        find_singular_arcs(problem, solution)
 
 
 @pytest.mark.parametrize("place", [-1.0, 0.2, 0.49, 0.51, 1.0, 7.0])

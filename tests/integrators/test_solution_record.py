@@ -20,7 +20,7 @@ PROBLEM = OptimalControlProblem(
 
 def solve_nested(turn: float = 0.7, **options) -> Solution:
     start, end = ((IDENTITY, REST), np.zeros(1)), ((rotation([turn, 0.2, 0.1]), REST), None)
-    return solve(PROBLEM, Midpoint(Exponential(NESTED)), start, end, 2.0, STEPS, **options)
+    return solve(PROBLEM, start, end, 2.0, method=Midpoint(Exponential(NESTED)), steps=STEPS, **options)
 
 
 @pytest.fixture(scope="module")

@@ -61,7 +61,10 @@ def with_mass(mass):
 
 def test_a_solver_that_is_held_gives_what_solve_gives(bound):
     for end in (END, np.array([0.4, 0.7])):
-        held_one, at_once = bound.solve(START, end, HORIZON), solve(BOUND, MIDPOINT, START, end, HORIZON, STEPS)
+        held_one, at_once = (
+            bound.solve(START, end, HORIZON),
+            solve(BOUND, START, end, HORIZON, method=MIDPOINT, steps=STEPS),
+        )
         assert held_one.success
         assert_same(held_one, at_once)
 
@@ -70,7 +73,7 @@ def test_parameters_are_the_values_of_each_call(solver, bound):
     assert_same(solver.solve(START, END, HORIZON, parameters=GIVEN), bound.solve(START, END, HORIZON), 1e-13)
     for mass in (1.0, 10.0, 1.0):
         here = OptimalControlProblem(PLANE, lambda q, u, mass=mass: cart(q, u, with_mass(mass)), effort, 1)
-        expected = solve(here, MIDPOINT, START, END, HORIZON, STEPS)
+        expected = solve(here, START, END, HORIZON, method=MIDPOINT, steps=STEPS)
         assert_same(solver.solve(START, END, HORIZON, parameters=with_mass(mass)), expected, 1e-12)
 
 
@@ -142,7 +145,7 @@ def test_members_that_have_converged_leave_and_one_that_cannot_be_solved_spoils_
 def test_unequal_steps_keep_their_order(unequal):
     """Minimal effort of a double integrator: the costate of the velocity, and the control, are linear in time."""
     line = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([q[1], u[0]]), effort, 1)
-    found = solve(line, Gauss(2, Exponential(PLANE)), START, END, HORIZON, np.array(unequal, float))
+    found = solve(line, START, END, HORIZON, method=Gauss(2, Exponential(PLANE)), steps=np.array(unequal, float))
     times = np.concatenate([[0.0], np.cumsum(unequal)]) * HORIZON / np.sum(unequal)
     np.testing.assert_allclose(found.times, times, rtol=1e-14)
     t, stages = times / HORIZON, found.stage_times / HORIZON
@@ -210,7 +213,7 @@ def test_a_value_that_is_held_and_changes_is_never_ignored(way):
     for k in (1.0, 10.0, 1.0):
         change(k)
         problem = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ product(u), 1)
-        found = solve(problem, Midpoint(Exponential(line)), np.zeros(1), np.ones(1), 1.0, 2)
+        found = solve(problem, np.zeros(1), np.ones(1), 1.0, method=Midpoint(Exponential(line)), steps=2)
         assert found.cost == pytest.approx(k, rel=1e-12)
         np.testing.assert_allclose(found.costates, 2 * k, rtol=1e-12)
 
@@ -285,7 +288,7 @@ def test_both_evaluators_give_the_same_numbers(name, stages):
         found.append(solver.solve(start, end, 1.0))
     assert_same(*found, 1e-10)
     if stages == 1:
-        assert_same(found[0], solve(problem, Gauss(1, retraction), start, end, 1.0, 3), 1e-14)
+        assert_same(found[0], solve(problem, start, end, 1.0, method=Gauss(1, retraction), steps=3), 1e-14)
 
 
 def test_a_function_that_has_no_scalars_is_evaluated_by_xla(bound):

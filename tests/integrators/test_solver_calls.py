@@ -39,7 +39,9 @@ def test_parameters_are_those_of_the_call(solver):
     for rig in RIGS[:2]:
         read = OptimalControlProblem(LINE, CartPole(*map(jnp.asarray, rig)).on_the_line, half_square, 1)
         passed = solver.solve(HANGING, UPRIGHT, 3.0, parameters=rig)
-        assert passed.cost == pytest.approx(solve(read, METHOD, HANGING, UPRIGHT, 3.0, STEPS).cost, rel=1e-10)
+        assert passed.cost == pytest.approx(
+            solve(read, HANGING, UPRIGHT, 3.0, method=METHOD, steps=STEPS).cost, rel=1e-10
+        )
 
 
 @pytest.mark.parametrize("last", [0, 1, 3])
@@ -72,10 +74,10 @@ def test_unequal_steps_reach_the_same_optimum(ratio):
     problem = OptimalControlProblem(LINE, lambda q, u: swinging(q, u, RIGS[0]), half_square, 1)
     method = Gauss(3, Exponential(LINE))
     lengths = np.geomspace(1, ratio, 24)
-    found = solve(problem, method, HANGING, MOVED, 3.0, lengths)
+    found = solve(problem, HANGING, MOVED, 3.0, method=method, steps=lengths)
     np.testing.assert_allclose(np.diff(found.times), 3 * lengths / lengths.sum())
     largest = len(lengths) * lengths.max() / lengths.sum()  # beside an equal step; the method is of order 6
-    fine = solve(problem, method, HANGING, MOVED, 3.0, 48)
+    fine = solve(problem, HANGING, MOVED, 3.0, method=method, steps=48)
     assert found.cost == pytest.approx(fine.cost, rel=1e-6 * largest**6)
 
 

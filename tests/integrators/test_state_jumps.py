@@ -261,7 +261,7 @@ def test_jumps_of_dynamics_and_constraints_are_named_on_manifolds_too():
 
     problem = OptimalControlProblem(group, turn, lambda q, u: u @ u / 2, 1)
     last = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-    solution = solve(problem, Gauss(2, Cayley(group)), np.eye(3), last, 1.0, 10, throw=False)
+    solution = solve(problem, np.eye(3), last, 1.0, method=Gauss(2, Cayley(group)), steps=10, throw=False)
     assert not solution.success
     assert "dynamics jumps by" in solution.result
     zones = {"zone": lambda q, u: q[1] - jnp.where(q[0] > PLACE, 3.0, 2.5)}

@@ -14,14 +14,14 @@ from retrax.integrators import (
     TRIPLE_JUMP,
     YOSHIDA_6,
     Composition,
-    ControlStructure,
     Guess,
     Integrator,
     OptimalControlProblem,
     Solution,
-    control_structure,
+    SwitchingStructure,
     solve,
     step_errors,
+    switching_structure,
 )
 from retrax.integrators.boundary_value.arcs import Arcs
 from retrax.integrators.boundary_value.engine.collocation import Collocation
@@ -50,7 +50,9 @@ INTEGRATOR = OptimalControlProblem(LINE, lambda q, u: u, half_square, 1)
 
 @pytest.mark.parametrize("theta", THETAS)
 def test_stages_of_a_record_are_at_theta(theta):
-    solution = solve(INTEGRATOR, Theta(Addition(LINE), theta), np.zeros(1), np.ones(1), 1.0, [0.2, 0.5, 0.3])
+    solution = solve(
+        INTEGRATOR, np.zeros(1), np.ones(1), 1.0, method=Theta(Addition(LINE), theta), steps=[0.2, 0.5, 0.3]
+    )
     np.testing.assert_allclose(solution.stage_times, [0.2 * theta, 0.2 + 0.5 * theta, 0.7 + 0.3 * theta], atol=1e-15)
     np.testing.assert_allclose(solution.stage_states[:, 0], solution.stage_times, atol=1e-14)
 
@@ -165,11 +167,11 @@ def test_the_gap_has_the_defects_of_the_points():
     guess = Guess(states, stages, np.zeros((4, 1)), nodes, stages)
     solution = solve(
         INTEGRATOR,
-        Gauss(2, Addition(LINE)),
         nodes[0],
         nodes[-1],
         1.0,
-        3,
+        method=Gauss(2, Addition(LINE)),
+        steps=3,
         guess=guess,
         callback=lambda seen_: seen.append(seen_),
     )
@@ -186,11 +188,11 @@ def test_steps_of_a_flat_space_are_followed_whole():
     guess, seen = Guess(circle[1::2], np.zeros((4, 2))), []
     solve(
         problem,
-        Midpoint(Addition(PLANE)),
         circle[0],
         circle[-1],
         1.0,
-        4,
+        method=Midpoint(Addition(PLANE)),
+        steps=4,
         guess=guess,
         callback=lambda one: seen.append(one),
     )
@@ -210,7 +212,7 @@ def test_arcs_end_by_jumps(jump):
     controls = np.where(stages < 0.5, 1.0, 1.0 - jump - 1e-3 * (stages - 0.5))[:, None]
     record = object.__new__(Solution)  # with what is looked at and nothing else
     vars(record).update(times=times, stage_times=stages, controls=controls)
-    found = control_structure(BOUNDED, record)
+    found = switching_structure(BOUNDED, record)
     assert found.arcs == (2 if jump > 0.2 else 1)
     if found.jumps:
         np.testing.assert_allclose(found.times, [0, 0.5, 1], atol=1e-15)
@@ -219,7 +221,7 @@ def test_arcs_end_by_jumps(jump):
 
 @pytest.mark.parametrize("duration", [0.0, 1e-9, 9e-7, 1.1e-6, 1e-3])
 def test_vanished_arcs_are_left_out(duration):
-    structure = ControlStructure(np.array([0, 0.5, 0.5 + duration, 1]), np.array([[1], [0], [1]])).without_vanished()
+    structure = SwitchingStructure(np.array([0, 0.5, 0.5 + duration, 1]), np.array([[1], [0], [1]])).without_vanished()
     assert structure.sides[:, 0].tolist() == ([1] if duration < 1e-6 else [1, 0, 1])
     assert structure.times[[0, -1]].tolist() == [0, 1]
 
@@ -238,7 +240,7 @@ def test_errors_of_steps_do_not_depend_on_the_origin():
     for origin in (0.0, 1e3):
         problem = OptimalControlProblem(LINE, lambda q, u, origin=origin: u + jnp.sin(3 * (q - origin)), half_square, 1)
         start = np.array([origin])
-        solution = solve(problem, Midpoint(Addition(LINE)), start, start + 1, 1.0, 6)
+        solution = solve(problem, start, start + 1, 1.0, method=Midpoint(Addition(LINE)), steps=6)
         found.append(step_errors(problem, solution).states)
     assert np.min(found[0]) > 1e-6
     np.testing.assert_allclose(found[1], found[0], rtol=1e-5)
@@ -249,7 +251,7 @@ def test_the_curvature_of_a_terminal_cost_counts(pull):
     """``int u^2 / 2 dt - pull x(T)^2 / 2`` over a unit of time: rest at zero is least for a pull below 1 only."""
     problem = OptimalControlProblem(LINE, lambda q, u: u, half_square, 1, terminal_cost=lambda q: -pull * q @ q / 2)
     guess = Guess(np.zeros((3, 1)), np.zeros((3, 1)))
-    solution = solve(problem, Midpoint(Addition(LINE)), np.zeros(1), None, 1.0, 3, guess=guess)
+    solution = solve(problem, np.zeros(1), None, 1.0, method=Midpoint(Addition(LINE)), steps=3, guess=guess)
     assert solution.checks.strict_minimum == (pull < 1)
 
 
@@ -263,7 +265,7 @@ def test_the_curvature_of_boundary_constraints_counts(place):
     start, way = np.array([place, 0.0]), np.array([1 - place, 0.0])
     shares = np.array([[0.25], [0.75]])
     guess = Guess(start + shares * way, np.tile(way, (2, 1)), np.tile(way, (3, 1)))
-    solution = solve(problem, Midpoint(Addition(PLANE)), start, None, 1.0, 2, guess=guess)
+    solution = solve(problem, start, None, 1.0, method=Midpoint(Addition(PLANE)), steps=2, guess=guess)
     np.testing.assert_allclose(solution.states[-1], [1.0, 0.0], atol=1e-12)
     assert solution.checks.strict_minimum == (place > 0)
 
@@ -304,6 +306,6 @@ def test_from_a_hill_it_goes_down(height):
     """``height (1 - x^2)^2`` has a hill at zero, where Newton's own steps lead back to, and wells at its sides."""
     problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: half_square(q, u) + height * (1 - q @ q) ** 2, 1)
     guess = Guess(np.full((10, 1), 0.1), np.zeros((10, 1)))
-    solution = solve(problem, Midpoint(Addition(LINE)), np.array([0.1]), None, 3.0, 10, guess=guess)
+    solution = solve(problem, np.array([0.1]), None, 3.0, method=Midpoint(Addition(LINE)), steps=10, guess=guess)
     assert solution.states[-1, 0] > 0.9
     assert solution.checks.strict_minimum

@@ -50,7 +50,7 @@ def test_no_mesh_follows_the_one_that_is_stopped(name, interrupted):
     def solved(at):
         stop = Stop(at, interrupted)
         options = {"throw": False, "callback": stop, "accuracy": accuracy}
-        return solve(problem, method, start, end, horizon, steps, **options), stop.calls
+        return solve(problem, start, end, horizon, method=method, steps=steps, **options), stop.calls
 
     whole, count = solved(-1)
     assert whole.success
@@ -71,7 +71,9 @@ def test_an_interrupt_between_two_meshes_leaves_the_last_solution(monkeypatch):
     def solved(at):
         stop = Stop(at, interrupted=True)
         monkeypatch.setattr(Estimator, "__call__", lambda *given: (stop(), estimate(*given))[1])
-        return solve(problem, METHOD, start, end, horizon, steps, accuracy=accuracy, throw=False), stop.calls
+        return solve(
+            problem, start, end, horizon, method=METHOD, steps=steps, accuracy=accuracy, throw=False
+        ), stop.calls
 
     whole, count = solved(-1)
     assert whole.success
@@ -93,7 +95,7 @@ def test_an_interrupt_between_two_meshes_leaves_the_last_solution(monkeypatch):
 PRICED = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: 1 + u @ u / 2 + q @ q / 10, 1)
 FAR = {  # searches that begin again where a horizon is far from its guess
     "horizon": lambda stop: solve(
-        PRICED, METHOD, np.zeros(1), np.full(1, 2.0), Free(100.0), 3, callback=stop, throw=False
+        PRICED, np.zeros(1), np.full(1, 2.0), Free(100.0), method=METHOD, steps=3, callback=stop, throw=False
     ),
     "batch": lambda stop: Solver(PRICED, METHOD, 3).solve_many(
         np.zeros(1), np.array([[1.0], [2.0], [3.0]]), Free(100.0), callback=stop

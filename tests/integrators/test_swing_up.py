@@ -52,7 +52,7 @@ def swing_up(rig: tuple[float, ...], horizon: float, steps: int, circle: bool) -
     else:
         problem = OptimalControlProblem(LINE, system.on_the_line, half_square, 1)
         ends = np.zeros(4), np.array([0.0, np.pi, 0.0, 0.0])
-    return solve(problem, Midpoint(Exponential(problem.manifold)), *ends, horizon, steps, throw=False)
+    return solve(problem, *ends, horizon, method=Midpoint(Exponential(problem.manifold)), steps=steps, throw=False)
 
 
 @pytest.mark.long("rig1-2.0", "rig3-2.0", "rig5-2.0", "rig7-3.0", "rig9-2.5")

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from retrax.integrators import SymplecticIntegrator, form_defect
+from retrax.integrators import SymplecticIntegrator, symplecticity_defect
 from retrax.integrators.initial_value.step import lifted_step
 from retrax.manifolds import ConvergenceError, CotangentBundle, Euclidean, PresymplecticManifold, form_matrix
 from retrax.manifolds.numerics import ambient as vec
@@ -190,9 +190,25 @@ def test_the_form_after_steps_of_several_lengths():
     bundle, method = CotangentBundle(SPHERE), SymplecticIntegrator(CotangentLift(Midpoint(Projection(SPHERE))))
     space, z = PresymplecticManifold(bundle, bundle.two_form), (np.array([0.6, 0.0, 0.8]), np.array([0.8, 1.0, -0.6]))
     sizes = np.array([[0.01, 0.1], [0.3, 0.2], [0.15, 0.05]])
-    found = form_defect(space, method, pendulum_energy, z, sizes)
+    found = symplecticity_defect(space, method, pendulum_energy, z, sizes)
     assert found.shape == sizes.shape
     assert np.max(found) < 1e-13
-    assert form_defect(space, method, pendulum_energy, z, 0.1).shape == ()
+    assert symplecticity_defect(space, method, pendulum_energy, z, 0.1).shape == ()
     with pytest.raises(ConvergenceError, match=r"a step of 1000 from .* take a smaller one"):
-        form_defect(space, method, pendulum_energy, z, np.array([0.1, 1e3, 0.2]))
+        symplecticity_defect(space, method, pendulum_energy, z, np.array([0.1, 1e3, 0.2]))
+
+
+def test_steps_up_to_the_length_at_which_their_equations_lose_their_solution():
+    """Of ``q' = q^2`` the midpoint ``m`` solves ``h m^2 - 2 m + 2 q = 0``, which from 1 has no root beyond 1/2."""
+    line = Euclidean(1)
+    bundle, method = CotangentBundle(line), SymplecticIntegrator(CotangentLift(Midpoint(Exponential(line))))
+    space, z = PresymplecticManifold(bundle, bundle.two_form), (np.ones(1), np.ones(1))
+
+    def energy(q, p):
+        return p[0] * q[0] ** 2
+
+    found = symplecticity_defect(space, method, energy, z, np.array([[0.1, 0.3], [0.4, 0.49]]))
+    assert found.shape == (2, 2)
+    assert np.max(found) < 1e-9
+    with pytest.raises(ConvergenceError, match=r"a step of 0.51 from .* take a smaller one"):
+        symplecticity_defect(space, method, energy, z, np.array([0.1, 0.51, 0.6]))

@@ -290,3 +290,18 @@ def test_starts_and_step_sizes_of_many_are_checked():
         integrate_many(pendulum_energy, method, (q, p), np.ones(3), 2)
     with pytest.raises(InvalidInputError, match=r"each of step_sizes must be a finite number other than 0"):
         integrate_many(pendulum_energy, method, (q, p), [0.1, 0.1, 0.0, 0.1], 2)
+
+
+def test_pieces_grow_until_they_take_as_long_as_nobody_waits_for(monkeypatch):
+    """Between two of them progress is told and Ctrl-C is heard: some ten times in a second, not after each step."""
+    system, integrator = CASES["plane, backward Euler"]
+    counts, piece = [], lanes.TapeSteps.piece
+
+    def counted(self, done, count, *rest):
+        counts.append(count)
+        return piece(self, done, count, *rest)
+
+    monkeypatch.setattr(lanes.TapeSteps, "piece", counted)
+    integrate(system, integrator, (np.ones(2), np.zeros(2)), 1e-3, 4000)
+    assert sum(counts) == 4000
+    assert len(counts) <= 40

@@ -59,7 +59,9 @@ def test_a_turn_about_one_axis_is_said_to_be_only_stationary():
     axis, angle = np.array([0.0, 0.0, 1.0]), np.pi * s**2 * (3 - 2 * s)
     states = Rotation.from_rotvec(np.outer(angle, axis)).as_matrix(), np.outer(np.pi * 6 * s * (1 - s) / 3.5, axis)
     guess = Guess(states, np.outer(0.6 * np.cos(np.pi * s), axis))
-    found = solve(known.problem, known.method, known.start, known.end, Free(3.5, lower=0.1), 10, guess=guess)
+    found = solve(
+        known.problem, known.start, known.end, Free(3.5, lower=0.1), method=known.method, steps=10, guess=guess
+    )
     assert found.success
     assert np.isclose(found.horizon, 2 * np.sqrt(np.pi), rtol=1e-4)
     assert not found.checks.strict_minimum
@@ -107,14 +109,16 @@ def test_curvature_determines_a_control_whose_bounds_do_not_hold_it(weight):
         return q @ q + weight * u @ u
 
     problem = OptimalControlProblem(LINE, lambda q, u, weight: u, price, 1, control_bounds=(-1.0, 1.0))
-    found = solve(problem, Gauss(1, Addition(LINE)), np.ones(1), np.ones(1), 3.0, 60, parameters=weight, throw=False)
+    found = solve(
+        problem, np.ones(1), np.ones(1), 3.0, method=Gauss(1, Addition(LINE)), steps=60, parameters=weight, throw=False
+    )
     assert bool(said(found)) == (weight == 0.0)
 
 
 def test_the_turn_about_the_axis_itself_is_slower_than_the_least_time():
     """Betts' spacecraft about its first axis, from a guess that stays on it: 34.3112 s, where 28.6304 s are enough."""
     entry = problems.get("betts")
-    found = solve(entry.problem, entry.discretization, entry.start, entry.end, entry.horizon, 60)
+    found = solve(entry.problem, entry.start, entry.end, entry.horizon, method=entry.discretization, steps=60)
     angle, torque, inertia = np.deg2rad(150), 50.0, 5621.0
     assert found.horizon == pytest.approx(2 * np.sqrt(angle * inertia / torque), rel=1e-5)
     assert found.horizon == pytest.approx(34.3112, rel=1e-5)

@@ -55,7 +55,7 @@ def shift(length: float, time: float, mass: float, price: float) -> Solution:
     body = Mass(jnp.asarray(mass), jnp.asarray(price))
     problem = OptimalControlProblem(PLANE, body.velocity, body.effort, 1)
     ends = np.zeros(2), np.array([length, 0.0])
-    return solve(problem, Midpoint(Exponential(PLANE)), *ends, time, STEPS, throw=False)
+    return solve(problem, *ends, time, method=Midpoint(Exponential(PLANE)), steps=STEPS, throw=False)
 
 
 @cache
@@ -64,7 +64,7 @@ def slew(mass: float, time: float, unit: float, price: float) -> Solution:
     body = Body(mass * jnp.array([5.6, 4.5, 2.4]), jnp.asarray(unit), jnp.asarray(price))
     problem = OptimalControlProblem(RIGID, body.velocity, body.effort, 3)
     end = rotation(2.6 * np.array([1.0, 2.0, -2.0]) / 3), np.zeros(3)
-    return solve(problem, Midpoint(Cayley(RIGID)), (IDENTITY, np.zeros(3)), end, time, STEPS, throw=False)
+    return solve(problem, (IDENTITY, np.zeros(3)), end, time, method=Midpoint(Cayley(RIGID)), steps=STEPS, throw=False)
 
 
 def random_units(seed: int, *lowest: float) -> np.ndarray:

@@ -9,7 +9,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, solve
 from retrax.manifolds import Euclidean, Manifold, Sphere
-from retrax.retractions import Addition, Exponential, Midpoint, Restored, Retraction, default_retraction
+from retrax.retractions import Addition, Exponential, Midpoint, ProjectionByNewton, Retraction, default_retraction
 from retrax.testing import check_retraction
 
 from tests.support.numerics import norm
@@ -55,10 +55,10 @@ DIRECTIONS = Directions()
 
 
 def test_newton_steps_of_a_manifold_make_a_retraction():
-    assert check_retraction(Restored(DIRECTIONS))
-    assert isinstance(default_retraction(DIRECTIONS), Restored)
+    assert check_retraction(ProjectionByNewton(DIRECTIONS))
+    assert isinstance(default_retraction(DIRECTIONS), ProjectionByNewton)
     x = DIRECTIONS.random_point(jax.random.key(0))
-    assert np.all(np.isnan(Restored(DIRECTIONS)(x, -x)))  # from the centre they lead nowhere
+    assert np.all(np.isnan(ProjectionByNewton(DIRECTIONS)(x, -x)))  # from the centre they lead nowhere
 
 
 @pytest.mark.slow
@@ -68,7 +68,7 @@ def test_the_default_guess_follows_the_retraction_that_was_given():
     for degrees in (1, 89.9, 90.1, 180):
         a = np.deg2rad(degrees)
         end = np.array([np.cos(a), np.sin(a), 0.0])
-        solution = solve(turning, Midpoint(Rescaling(DIRECTIONS)), np.array([1.0, 0.0, 0.0]), end, 1.0, 10)
+        solution = solve(turning, np.array([1.0, 0.0, 0.0]), end, 1.0, method=Midpoint(Rescaling(DIRECTIONS)), steps=10)
         assert solution.cost == pytest.approx(a * a / 2, rel=0.02)
 
 
@@ -77,7 +77,7 @@ def test_controls_on_it_are_steered():
     """``H = p . u - (u - e)^2 / 2 - q^2 / 2`` is largest at the unit vector along ``p + e``."""
     e = jnp.array([0.0, 0.0, 1.0])
     aimed = OptimalControlProblem(SPACE, lambda q, u: u, lambda q, u: (u - e) @ (u - e) / 2 + q @ q / 2, DIRECTIONS)
-    solution = solve(aimed, Midpoint(Addition(SPACE)), np.array([1.0, 0.0, 0.0]), None, 1.0, 10)
+    solution = solve(aimed, np.array([1.0, 0.0, 0.0]), None, 1.0, method=Midpoint(Addition(SPACE)), steps=10)
     along = solution.stage_costates + e
     assert norm(solution.controls - along / np.linalg.norm(along, axis=1, keepdims=True)) < 1e-9
 

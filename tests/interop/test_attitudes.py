@@ -112,7 +112,7 @@ def test_other_files_are_refused(tmp_path, change):
 
 def test_an_ephemeris_at_times_is_the_solution_there(tmp_path):
     problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3)
-    solution = solve(problem, Midpoint(Cayley(SO(3))), np.eye(3), TURNS[30], 2.0, 3)
+    solution = solve(problem, np.eye(3), TURNS[30], 2.0, method=Midpoint(Cayley(SO(3))), steps=3)
     for times in (solution.times, np.linspace(0.5, 1.5, 9)):
         to_aem(solution, tmp_path / "slew.aem", **NAMES, at=times)
         found = from_aem(tmp_path / "slew.aem")

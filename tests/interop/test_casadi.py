@@ -14,6 +14,7 @@ from retrax.manifolds import (
     SO,
     SPD,
     SU,
+    ComplexStiefel,
     Euclidean,
     FixedRank,
     Hyperbolic,
@@ -92,7 +93,9 @@ CASES = {
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.long("docking", "slew by collocation")
 def test_ipopt_finds_the_solution(name):
-    discrete, solution = to_casadi(*CASES[name]), solve(*CASES[name])
+    problem, method, start, end, horizon, steps = CASES[name]
+    discrete = to_casadi(problem, method, start, end, horizon, steps)
+    solution = solve(problem, start, end, horizon, method=method, steps=steps)
     solver = ca.nlpsol("solver", "ipopt", discrete.nlp, QUIET)
     found = solver(**discrete.arguments)
     assert solver.stats()["success"]
@@ -121,6 +124,7 @@ def test_ipopt_finds_the_solution(name):
         Hyperbolic(2),
         Simplex(2),
         Stiefel(4, 2),
+        ComplexStiefel(3, 2),
         Oblique(3, 2),
         SPD(3),
         Ellipsoid(),

@@ -13,6 +13,7 @@ from retrax.interop.pymanopt import conventions_of, typical_distance
 from retrax.manifolds import (
     SO,
     SPD,
+    ComplexStiefel,
     CotangentBundle,
     Euclidean,
     Grassmann,
@@ -189,19 +190,20 @@ def unitary():
     return to_pymanopt(*from_pymanopt(theirs.UnitaryGroup(2, retraction="polar")))
 
 
-def test_an_optimiser_finds_the_nearest_unitary_matrix():
-    rng = np.random.default_rng(1)
-    a = rng.standard_normal((2, 2)) + 1j * rng.standard_normal((2, 2))
-    space = unitary()
+@pytest.mark.parametrize("make", [unitary, lambda: to_pymanopt(ComplexStiefel(3, 2))], ids=["U(2)", "frames"])
+def test_an_optimiser_finds_the_nearest_unitary_matrix_or_complex_frame(make):
+    rng, space = np.random.default_rng(1), make()
+    shape = space.random_point().shape
+    a = rng.standard_normal(shape) + 1j * rng.standard_normal(shape)
 
     @pymanopt.function.jax(space)
     def cost(x):
         return -jnp.real(jnp.sum(jnp.conj(a) * x))
 
     options = {"verbosity": 0, "min_gradient_norm": 1e-9, "min_step_size": 1e-14}
-    start = np.eye(2, dtype=complex)
+    start = np.eye(*shape, dtype=complex)
     result = pymanopt.optimizers.TrustRegions(**options).run(pymanopt.Problem(space, cost), initial_point=start)
-    u, s, vh = np.linalg.svd(a)
+    u, s, vh = np.linalg.svd(a, full_matrices=False)
     assert result.cost == pytest.approx(-np.sum(s), abs=1e-12)
     np.testing.assert_allclose(result.point, u @ vh, atol=1e-8)
 

@@ -35,6 +35,8 @@ DIMENSIONS = {
     "TSO3": 6,
     "St42": 5,
     "St33": 3,
+    "CSt32": 8,
+    "CSt11": 1,
     "Gr42": 4,
     "Gr31": 2,
     "oblique32": 4,
@@ -60,6 +62,8 @@ def test_dimension(name: str, dimension: int) -> None:
     "simplex3",
     "SPD2",
     "St42",
+    "CSt32",
+    "CSt11",
     "Gr42",
     "rank2-4x3",
 )

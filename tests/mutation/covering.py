@@ -29,6 +29,11 @@ class Covering:
         found = {context.partition("|")[0] for context in contexts if context}
         return sorted(found & self.seconds.keys(), key=self.seconds.__getitem__) or list(COMPILED)
 
+    def is_imported(self, file: str, line: int) -> bool:
+        """Whether a line runs where the project is imported."""
+        self.data.set_query_contexts(None)
+        return "" in self.data.contexts_by_lineno(str(self.root / file)).get(line, [])
+
 
 def measure(root: Path, folder: Path) -> None:
     """Run the fast tests under coverage, and leave its data and the seconds of each test in the folder."""

@@ -34,6 +34,14 @@ class Mutant:
         right, wrong = (text.splitlines() for text in self.code(root))
         return next((a.strip(), b.strip()) for a, b in zip(right, wrong, strict=False) if a != b)
 
+    def is_python(self, root: Path) -> bool:
+        """Whether the change leaves a file that Python can read."""
+        try:
+            ast.parse(self.code(root)[1])
+        except SyntaxError:
+            return False
+        return True
+
 
 def operators() -> dict[str, Operator]:
     """The operators that are drawn from, by name."""

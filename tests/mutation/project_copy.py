@@ -2,13 +2,16 @@
 
 import importlib
 import os
-import re
+import pkgutil
+import resource
 import shutil
 import signal
 import sys
 import time
 import traceback
+from collections.abc import Callable
 from enum import Enum
+from functools import partial
 from pathlib import Path
 
 import numba
@@ -16,10 +19,12 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 ROOMS = ("manifolds", "retractions", "integrators")
-# Imported once for all forks, and before any of them; the modules of the project itself are not.
-BEFORE = ("jax", "jax.numpy", "jax.scipy.linalg", "equinox", "jaxtyping", "casadi", "scipy.integrate", "scipy.optimize")
-COMPILED = re.compile(r"import numba|from \.(factors|lu|arrays) import")
+# Imported once for all forks, with the project itself, and before any of them.
+BEFORE = ("hypothesis", "jax.scipy.linalg", "scipy.integrate", "scipy.optimize")
+LEFT_OUT = ("retrax.plotting", "retrax.interop")  # what they need may not be there
 BROKEN = 70  # exit status of a fork in which pytest itself did not run
+# Of a machine that is busy with other things, a fork may have so little that it takes so many times its own seconds.
+BUSY = 5
 
 
 class Outcome(Enum):
@@ -35,71 +40,96 @@ class ProjectCopy:
     """A copy of the project that is imported as it stands, in a folder of its own."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.tree = folder, folder / "project"
-        for module in (*BEFORE, "hypothesis"):
-            importlib.import_module(module)
+        self.folder, self.tree = folder.resolve(), folder.resolve() / "project"
         for name in ("src", "tests", *ROOMS):
             shutil.copytree(ROOT / name, self.tree / name, ignore=shutil.ignore_patterns("__pycache__"))
         for name in ("pyproject.toml", "README.md"):
             shutil.copy2(ROOT / name, self.tree / name)
-        package = folder / "import" / "retrax"
+        package = self.folder / "import" / "retrax"
         package.mkdir(parents=True)
         for path in (self.tree / "src" / "retrax").iterdir():
             (package / path.name).symlink_to(path)
         for name in ROOMS:
             (package / name).symlink_to(self.tree / name)
+        numba.config.CACHE_DIR = str(self.folder / "kernels")
+        sys.dont_write_bytecode = True
+        sys.path[:] = [str(package.parent), str(self.tree), *(path for path in sys.path if path != str(ROOT))]
+        forgotten()
+        for name in (*BEFORE, "retrax"):
+            importlib.import_module(name)
+        for module in pkgutil.walk_packages(sys.modules["retrax"].__path__, "retrax."):
+            if not module.name.startswith(LEFT_OUT):
+                importlib.import_module(module.name)
 
-    def run(self, tests: list[str], longest: float, kernels: str = "kernels") -> tuple[Outcome, str]:
-        """The outcome of the tests up to the first that fails, for at most so many seconds, and the end of what they
-        print."""
-        end, output = time.monotonic() + longest, self.folder / "output"
+    def run_with(self, file: str, wrong: str, anew: bool, tests: list[str], longest: float) -> tuple[Outcome, str]:
+        """The outcome of the tests up to the first that fails, with another text in a file, for at most so many seconds
+        of a processor; and the end of what they print. ``anew``: the project is imported with that text."""
+        path, begin = self.tree / file, partial(changed, self.tree / file, wrong)
+        if not anew:
+            return self.run(tests, longest, begin)
+        right = path.read_text()
+        path.write_text(wrong)
+        try:
+            return self.run(tests, longest, forgotten)
+        finally:
+            path.write_text(right)
+
+    def run(self, tests: list[str], longest: float, begin: Callable[[], object]) -> tuple[Outcome, str]:
+        """The same of tests that begin with something."""
+        end, output = time.monotonic() + BUSY * longest, self.folder / "output"
         child = os.fork()
         if child == 0:
             code = BROKEN
             try:
-                code = self._test(tests, kernels, output)
+                resource.setrlimit(resource.RLIMIT_CPU, (int(longest), int(longest) + 1))
+                code = self._test(tests, output, begin)
             except Exception:
                 traceback.print_exc()
             finally:
                 sys.stdout.flush()
                 sys.stderr.flush()
                 os._exit(code)
-        outcome = Outcome.ENDLESS
-        while time.monotonic() < end:
+        code = None
+        while code is None and time.monotonic() < end:
             ended, status = os.waitpid(child, os.WNOHANG)
             if ended:
-                codes = {0: Outcome.SURVIVED, 1: Outcome.KILLED}
-                outcome = codes.get(os.waitstatus_to_exitcode(status), Outcome.NO_TEST)
-                break
+                code = os.waitstatus_to_exitcode(status)
             time.sleep(0.05)
-        else:
+        if code is None:
             os.kill(child, signal.SIGKILL)
             os.waitpid(child, 0)
-        return outcome, output.read_text(errors="replace")[-3000:]
+        words = output.read_text(errors="replace")
+        return _outcome(code, words), words[-3000:]
 
-    def _test(self, tests: list[str], kernels: str, output: Path) -> int:
-        """Pytest's exit status, in a process that has not imported the project before."""
-        with output.open("w") as file:
+    def _test(self, tests: list[str], output: Path, begin: Callable[[], object]) -> int:
+        """Pytest's exit status, in a process of its own."""
+        with output.open("w") as written:
             for stream in (1, 2):
-                os.dup2(file.fileno(), stream)
+                os.dup2(written.fileno(), stream)
         os.chdir(self.tree)
-        sys.path[:] = [str(self.folder / "import"), str(self.tree), *(path for path in sys.path if path != str(ROOT))]
-        for name in [name for name in sys.modules if name.partition(".")[0] in ("tests", "retrax")]:
-            del sys.modules[name]
-        sys.dont_write_bytecode = True
-        numba.config.CACHE_DIR = str(self.folder / kernels)
+        begin()
         options = ["-x", "-q", "-n", "0", "--assert=plain", "-o", f"cache_dir={ROOT / '.pytest_cache'}"]
         return int(pytest.main([*options, *tests]))
 
-    def run_with(self, file: str, wrong: str, tests: list[str], longest: float) -> tuple[Outcome, str]:
-        """The same with another text in a file, which gets its own text back."""
-        path = self.tree / file
-        text, times = path.read_text(), path.stat()
-        kernels = "kernels_of_mutant" if COMPILED.search(text) else "kernels"
-        path.write_text(wrong)
-        try:
-            return self.run(tests, longest, kernels)
-        finally:
-            path.write_text(text)
-            os.utime(path, (times.st_atime, times.st_mtime))
-            shutil.rmtree(self.folder / "kernels_of_mutant", ignore_errors=True)
+
+def forgotten() -> None:
+    """Forget what is imported of the project."""
+    for name in [name for name in sys.modules if name.partition(".")[0] in ("tests", "retrax")]:
+        del sys.modules[name]
+
+
+def changed(path: Path, wrong: str) -> None:
+    """Let what is imported of the project run another text."""
+    from .changed_code import change  # of the project that is imported by now
+
+    change(path, wrong)
+
+
+def _outcome(code: int | None, output: str) -> Outcome:
+    """What an exit status says; a test has noticed the error too that ends its process, and a file of tests that cannot
+    be imported any more, of which pytest says no more than that it did not find its tests."""
+    if code is None or code in (-signal.SIGXCPU, -signal.SIGKILL):
+        return Outcome.ENDLESS
+    if code < 0 or (code in (2, 4) and "ERROR collecting" in output):
+        return Outcome.KILLED
+    return {0: Outcome.SURVIVED, 1: Outcome.KILLED}.get(code, Outcome.NO_TEST)

@@ -73,7 +73,7 @@ def test_a_page_holds_the_motion_in_one_file(space, tmp_path):
 def test_a_solution_is_shown_between_its_nodes_with_its_report(tmp_path):
     names = {"labels": {"controls": "</script>"}, "units": {"time": "s"}}
     problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3, **names)
-    solution = solve(problem, Midpoint(Cayley(SO(3))), np.eye(3), TURNS[8], 2.0, 3)
+    solution = solve(problem, np.eye(3), TURNS[8], 2.0, method=Midpoint(Cayley(SO(3))), steps=3)
     solution.to_html(tmp_path / "page.html", mesh=([[0, 0, 0], [2.0, 0, 0], [0, 1, 0]], [[0, 1, 2]]))
     text, data = data_of(tmp_path / "page.html")
     times = np.array(data["times"])
@@ -178,7 +178,7 @@ def test_in_a_browser_the_slider_moves_the_body_and_play_goes_on(space, browser,
 def test_a_page_of_a_solution_is_ready_within_two_seconds(browser, tmp_path):
     """Of the processor, and without a graphics card: a clock on the wall would measure the neighbours too."""
     problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3)
-    solve(problem, Midpoint(Cayley(SO(3))), np.eye(3), TURNS[8], 2.0, 50).to_html(tmp_path / "page.html")
+    solve(problem, np.eye(3), TURNS[8], 2.0, method=Midpoint(Cayley(SO(3))), steps=50).to_html(tmp_path / "page.html")
     page = browser.new_page()
     session = page.context.new_cdp_session(page)
     session.send("Performance.enable", {"timeDomain": "threadTicks"})

@@ -47,7 +47,7 @@ END = Rotation.from_rotvec([1.0, -0.4, 0.3]).as_matrix(), None
 def solved():
     """A solution with a bound that holds it for a while, and its iterations."""
     iterations = []
-    return solve(PROBLEM, METHOD, START, END, 3.0, STEPS, callback=iterations.append), iterations
+    return solve(PROBLEM, START, END, 3.0, method=METHOD, steps=STEPS, callback=iterations.append), iterations
 
 
 @pytest.fixture(autouse=True)
@@ -131,13 +131,13 @@ def test_controls_are_steps_where_each_step_has_one(fractions, is_held):
 
 def test_the_steps_of_a_solution_begin_and_end_at_its_nodes(solved):
     solution, _ = solved
-    backward = solve(PROBLEM, Theta(Cayley(Q), 1.0), START, END, 3.0, STEPS)
+    backward = solve(PROBLEM, START, END, 3.0, method=Theta(Cayley(Q), 1.0), steps=STEPS)
     for found in (solution, backward):
         for axis in (plotting.controls(found), plotting.optimality(found)[0], plotting.histories(found)[-1]):
             assert [line.get_drawstyle() for line in axis.lines] == 3 * ["steps-post"]
             np.testing.assert_array_equal(axis.lines[0].get_xdata(), found.times)
             np.testing.assert_array_equal(axis.lines[0].get_ydata()[:-1], found.controls[:, 0])
-    both = solve(PROBLEM, Gauss(2, Cayley(Q)), START, END, 3.0, STEPS)
+    both = solve(PROBLEM, START, END, 3.0, method=Gauss(2, Cayley(Q)), steps=STEPS)
     for axis in (plotting.controls(both), plotting.optimality(both)[0], plotting.histories(both)[-1]):
         assert axis.lines[0].get_drawstyle() == "default"
         times, values = axis.lines[0].get_data()
@@ -154,7 +154,7 @@ def test_a_solution_is_drawn_between_its_nodes_and_a_file_without_a_retraction_i
     """By many points of few steps, by few of many: those of the solution itself."""
     plane = Euclidean(2)
     problem = OptimalControlProblem(plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u: u @ u / 2, 1)
-    solution = solve(problem, Gauss(2, Addition(plane)), np.zeros(2), np.array([1.0, 0.0]), 1.0, steps)
+    solution = solve(problem, np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Gauss(2, Addition(plane)), steps=steps)
     (line,) = plotting.controls(solution).lines
     times, values = plotting.histories(solution)[0].lines[0].get_data()
     assert 200 <= len(times) <= 2000

@@ -9,6 +9,7 @@ import pytest
 from retrax.manifolds import (
     SO,
     SPD,
+    ComplexStiefel,
     EmbeddedMetric,
     FixedRank,
     Hyperbolic,
@@ -26,15 +27,15 @@ from retrax.retractions import (
     GroupCayley,
     Orthographic,
     Polar,
+    RestoredAfter,
     Retraction,
     SecondOrder,
-    Stabilized,
     StiefelCanonicalExponential,
     StiefelPolar,
     Translated,
+    differential_adjoint,
     differentiated,
-    fibre_adjoint,
-    order,
+    measured_order,
 )
 from scipy.spatial.transform import Rotation
 
@@ -53,7 +54,7 @@ ZEROS = np.zeros((3, 3))
         (lambda: jax.jit(lambda v: SPHERE(POINTS[0], v))(ZEROS), r"a tangent vector of .* got \(3, 3\)"),
         (lambda: SPHERE([1.0, 0.0, 0.0], POINTS[1]), r"float\]; a list or a tuple is no array, try jax.numpy.array"),
         (lambda: differentiated(SPHERE, POINTS[0], ZEROS[0], ZEROS), r"a direction of Sphere\(2\) .* got \(3, 3\)"),
-        (lambda: fibre_adjoint(ROTATIONS, POINTS, ZEROS, ZEROS[0]), r"a covector of SO\(3\) .*, got \(3,\)"),
+        (lambda: differential_adjoint(ROTATIONS, POINTS, ZEROS, ZEROS[0]), r"a covector of SO\(3\) .*, got \(3,\)"),
         (
             lambda: ROTATIONS(Rotation.identity(), ZEROS),
             r"a point of SO\(3\) .*, got Rotation; try its as_matrix\(\)",
@@ -106,12 +107,19 @@ def test_batches_by_vmap():
     ("make", "words"),
     [
         (lambda: StiefelPolar(SPD(3)), r"StiefelPolar takes a Stiefel, got SPD"),
+        (
+            lambda: StiefelCanonicalExponential(ComplexStiefel(3, 2)),
+            r"takes real frames, got ComplexStiefel",
+        ),
         (lambda: Addition(Sphere(2)), r"Addition takes a Euclidean, got Sphere"),
         (lambda: GroupCayley(Sphere(2)), r"GroupCayley takes a MatrixLieGroup, got Sphere"),
         (lambda: Orthographic(FixedRank(3, 2, 1), 3), r"Orthographic takes a Submanifold, got FixedRank"),
-        (lambda: Stabilized(SO(3)), r"Stabilized takes a Retraction, got SO"),
+        (lambda: RestoredAfter(SO(3)), r"RestoredAfter takes a Retraction, got SO"),
         (lambda: SecondOrder(QR(SO(3)), EmbeddedMetric(SO(4))), r"expected a metric of SO\(3\), got .*SO\(n=4\)"),
-        (lambda: order(Cayley(SO(3)), EmbeddedMetric(SO(4))), r"expected a metric of SO\(3\), got .*SO\(n=4\)"),
+        (
+            lambda: measured_order(Cayley(SO(3)), EmbeddedMetric(SO(4))),
+            r"expected a metric of SO\(3\), got .*SO\(n=4\)",
+        ),
         (lambda: Translated(SO(3), lambda a: jnp.eye(3) + a), r"its values in the group, it misses it by 0.0"),
     ],
 )
@@ -168,7 +176,8 @@ def test_complex_frames_are_refused_in_words(family):
     retraction = family(Stiefel(3, 2))
     x = jnp.eye(3, 2, dtype=complex)
     for call in (retraction, retraction.inverse):
-        with pytest.raises(InvalidInputError, match=r"of Stiefel\(3, 2\) has real entries, got complex ones; try"):
+        with pytest.raises(InvalidInputError, match=r"of Stiefel\(3, 2\) has real entries, .*: ComplexStiefel"):
             call(x, x)
+    assert ComplexStiefel(3, 2).is_tangent(x, 1j * family(ComplexStiefel(3, 2))(x, 0 * x))
     with pytest.raises(InvalidInputError, match="has real entries, got complex ones"):
         retraction.manifold.projection(x, x)

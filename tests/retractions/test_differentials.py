@@ -26,7 +26,10 @@ def _derivatives(name):
 
     def facts(x, v, w, c):
         _, pull = jax.vjp(lambda v: move(x, v), v)
-        by_hand = retraction.fibre_derivative(*map(back, (x, v, w))), retraction.fibre_adjoint(*map(back, (x, v, c)))
+        by_hand = (
+            retraction.fibre_derivative(*map(back, (x, v, w))),
+            retraction.differential_adjoint(*map(back, (x, v, c))),
+        )
         pulled = retraction.manifold.projection(back(x), back(pull(c)[0]))
         return *map(flat, by_hand), jax.jvp(lambda v: move(x, v), (v,), (w,))[1], flat(pulled)
 

@@ -18,7 +18,7 @@ from retrax.retractions import (
     Polar,
     ProductRetraction,
     Projection,
-    Restored,
+    ProjectionByNewton,
     RetractionFamily,
     SOCayley,
     SOPolar,
@@ -138,8 +138,8 @@ class Line(Manifold):
 def test_a_manifold_that_no_family_knows_has_that_of_its_newton_steps():
     with pytest.raises(UnknownRetractionError, match="known there: none"):
         Exponential(Line())
-    assert default_retraction(Line()) == Restored(Line())
-    assert default_retraction(Line() * Sphere(2)).factors == (Restored(Line()), Exponential(Sphere(2)))
+    assert default_retraction(Line()) == ProjectionByNewton(Line())
+    assert default_retraction(Line() * Sphere(2)).factors == (ProjectionByNewton(Line()), Exponential(Sphere(2)))
 
 
 @pytest.mark.parametrize("manifold", [SPD(2), Sphere(2)], ids=str)
@@ -147,7 +147,7 @@ def test_newton_steps_of_a_manifold_lead_to_a_point_of_it_or_nowhere(manifold):
     """However long the vector is: no violation of an inequality is small beside a large point."""
     x, lengths = manifold.random_point(jax.random.key(1)), 10.0 ** np.array([0, 2, 4, 8, 12, 16, 40, 160])
     v = -manifold.random_tangent(jax.random.key(2), x)
-    for y in jax.jit(jax.vmap(lambda length: Restored(manifold)(x, length * v)))(lengths):
+    for y in jax.jit(jax.vmap(lambda length: ProjectionByNewton(manifold)(x, length * v)))(lengths):
         assert np.all(np.isnan(y)) or max(manifold.violations(y).values()) <= 1e-8
 
 

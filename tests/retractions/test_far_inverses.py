@@ -184,3 +184,23 @@ def test_what_is_no_point_is_told_so(name):
 def test_a_base_point_that_is_none_is_told_so():
     with pytest.raises(NotOnManifoldError, match="the base point is no point"):
         Exponential(SO(3)).inverse(2 * jnp.eye(3), jnp.eye(3))
+
+
+def logarithm(b: np.ndarray) -> np.ndarray:
+    """The principal logarithm of a 2 x 2 matrix with two conjugate eigenvalues, by mpmath."""
+    with mpmath.workdps(50):
+        b, eye = exact(b), mpmath.eye(2)
+        real, size = (b[0, 0] + b[1, 1]) / 2, b[0, 0] * b[1, 1] - b[0, 1] * b[1, 0]
+        imaginary = mpmath.sqrt(size - real * real)
+        log = mpmath.atan2(imaginary, real) / imaginary * (b - real * eye) + mpmath.log(size) / 2 * eye
+        return np.array(log.tolist(), float)
+
+
+def test_the_logarithm_loses_no_more_than_its_condition_towards_a_half_turn():
+    """Rounding of a matrix at the distance ``d`` from a half turn is magnified by ``1 / d``."""
+    inverse, rng = compiled(Exponential(SL(2)).inverse), np.random.default_rng(0)
+    for gap in np.geomspace(1e-2, 6e-5, 40):
+        (c, s), (e, t) = ((np.cos(a), np.sin(a)) for a in (np.pi - gap, rng.uniform(0, np.pi)))
+        stretch = np.array([[e, -t], [t, e]]) * np.array([1.5, 1 / 1.5])
+        y = stretch @ np.array([[c, -s], [s, c]]) @ np.linalg.inv(stretch)
+        np.testing.assert_allclose(inverse(np.eye(2), y), logarithm(y), rtol=0, atol=1e3 * EPS / gap)

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import DomainError, FixedRank, Grassmann, Oblique, Stiefel
+from retrax.manifolds import ComplexStiefel, DomainError, FixedRank, Grassmann, Oblique, Stiefel
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.frames import qr_factor
 from retrax.retractions import (
@@ -31,12 +31,13 @@ from tests.support.numerics import SEEDS, compiled
 LENGTHS = [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 2.0, 3.0, 3.1, np.pi - 1e-4]
 
 
+@pytest.mark.parametrize("manifold", [Stiefel(3, 2), ComplexStiefel(3, 2)], ids=str)
 @pytest.mark.parametrize("length", LENGTHS)
-def test_the_logarithm_of_frames_is_exact_below_the_injectivity_radius(length):
+def test_the_logarithm_of_frames_is_exact_below_the_injectivity_radius(manifold, length):
     # Where the exponential is nearly singular, near pi, the rounding of the point is magnified by 1 / sin.
     for seed in range(3):
-        x, v = draw(Stiefel(3, 2), seed, length)
-        y, back, there = round_trip(Exponential(Stiefel(3, 2)), x, v)
+        x, v = draw(manifold, seed, length)
+        y, back, there = round_trip(Exponential(manifold), x, v)
         np.testing.assert_allclose(back, v, atol=2e-14)
         np.testing.assert_allclose(there, y, atol=1e-14)
 
@@ -60,12 +61,15 @@ def test_inverses_on_many_columns(family):
     np.testing.assert_allclose(back, v, atol=1e-13)
 
 
-def test_the_logarithm_of_frames_reaches_the_edge_of_its_domain():
-    # One column turns by almost a half turn, the shortest way to a conjugate point.
+@pytest.mark.parametrize(
+    ("manifold", "place", "unit"), [(Stiefel(3, 2), 2, 1), (ComplexStiefel(3, 2), 2, 1j), (ComplexStiefel(3, 2), 0, 1j)]
+)
+def test_the_logarithm_of_frames_reaches_the_edge_of_its_domain(manifold, place, unit):
+    # One column turns by almost a half turn, the shortest way to a conjugate point, or in its phase, to a cut point.
     for gap in (1e-2, 1e-5, 1e-8):
-        x, v = np.eye(3)[:, :2], np.zeros((3, 2))
-        v[2, 0] = np.pi - gap
-        y, back, there = round_trip(Exponential(Stiefel(3, 2)), x, v)
+        x, v = np.eye(3, 2, dtype=manifold.ambient.dtype), np.zeros((3, 2), manifold.ambient.dtype)
+        v[place, 0] = (np.pi - gap) * unit
+        y, back, there = round_trip(Exponential(manifold), x, v)
         np.testing.assert_allclose(there, y, atol=1e-13)
         assert np.linalg.norm(back) == pytest.approx(np.pi - gap, abs=1e-13)
         np.testing.assert_allclose(back, v, atol=1e-14 / gap)
@@ -194,6 +198,9 @@ OUTSIDE = {
     "QR, a half turn": (QR(Stiefel(4, 2)), np.eye(4)[:, :2], HALF),
     "QR, a right angle": (QR(Stiefel(4, 2)), np.eye(4)[:, :2], np.eye(4)[:, 1:3]),
     "Cayley, a half turn": (Cayley(Stiefel(4, 2)), np.eye(4)[:, :2], HALF),
+    "complex polar, a right angle": (Polar(ComplexStiefel(2, 1)), np.eye(2, 1) + 0j, 1j * np.eye(2, 1)),
+    "complex QR, a right angle": (QR(ComplexStiefel(2, 1)), np.eye(2, 1) + 0j, 1j * np.eye(2, 1)),
+    "complex Cayley, a half turn": (Cayley(ComplexStiefel(2, 1)), np.eye(2, 1) + 0j, -np.eye(2, 1) + 0j),
     "exponential, the antipodal frame": (Exponential(Stiefel(3, 2)), np.eye(3)[:, :2], -np.eye(3)[:, :2]),
     "subspaces with a right angle": (Exponential(Grassmann(4, 2)), np.diag([1.0, 1, 0, 0]), np.diag([0.0, 1, 1, 0])),
     "the same, Cayley": (Cayley(Grassmann(4, 2)), np.diag([1.0, 1, 0, 0]), np.diag([0.0, 1, 1, 0])),

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from retrax.manifolds import SO, FixedRank, Grassmann, Oblique, Sphere, Stiefel
+from retrax.manifolds import SO, ComplexStiefel, FixedRank, Grassmann, Oblique, Sphere, Stiefel
 from retrax.manifolds.numerics.matrices import exponential
 from retrax.retractions import (
     QR,
@@ -41,18 +41,18 @@ def stiefel_polar(x, v):
 
 def stiefel_cayley(x, v):
     eye = np.eye(len(x))
-    p = eye - x @ x.T / 2
-    w = p @ v @ x.T - x @ v.T @ p
+    p = eye - x @ x.conj().T / 2
+    w = p @ v @ x.conj().T - x @ v.conj().T @ p
     return np.linalg.solve(eye - w / 2, (eye + w / 2) @ x)
 
 
 def stiefel_canonical(x, v):
-    p = np.eye(len(x)) - x @ x.T / 2
-    return expm(p @ v @ x.T - x @ v.T @ p) @ x
+    p = np.eye(len(x)) - x @ x.conj().T / 2
+    return expm(p @ v @ x.conj().T - x @ v.conj().T @ p) @ x
 
 
 def stiefel_exponential(x, v):
-    return expm(v @ x.T - x @ v.T) @ x @ expm(-x.T @ v)
+    return expm(v @ x.conj().T - x @ v.conj().T) @ x @ expm(-x.conj().T @ v)
 
 
 def stiefel_qr(x, v):
@@ -88,6 +88,11 @@ DEFINITIONS = {
     "exponential, St(4, 2)": (Exponential(Stiefel(4, 2)), stiefel_exponential),
     "exponential, St(5, 2)": (Exponential(Stiefel(5, 2)), stiefel_exponential),
     "Stiefel Cayley": (Cayley(Stiefel(4, 2)), stiefel_cayley),
+    "complex polar": (Polar(ComplexStiefel(3, 2)), stiefel_polar),
+    "complex QR": (QR(ComplexStiefel(3, 2)), stiefel_qr),
+    "complex Cayley": (Cayley(ComplexStiefel(3, 2)), stiefel_cayley),
+    "complex exponential, n <= 2p": (Exponential(ComplexStiefel(3, 2)), stiefel_exponential),
+    "complex exponential, n > 2p": (Exponential(ComplexStiefel(3, 1)), stiefel_exponential),
     "Grassmann exponential": (Exponential(Grassmann(4, 2)), rotated(expm)),
     "Grassmann Cayley": (
         Cayley(Grassmann(4, 2)),
@@ -99,7 +104,9 @@ DEFINITIONS = {
 
 
 @pytest.mark.parametrize("name", DEFINITIONS)
-@pytest.mark.long("exponential, St(3, 2)", "exponential, St(5, 2)")
+@pytest.mark.long(
+    "exponential, St(3, 2)", "exponential, St(5, 2)", "complex exponential, n <= 2p", "complex exponential, n > 2p"
+)
 @given(seed=SEEDS, length=st.floats(0.0, 1.0))
 def test_closed_forms_are_their_definitions(name, seed, length):
     retraction, definition = DEFINITIONS[name]

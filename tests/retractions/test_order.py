@@ -15,10 +15,10 @@ from retrax.retractions import (
     Exponential,
     ProductRetraction,
     Projection,
+    RestoredAfter,
     Retraction,
     SecondOrder,
-    Stabilized,
-    order,
+    measured_order,
 )
 
 from tests.support.cases import METRICS, RETRACTIONS
@@ -59,7 +59,7 @@ SOFTMAX = Exponential(Simplex(2))
 ORDERS = {
     "qr": (QR(SO(3)), 1),
     "corrected qr": (SecondOrder(QR(SO(3))), 2),
-    "stabilized Cayley": (Stabilized(Cayley(SO(3))), 2),
+    "stabilized Cayley": (RestoredAfter(Cayley(SO(3))), 2),
     "softmax and projection": (ProductRetraction(SOFTMAX, Projection(Sphere(2))), 1),
     "corrected softmax and projection": (ProductRetraction(SecondOrder(SOFTMAX), Projection(Sphere(2))), 2),
     "correction of a product": (SecondOrder(ProductRetraction(SOFTMAX, Projection(Sphere(2)))), 2),
@@ -79,7 +79,7 @@ ORDERS = {
 )
 def test_the_order_is_measured(name):
     retraction, expected = ORDERS[name]
-    measured = order(retraction)
+    measured = measured_order(retraction)
     assert measured.order == expected, measured
     assert expected == 0 or abs(measured.slope - expected - 1) < 0.1
     assert expected < 2 or measured.acceleration < 1e-12
@@ -88,25 +88,25 @@ def test_the_order_is_measured(name):
 @pytest.mark.parametrize("name", ["projection-H2", "quadratic-SPD2", "cayley-St42"])
 @pytest.mark.usual("projection-H2")
 def test_order_two_belongs_to_a_metric(name):
-    assert order(RETRACTIONS[name]).order == 1
-    measured = order(RETRACTIONS[name], METRICS[name])
+    assert measured_order(RETRACTIONS[name]).order == 1
+    measured = measured_order(RETRACTIONS[name], METRICS[name])
     assert measured.order == 2, measured
 
 
 @pytest.mark.slow
 def test_a_retraction_is_corrected_for_any_metric():
     retraction, lorentz = Upright(Hyperbolic(2)), LorentzMetric(Hyperbolic(2))
-    assert order(retraction, lorentz).order == 1
-    assert order(SecondOrder(retraction, lorentz), lorentz).order == 2
+    assert measured_order(retraction, lorentz).order == 1
+    assert measured_order(SecondOrder(retraction, lorentz), lorentz).order == 2
 
 
 def test_the_order_at_a_point_is_the_order_there():
     # For entries 1/3 and v = (1, -1, 0) the acceleration of x exp(v/x) is 3 (1, 1, -2)/3; for two entries of 1/2 it is
     # none.
-    measured = order(SOFTMAX, at=(jnp.full(3, 1 / 3), jnp.array([1.0, -1.0, 0.0])))
+    measured = measured_order(SOFTMAX, at=(jnp.full(3, 1 / 3), jnp.array([1.0, -1.0, 0.0])))
     assert measured.order == 1
     np.testing.assert_allclose(measured.acceleration, 1.0, rtol=1e-12)
-    assert order(Exponential(Simplex(1)), at=(jnp.full(2, 0.5), jnp.array([1.0, -1.0]))).order == 2
+    assert measured_order(Exponential(Simplex(1)), at=(jnp.full(2, 0.5), jnp.array([1.0, -1.0]))).order == 2
 
 
 def test_the_correction_takes_half_the_acceleration():
@@ -139,6 +139,6 @@ def test_long_products_stay_on_the_manifold():
         x = jax.lax.fori_loop(0, 1000, lambda _, x: retraction(x, x @ v), jnp.eye(4))
         return jnp.max(jnp.abs(x.T @ x - jnp.eye(4)))
 
-    wandering, kept = compiled(lambda _: (defects(plain), defects(Stabilized(plain))))(0)
+    wandering, kept = compiled(lambda _: (defects(plain), defects(RestoredAfter(plain))))(0)
     assert kept < 3e-15
     assert wandering > 10 * kept

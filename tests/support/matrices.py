@@ -4,7 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from .numerics import compiled, draw_point, draw_tangent
+from .numerics import compiled, draw_point, draw_tangent, unflat
 
 
 @lru_cache
@@ -29,4 +29,4 @@ def draw(manifold, seed, length):
     """A random point and a random tangent vector of this length, as matrices."""
     x, _, basis = draw_point(manifold, seed)
     v = draw_tangent(np.random.default_rng(seed), basis, length)
-    return x.reshape(manifold.ambient.shape), v.reshape(manifold.ambient.shape)
+    return tuple(np.asarray(unflat(manifold)(a)) for a in (x, v))

@@ -38,6 +38,7 @@ SMOOTH = {
     "rounding away from zero": lambda x: x * jax.lax.round(3 * x, jax.lax.RoundingMethod.AWAY_FROM_ZERO),
     "remainder": lambda x: jnp.fmod(3 * x, 0.7) * x + jnp.remainder(-3 * x, 0.7),
     "choice": lambda x: jnp.where((x > 0.4) & ~(x >= 0.9) | (x[0] <= 0.1), x**2, jnp.sin(x)),
+    "equal to one of them": lambda x: jnp.where(x == x[1], x**2, x) + jnp.where(x != x[2], jnp.sin(x), x),
     "switch": lambda x: jax.lax.switch((3 * x[0]).astype(int), [jnp.sin, jnp.cos, jnp.exp], x),
     "branch": lambda x: jax.lax.cond(x[0] != x[1], lambda x: x * x[2], jnp.sin, x),
     "is finite": lambda x: jnp.where(jnp.isfinite(x) & ~jnp.isnan(x) & jnp.logical_xor(x < 2, x == 2), x**2, 0.0),

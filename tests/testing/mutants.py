@@ -102,7 +102,7 @@ class MutantAdjoint(DifferentiatedRetraction):
     def fibre_derivative(self, x, v, w):
         return PROJECTION.fibre_derivative(x, v, w)
 
-    def fibre_adjoint(self, x, v, xi):
+    def differential_adjoint(self, x, v, xi):
         return self.pull(x, v, xi)
 
 
@@ -323,7 +323,7 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "an adjoint that is the derivative": Mutant(check_retraction, MutantAdjoint(pushed)),
     "an adjoint that is not tangent": Mutant(
-        check_retraction, MutantAdjoint(lambda x, v, xi: PROJECTION.fibre_adjoint(x, v, xi) + (x @ xi) * x)
+        check_retraction, MutantAdjoint(lambda x, v, xi: PROJECTION.differential_adjoint(x, v, xi) + (x @ xi) * x)
     ),
     "an inverse valid only near zero, said to be valid farther": Mutant(
         check_retraction, MutantInverse(EXPONENTIAL, tangential, 1.0)

@@ -28,7 +28,9 @@ def observed_order(coarse: float, middle: float, fine: float) -> float:
 @cache
 def slew(steps: int) -> Solution:
     """Rest to rest, 150 degrees about (1, 2, -2)/3 in 60 s, solved to rounding."""
-    return solve(SLEW, Midpoint(Cayley(RIGID)), (IDENTITY, REST), (SLEW_END, REST), 60.0, steps, tolerance=1e-13)
+    return solve(
+        SLEW, (IDENTITY, REST), (SLEW_END, REST), 60.0, method=Midpoint(Cayley(RIGID)), steps=steps, tolerance=1e-13
+    )
 
 
 def spatial_covector(steps: int) -> np.ndarray:
@@ -91,7 +93,9 @@ def about_the_missing_axis(steps: int) -> Solution:
     states = np.stack([rotation([r * s, 0.0, w * s]) @ rotation([0.0, 0.0, -w * s]) for s in t])
     controls = r * np.stack([np.cos(w * t), np.sin(w * t)], axis=1)
     end = rotation([0.0, 0.0, TURN])
-    return solve(SUB_RIEMANNIAN, Midpoint(Cayley(SO3)), IDENTITY, end, 1.0, steps, guess=Guess(states, controls))
+    return solve(
+        SUB_RIEMANNIAN, IDENTITY, end, 1.0, method=Midpoint(Cayley(SO3)), steps=steps, guess=Guess(states, controls)
+    )
 
 
 @pytest.mark.slow
@@ -127,7 +131,7 @@ UPRIGHT = np.array([0.0, 0.0, 1.0]), np.zeros(3)
 @cache
 def swung_up(steps: int) -> Solution:
     discretization = Midpoint(BundleRetraction(Exponential(SPHERE)))
-    return solve(PENDULUM, discretization, HANGING, UPRIGHT, 3.0, steps)
+    return solve(PENDULUM, HANGING, UPRIGHT, 3.0, method=discretization, steps=steps)
 
 
 @pytest.mark.slow

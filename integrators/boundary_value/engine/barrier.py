@@ -10,14 +10,14 @@ from .arrays import plain
 from .inequalities import VALUE, Held, Slacks, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
-FIRST = 0.3  # the first barrier, relative to the unit of the cost rate; known multipliers that leave more do not fit
-CLOSEST = 1e-24  # the barrier with which known multipliers are measured
-KNOWN = 0.03  # of what known multipliers leave unsolved, or its square if that is less: the barrier to begin with
-LOWEST = 1e-12  # such a barrier is no lower
+FIRST = 0.3  # the first barrier, relative to the unit of the cost rate
 # A barrier problem is solved to 10 mu; then mu is the smaller of mu / 5 and mu^1.5.
 SOLVED, LESS, FASTER = 10.0, 0.2, 1.5
 REACHED = 4 * EPS  # of the last barrier: one that is above it by no more is the last
 LAST = 0.1  # of the tolerance: the last barrier, relative
+# Known multipliers are followed for a step from each of these barriers, the first the last one of a usual tolerance. Of
+# what slacks or multipliers lack then a share, squared, is the barrier to begin with; a higher one does not fit.
+LEVELS, FOLLOWED, FITS = (LAST * EPS**0.7, 1e-7, 1e-5, 1e-3, 1e-2), 0.1, 0.1
 PRICE, DEARER, DEAREST = 10.0, 3.0, 1e6  # of an excess, relative to the units of the cost rate and of the inequality
 TELLS = 0.1  # of its unit: above this barrier excesses are left whatever they cost
 NEAR = 0.5  # of its price, a multiplier says that it is too low
@@ -72,18 +72,22 @@ class Barrier(NamedTuple):
         price = np.where(held.values < -INSIDE * self.unit, np.inf, PRICE * self.price)
         return central(held, FIRST * self.rate, price)
 
-    def near(self, held: Held, multipliers: np.ndarray, barrier: np.ndarray) -> Slacks:
-        """The slacks and multipliers with ``nu s = mu`` and ``s - k nu = -g - k nu_0``: those nearest to ``-g`` and to
-        known multipliers, where ``k`` makes them of one unit.
+    def lacks(self, held: Held, slacks: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
+        """By how much a slack or a multiplier is below zero, in its unit, shape (B,)."""
+        least = np.minimum(slacks / self.unit, multipliers / self.multiplier)
+        return np.where(held.asked, -least, 0.0).max(axis=(1, 2, 3), initial=0.0)
+
+    def near(self, held: Held, slacks: np.ndarray, multipliers: np.ndarray, barrier: np.ndarray) -> Slacks:
+        """The slacks and multipliers with ``nu s = mu`` that are nearest to given ones, which may be negative: ``s - k
+        nu`` stays as it is, where ``k`` makes them of one unit.
 
         ``barrier``: relative to the unit of the cost rate. Nothing is elastic: an inequality that pulls and does not
         hold is left so. The slack of a bound that no iterate leaves is ``-g``, and its multiplier the known one.
         """
         held, kept = self._inside(held), self.kept[:, None, None]
         mu, k = (barrier * self.rate)[:, None, None, None], self.unit / self.price
-        apart = -held.values - k * multipliers
-        root = np.sqrt(apart * apart + 4 * k * mu)
-        more = (root + np.abs(apart)) / 2
+        apart = np.where(kept, -held.values, slacks - k * multipliers)
+        more = (np.sqrt(apart * apart + 4 * k * mu) + np.abs(apart)) / 2
         slacks = np.where(held.asked, np.where(apart > 0, more, k * mu / more), 1.0)
         own = np.where(held.asked, np.maximum(mu / slacks, np.where(kept, multipliers, 0.0)), 0.0)
         return Slacks(slacks, own, np.zeros_like(own), np.full_like(own, np.inf), barrier * self.rate)

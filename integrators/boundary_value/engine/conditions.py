@@ -9,7 +9,8 @@ import numpy as np
 from ....manifolds.numerics.ambient import joined, taken
 from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier
-from .beginning import in_units, started
+from .batches import merged
+from .beginning import forgotten, in_units, started, warmed
 from .elimination import BlockSystem, clear_pivot, eliminate, is_strict_minimum
 from .extent import extent
 from .inequalities import Held, Slacks, Surveyed, fitted, moved, turned
@@ -159,8 +160,17 @@ class Conditions:
         return Setting.of(self)
 
     def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
-        """The first iterate with its system; takes the units from it."""
-        return started(self, *in_units(self, guess))
+        """The first iterate with its system; takes the units from it.
+
+        Multipliers of inequalities that do not fit tell nothing, nor do the costates that came with them.
+        """
+        first, assembled = in_units(self, guess)
+        if first.slacks is None:
+            return first, assembled
+        iterate, fits = warmed(self, guess, started(self, first, assembled), [assembled])
+        if not fits.all():
+            return self.begin(merged(fits, guess, forgotten(self, guess)))
+        return iterate, self.assemble(iterate)
 
     def appraised(self, iterate: Iterate, assembled: Assembled) -> Appraisal:
         """How far iterates are from satisfying the conditions, and what they are compared by; asked for several times

@@ -9,7 +9,8 @@ import numpy as np
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .barrier import DEARER
-from .beginning import in_units, started
+from .batches import merged
+from .beginning import forgotten, in_units, started, warmed
 from .border import Response, Solved, responses, solve_border
 from .conditions import LEAST, Conditions
 from .coupling import Coupled, Coupling
@@ -79,7 +80,18 @@ class JointConditions:
         return np.concatenate([mask == 0 for pair in masks for mask in pair])
 
     def begin(self, guess: JointIterate) -> tuple[JointIterate, JointAssembled]:
-        """The first iterate with its system; takes the units from it, those of the cost from all phases together."""
+        """The first iterate with its system; takes the units from it."""
+        first = self.in_units(guess)
+        parts = tuple(started(phase, *own) for phase, own in zip(self.phases, first, strict=True))
+        iterate, fits = warmed(self, guess, JointIterate(parts, guess.multipliers), [own[1] for own in first])
+        if not fits.all():
+            bare = tuple(forgotten(phase, part) for phase, part in zip(self.phases, guess.parts, strict=True))
+            return self.begin(merged(fits, guess, JointIterate(bare, np.zeros_like(guess.multipliers))))
+        return iterate, self.assemble(iterate)
+
+    def in_units(self, guess: JointIterate) -> list[tuple[Iterate, Assembled]]:
+        """The phases of the guess, with inequalities that do not pull yet, and their systems, from which the units are
+        taken, those of the cost from all phases together."""
         coupled, paid = self._coupled(guess)
         first = [in_units(phase, part, pay) for phase, part, pay in zip(self.phases, guess.parts, paid, strict=True)]
         self._measure(coupled, first)
@@ -94,9 +106,7 @@ class JointConditions:
         rows = np.sum(np.abs(coupled.jacobian) * ends[:, None], axis=2)
         units = np.concatenate([nodes, np.where((rows > 0) & np.isfinite(rows), rows, 1.0)], axis=1)
         self.units = JointUnits(units, self.phases[0].measured.cost)
-        begun = [started(phase, *own, pay) for phase, own, pay in zip(self.phases, first, paid, strict=True)]
-        parts, systems = zip(*begun, strict=True)
-        return JointIterate(parts, guess.multipliers), JointAssembled(self._in_scale(systems, coupled), coupled)
+        return first
 
     def _measure(self, coupled: Coupled, first: list[tuple[Iterate, Assembled]]) -> None:
         """Units of the phases in which the equations between the ends ask for no more than a trajectory of size one."""

@@ -41,8 +41,9 @@ def newton(
     they have to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
     inequalities contradict each other near the guess, or the ends, the trajectory that violates them least is a guess
     once more: its jam may be of the way there. Last comes a feasibility phase, from whose trajectory a search sets out
-    in a narrow funnel: nothing is contradictory where it has met everything. Success is judged in units of what is
-    found: where these are far less than those of the guess, that is a guess once more.
+    in a narrow funnel: nothing is contradictory where it has met everything. Without controls it comes wherever no
+    minimum was found. Success is judged in units of what is found: where these are far less than those of the guess,
+    that is a guess once more.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
@@ -85,8 +86,14 @@ def _is_near(found: Found) -> np.ndarray:
 
 def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
     """What is found from feasible trajectories near the guesses, where nothing else has found anything; inequalities
-    that hold on such a trajectory do not contradict each other."""
-    members = np.flatnonzero(~(found.claimed | found.falling | _is_near(found)))
+    that hold on such a trajectory do not contradict each other.
+
+    Without controls there is a feasible trajectory for each start and parameters, and only a minimum fits best.
+    """
+    phases = getattr(search.conditions, "phases", (search.conditions,))
+    fits = not any(phase.transcription.controls.dimension for phase in phases)
+    settled = found.claimed & found.strict_minimum if fits else found.claimed | _is_near(found)
+    members = np.flatnonzero(~(settled | found.falling))
     if found.stopped or not members.size:
         return found
     phase = Restoration(search.conditions.of(members), taken(guess, members), search.tolerance, _seen(search, members))
@@ -129,7 +136,9 @@ def _tried(
     options = search.tolerance, search.max_iterations, _seen(search, members)
     alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width)
     again = alone.ended(guess)
-    again = again._replace(iterations=found.iterations[members] + again.iterations)
+    counts = found.iterations.copy()
+    counts[members] += again.iterations
+    found, again = found._replace(iterations=counts), again._replace(iterations=counts[members])
     claimed, cost = found.claimed[members], found.assembled.cost[members]
     better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}

@@ -32,7 +32,7 @@ def _measured_again(conditions: Any, iterate: Any, assembled: Any) -> Any:
     again = copy(conditions)
     if conditions.joint:
         again.phases = tuple(map(copy, conditions.phases))
-        again.begin(iterate)
+        again.in_units(iterate)
     elif iterate.slacks is None:
         again.units = first_units(again, iterate, assembled)
     else:

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Shaped
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.matrices import exponential
 from ....manifolds.numerics.precision import same_point
-from ....manifolds.numerics.tolerances import HALF, tolerance
+from ....manifolds.numerics.tolerances import tolerance
 
 Matrix = Shaped[Array, "n n"]
 
@@ -28,9 +28,10 @@ def logarithm(a: Matrix) -> Matrix:
     root, _ = jax.lax.scan(lambda b, _: (_product_root(b, _LATER), None), root, length=_HALVINGS - 1)
     log = 2.0**_HALVINGS * gregory(root)
     step = jax.lax.stop_gradient(_newton_step(log, a))
-    # Near a half turn, at a distance d, the roots err by eps / d^2 and Newton's method converges from errors below d.
+    # Near a half turn, at a distance d, the roots err by eps / d^2 and Newton's method converges from errors below d:
+    # from those below eps^(1/3).
     error = vec.size(step)
-    log = log + jnp.where(error < tolerance(a, HALF), step, 0.0)
+    log = log + jnp.where(error < tolerance(a, 1 / 3), step, 0.0)
     return jnp.where(error < tolerance(a, 0.25), log, jnp.nan)
 
 

@@ -66,10 +66,9 @@ def _(manifold: LevelSet, x: Array) -> Array:
     return manifold.equations(x)
 
 
-@equations.register(SO)
-@equations.register(Stiefel)
-def _(manifold: SO | Stiefel, x: Array) -> Array:
-    return _upper(x.T @ x - jnp.eye(x.shape[1]))
+@equations.register
+def _(manifold: SO | U | Stiefel, x: Array) -> Array:
+    return _gram(x)
 
 
 @equations.register
@@ -79,13 +78,8 @@ def _(manifold: SE, x: Array) -> Array:
 
 
 @equations.register
-def _(manifold: U, x: Array) -> Array:
-    return _unitary(x)
-
-
-@equations.register
 def _(manifold: SU, x: Array) -> Array:
-    return jnp.append(_unitary(x), jnp.imag(jnp.linalg.det(x)))
+    return jnp.append(_gram(x), jnp.imag(jnp.linalg.det(x)))
 
 
 @equations.register
@@ -112,6 +106,7 @@ def _upper(a: Array, offset: int = 0) -> Array:
     return a[np.triu_indices(a.shape[0], offset)]
 
 
-def _unitary(x: Array) -> Array:
-    gram = x.conj().T @ x - jnp.eye(x.shape[0])
-    return jnp.concatenate([_upper(gram.real), _upper(gram.imag, 1)])
+def _gram(x: Array) -> Array:
+    """The entries of ``x'x - I`` of which the others follow."""
+    gram = x.conj().T @ x - jnp.eye(x.shape[1])
+    return jnp.concatenate([_upper(gram.real), _upper(gram.imag, 1)]) if jnp.iscomplexobj(x) else _upper(gram)

@@ -13,6 +13,7 @@ from ..manifolds import (
     SU,
     AffineInvariantMetric,
     CanonicalMetric,
+    ComplexStiefel,
     EmbeddedMetric,
     Euclidean,
     Grassmann,
@@ -98,7 +99,7 @@ def exponential_map(metric: Metric) -> Retraction:
             return ProductRetraction(*map(exponential_map, metric.factors))
         case PowerMetric():
             return PowerRetraction(exponential_map(metric.factor), metric.k)
-        case CanonicalMetric():
+        case CanonicalMetric() if not isinstance(manifold, ComplexStiefel):
             return StiefelCanonicalExponential(metric.manifold)
         case EmbeddedMetric(manifold=SE() as group):
             return SEDecoupled(group)

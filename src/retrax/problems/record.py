@@ -65,12 +65,13 @@ class KnownProblem:
             return None
         return Guess(*self.path(stage_places(self.discretization, fractions_of(self.steps))))
 
-    def solve(self, steps: Any = None, discretization: Method | None = None, **options: Any) -> Solution:
+    def solve(self, steps: Any = None, method: Method | None = None, **options: Any) -> Solution:
         """Solve the problem from its default guess; the arguments are those of ``solve``, and take the place of the
         record's."""
-        posed = replace(self, steps=self.steps if steps is None else steps, method=discretization or self.method)
+        posed = replace(self, steps=self.steps if steps is None else steps, method=method or self.method)
         given = {"guess": posed.guess, "accuracy": self.accuracy, **options}
-        return solve(self.problem, posed.discretization, self.start, self.end, self.horizon, posed.steps, **given)
+        given = {"method": posed.discretization, "steps": posed.steps, **given}
+        return solve(self.problem, self.start, self.end, self.horizon, **given)
 
     def distance(self, cost: float) -> float:
         """How far a cost is from the optimum, relative to it; absolutely where it is zero. Negative for a better

@@ -96,7 +96,8 @@ def _candidates(manifold: Manifold) -> Iterator[Any]:
         np.where(np.arange(units.shape[1]) < rank, units, 0.0).reshape(leaf.shape)
         for rank in range(1, 1 + min(units.shape))
     ]
-    arrays += [a.reshape(-1)[::-1].reshape(leaf.shape) for a in arrays[:1]]
-    arrays += [zero + 1 / max(leaf.size, 1)] * (leaf.ndim == 1 and leaf.size > 0)
+    if leaf.size > 1:
+        arrays += [arrays[0].reshape(-1)[::-1].reshape(leaf.shape)]
+        arrays += [zero + 1 / leaf.size] * (leaf.ndim == 1)
     wrapped = jax.tree.structure(manifold.ambient)
     yield from (jax.tree.unflatten(wrapped, [jnp.asarray(a, leaf.dtype)]) for a in (zero, *arrays))

@@ -6,11 +6,11 @@ import jax.numpy as jnp
 import numba
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, Solver
+from retrax.integrators import OptimalControlProblem, Phase, Solver, solve_phases
 from retrax.integrators.boundary_value.engine.stopwatch import Stopwatch
 from retrax.integrators.compiling import told
 from retrax.manifolds import Euclidean
-from retrax.retractions import Exponential, Midpoint
+from retrax.retractions import Addition, Exponential, Midpoint
 
 
 def test_kernels_that_compile_are_counted_apart():
@@ -69,3 +69,18 @@ def test_the_seconds_of_a_solve_are_those_that_it_takes(evaluator):
         assert first_compiled > 0.7 * first
         assert first_run < 0.3 * first
     assert compiled < 0.2 * first_compiled
+
+
+@pytest.mark.parametrize("compiling", [0.0, 1e3])
+def test_the_seconds_of_phases_are_counted_once(compiling, monkeypatch):
+    """By a clock that stands: what takes no time after the iteration adds nothing."""
+    line = Euclidean(1)
+    problem = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, 1)
+    monkeypatch.setattr(Stopwatch, "seconds", lambda self: (compiling, 1.0))
+    began = time.perf_counter()
+    ends = {"start": np.zeros(1)}, {"end": np.ones(1)}
+    found = solve_phases([Phase(problem, Midpoint(Addition(line)), 2, 1.0, **end) for end in ends])
+    spent = time.perf_counter() - began
+    for own in found.phases:
+        assert own.statistics.run_seconds == 1.0
+        assert compiling <= own.statistics.compile_seconds <= compiling + spent

@@ -112,7 +112,7 @@ def test_nothing_is_built_on_equations_that_are_irregular():
     for build in (
         lambda: c.manifold,
         lambda: singular_integrator(c, midpoint),
-        lambda: solve(problem, midpoint, jnp.zeros(2), jnp.array([1.0, 0.0]), 1.0, 10, classification=c),
+        lambda: solve(problem, jnp.zeros(2), jnp.array([1.0, 0.0]), 1.0, method=midpoint, steps=10, classification=c),
     ):
         with pytest.raises(InvalidInputError, match="the equations of P_f are irregular"):
             build()

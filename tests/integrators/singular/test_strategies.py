@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jaxtyping import Array
-from retrax.integrators import Composition, OptimalControlProblem, classify, form_defect, integrate
+from retrax.integrators import Composition, OptimalControlProblem, classify, integrate, symplecticity_defect
 from retrax.integrators.initial_value.step import StepResult
 from retrax.integrators.singular import SingularIntegrator, singular_integrator
 from retrax.integrators.singular.integrability.jets import hamiltonian_field
@@ -60,7 +60,7 @@ def gap_after(classification, method, z, h):
 def one_step(name, method, h):
     """Largest change of ``omega_f`` over one step, and the equations of ``P_f`` at the end."""
     classification, z = classified(name), start(name)
-    change = form_defect(classification.presymplectic, method, classification.problem, z, h)
+    change = symplecticity_defect(classification.presymplectic, method, classification.problem, z, h)
     return float(change), float(gap_after(classification, method, z, jnp.asarray(h)))
 
 

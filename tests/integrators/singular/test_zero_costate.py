@@ -49,7 +49,7 @@ def problem(rate=0.0, price=0.0, turn=0.0, pull=0.0, unit=1.0, tilt=0.0, bend=1.
 def answer(given: OptimalControlProblem, end: np.ndarray | None = None) -> tuple[bool, float, float] | str:
     """Success, cost and end from ``x = 0``, by default to a free end; the message where the problem is refused."""
     try:
-        found = solve(given, Midpoint(Addition(LINE)), np.zeros(1), end, 1.0, 4, throw=False)
+        found = solve(given, np.zeros(1), end, 1.0, method=Midpoint(Addition(LINE)), steps=4, throw=False)
     except InvalidInputError as error:
         return str(error)
     return found.success, found.cost, float(found.states[-1, 0])
@@ -124,10 +124,10 @@ def test_the_free_part_of_an_end_is_brought_to_where_its_cost_is_least():
     """``x' = u1``, ``y' = u2`` at the terminal cost ``x + (y - 1)^2/2``, with ``x(1)`` prescribed or free."""
     given = STEEP_IN_ONE
     start, rest = (np.zeros(1), np.zeros(1)), (np.full(1, 2.0), None)
-    found = solve(given, Midpoint(default_retraction(PAIR)), start, rest, 1.0, 4)
+    found = solve(given, start, rest, 1.0, method=Midpoint(default_retraction(PAIR)), steps=4)
     np.testing.assert_allclose(found.states[1][-1], 1, rtol=1e-12)
     with pytest.raises(InvalidInputError, match=r"exclude_zero_costate=False admits it"):
-        solve(given, Midpoint(default_retraction(PAIR)), start, None, 1.0, 4)
+        solve(given, start, None, 1.0, method=Midpoint(default_retraction(PAIR)), steps=4)
 
 
 @pytest.mark.slow
@@ -139,6 +139,6 @@ def test_the_size_of_a_contradiction_has_no_unit_of_the_cost():
             given = problem(rate=rate, unit=unit, tilt=1.0, bend=0.0)
             c = classify(given, exclude_zero_costate=False)
             with pytest.raises(InvalidInputError, match="the boundary data admit no extremal") as caught:
-                solve(given, Midpoint(Addition(LINE)), np.zeros(1), None, 1.0, 4, classification=c)
+                solve(given, np.zeros(1), None, 1.0, method=Midpoint(Addition(LINE)), steps=4, classification=c)
             sizes |= {abs(float(size)) for size in re.findall(r"equation = (\S+) \(relative\)", str(caught.value))}
     assert sizes == {1.0}

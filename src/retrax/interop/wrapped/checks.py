@@ -31,7 +31,10 @@ def _describe_point(host: HostSpace, seed: int) -> str:
     """Words on what is wrong with a random point and its tangent space; empty if nothing is."""
     x = np.asarray(host.random_point(seed))
     if np.iscomplexobj(x):
-        return "its points are complex; this door takes real arrays (map them to real ones, or use U(n), SU(n))"
+        return (
+            "its points are complex; this door takes real arrays (map them to real ones, or use U(n), SU(n), "
+            "ComplexStiefel(n, p))"
+        )
     if x.shape != host.shape:
         return f"its points have shape {x.shape} where it says {host.shape}"
     units = np.eye(x.size).reshape(-1, *x.shape)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...retractions import DifferentiatedRetraction, Retraction, differentiated, fibre_adjoint
+from ...retractions import DifferentiatedRetraction, Retraction, differential_adjoint, differentiated
 from ..facts import Facts, Sample
 from ..numerics import Vector, along, flat, unflat
 from ..report import Comparison, Inapplicable, fact
@@ -63,7 +63,7 @@ def _adjoints(retraction: Retraction, sample: Sample) -> dict:
     back, x, v = unflat(retraction.manifold), sample["x"], sample["v"]
     return {
         "differentiated": flat(differentiated(retraction, back(x), back(v), back(sample["w"]))),
-        "adjoint": flat(fibre_adjoint(retraction, back(x), back(v), back(sample["c"]))),
+        "adjoint": flat(differential_adjoint(retraction, back(x), back(v), back(sample["c"]))),
     }
 
 

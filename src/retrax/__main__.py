@@ -1,0 +1,45 @@
+"""``python -m retrax`` prints the versions and settings that a bug report needs."""
+
+import os
+import platform
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+import jax
+
+from . import __version__
+
+PACKAGES = "numpy", "scipy", "jax", "jaxlib", "equinox", "casadi", "numba", "geomstats", "pymanopt", "matplotlib"
+VARIABLES = "JAX_", "XLA_", "PJRT_", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_"  # beginnings of names that change results
+
+
+def installed(package: str) -> str:
+    """The version of a package, or ``not installed``."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def main() -> None:
+    """Print them."""
+    config: Any = jax.config
+    rows = {
+        "retrax": __version__,
+        "Python": f"{platform.python_version()} on {platform.platform()}",
+        **{package: installed(package) for package in PACKAGES},
+        "evaluator": "tape" if installed("numba") != "not installed" else "xla, because Numba is not installed",
+        "precision": "double" if config.jax_enable_x64 else "single, until jax_enable_x64 is set",
+        "devices of JAX": ", ".join(str(device) for device in jax.devices()),
+        "threads": f"{os.cpu_count()} processors",
+        "kernels kept in": os.environ.get("NUMBA_CACHE_DIR") or "__pycache__ beside the files of retrax",
+        "XLA programs kept in": config.jax_compilation_cache_dir or "no folder",
+        **{name: value for name, value in sorted(os.environ.items()) if name.startswith(VARIABLES)},
+    }
+    width = max(map(len, rows))
+    for name, value in rows.items():
+        print(f"{name:<{width}}  {value}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,183 @@
+"""Mistakes of newcomers: each ends in a sentence that says what to try, in a traceback of at most eight lines."""
+
+import linecache
+import re
+import traceback
+
+import pytest
+
+MOST_LINES = 8
+SETTING = """
+import math
+import casadi as ca
+import jax
+import jax.numpy as jnp
+import numpy as np
+from retrax import SO, Cayley, Euclidean, Gauss, Guess, Midpoint, OptimalControlProblem, Phase
+from retrax import hat, integrate, solve, solve_phases
+from retrax.integrators import SymplecticIntegrator
+from scipy.spatial.transform import Rotation
+
+J = jnp.array([1.0, 2.0, 3.0])
+Q = SO(3) * Euclidean(3)
+START, END = (np.eye(3), np.zeros(3)), (Rotation.from_rotvec([0.4, 0.2, -0.3]).as_matrix(), np.zeros(3))
+LINE, PLANE = Euclidean(1), Euclidean(2)
+
+
+def dynamics(q, u):
+    R, w = q
+    return R @ hat(w), (u - jnp.cross(w, J * w)) / J
+
+
+def effort(q, u):
+    return u @ u / 2
+
+
+def cart(q, u):
+    return jnp.stack([q[1], u[0]])
+
+
+def slew(dynamics=dynamics, effort=effort, controls=3, end=END, horizon=1.0, method=None, steps=3):
+    problem = OptimalControlProblem(Q, dynamics, effort, controls)
+    return solve(problem, START, end, horizon, method=method or Midpoint(Cayley(Q)), steps=steps)
+
+
+def move(dynamics=cart, effort=effort, controls=1, start=(0.0, 0.0), end=(1.0, 0.0), **o):
+    problem = OptimalControlProblem(PLANE, dynamics, effort, controls, **o)
+    return solve(problem, start, end, 1.0, method=Midpoint(Cayley(PLANE)), steps=3)
+
+
+PROBLEM = OptimalControlProblem(Q, dynamics, effort, 3)
+METHOD = Midpoint(Cayley(Q))
+"""
+MISTAKES = {
+    # In the user's own functions.
+    "numpy in dynamics": ("move(lambda q, u: np.array([q[1], u[0]]))", "jnp"),
+    "numpy sin": ("move(lambda q, u: jnp.stack([q[1], np.sin(float(q[0])) + u[0]]))", "jnp.sin in place of np.sin"),
+    "math sin": ("move(lambda q, u: jnp.stack([q[1], math.sin(q[0]) + u[0]]))", "jnp.sin"),
+    "math sqrt": ("move(effort=lambda q, u: math.sqrt(u @ u))", "jnp"),
+    "if": ("move(lambda q, u: jnp.stack([q[1], u[0]]) if q[0] > 0 else jnp.stack([q[1], 2 * u[0]]))", "jnp.where"),
+    "and": ("move(effort=lambda q, u: u @ u if q[0] > 0 and q[1] > 0 else 2 * u @ u)", "jnp.where"),
+    "while": ("move(effort=lambda q, u: [1 for _ in iter(lambda: bool(q[0] > 0), False)] and u @ u)", "jnp.where"),
+    "max": ("move(effort=lambda q, u: max(u[0], 0.0) ** 2)", "jnp.maximum in place of max"),
+    "float": ("move(effort=lambda q, u: float(u[0]) ** 2)", "without float"),
+    "int index": ("move(lambda q, u: jnp.stack([q[1], [1.0, 2.0][int(q[0])] * u[0]]))", "without int"),
+    "item assignment": (
+        "def f(q, u):\n    v = jnp.zeros(2)\n    v[0] = q[1]\n    return v\nmove(f)",
+        r"jnp.stack\(\[\.\.\.\]\)",
+    ),
+    "numpy item assignment": (
+        "def f(q, u):\n    v = np.zeros(2)\n    v[0] = q[1]\n    return v\nmove(f)",
+        r"jnp.stack",
+    ),
+    "list": ("move(lambda q, u: [q[1], u[0]])", "jax.numpy.array"),
+    "tuple": ("move(lambda q, u: (q[1], u[0]))", "jax.numpy.array"),
+    "too long": ("move(lambda q, u: jnp.stack([q[1], u[0], u[0]]))", r"shape \(2,\), got \(3,\)"),
+    "missing component": ("slew(lambda q, u: q[0] @ hat(q[1]))", "structure"),
+    "nothing returned": ("move(lambda q, u: None)", "got"),
+    "cost is an array": ("move(effort=lambda q, u: u)", "scalar"),
+    "cost is None": ("move(effort=lambda q, u: None)", "number"),
+    "three controls read": ("move(lambda q, u: jnp.stack([q[1], u[2]]))", "index|control"),
+    "six states read": ("move(lambda q, u: jnp.stack([q[5], u[0]]))", "index|state"),
+    "unpacked wrongly": ("slew(lambda q, u: (q[0] @ hat(q[1]), u - q[2]))", "index"),
+    "shapes that do not fit": ("move(lambda q, u: jnp.stack([q[1], u[0]]) + jnp.zeros(3))", "shape"),
+    "matrix product": ("slew(effort=lambda q, u: u @ jnp.eye(4) @ u)", "shape|dot"),
+    "undefined name": ("move(lambda q, u: jnp.stack([q[1], unknown * u[0]]))", "unknown"),
+    "attribute of a point": ("move(lambda q, u: jnp.stack([q.speed, u[0]]))", "speed"),
+    "division of lists": ("slew(lambda q, u: (q[0] @ hat(q[1]), u / [1.0, 2.0, 3.0]))", "array|operand"),
+    "casadi": ("move(lambda q, u: ca.vertcat(q[1], u[0]))", "jax.numpy|JAX|array"),
+    "casadi cost": ("move(effort=lambda q, u: ca.sumsqr(u))", "jax.numpy|JAX|number|array"),
+    "print format": ("move(effort=lambda q, u: [f'{u[0]:.2f}'] and u @ u)", "jax.numpy|format"),
+    "fails by itself": ("def f(q, u):\n    raise RuntimeError('mine')\nmove(f)", "mine"),
+    # Arguments of functions.
+    "arguments exchanged": ("slew(lambda u, q: dynamics(q, u))", r"its arguments are \(q, u\)"),
+    "time first": ("move(lambda t, q, u: cart(q, u))", "time_dependent=True"),
+    "time last": ("move(lambda q, u, t: cart(q, u))", "time_dependent=True"),
+    "one argument": ("move(lambda q: q)", r"function of \(q, u\)"),
+    "no function": ("move(effort=1.0)", r"function of \(q, u\), got 1.0"),
+    "end cost of two": ("move(terminal_cost=lambda q, u: q @ q)", "terminal_cost has the arguments"),
+    # What makes a problem.
+    "wrong number of controls": ("slew(controls=4)", "control"),
+    "controls a name": ("slew(controls='u')", "controls must be a Manifold"),
+    "bounds reversed": ("move(control_bounds=(1.0, -1.0))", "lower"),
+    "bounds a number": ("move(control_bounds=1.0)", r"\(-1.0, 1.0\)"),
+    "bounds of three": ("move(control_bounds=(-np.ones(3), np.ones(3)))", "shape"),
+    "misspelt keyword": ("move(controls_bounds=(-1.0, 1.0))", "did you mean control_bounds"),
+    "umax": ("move(umax=1.0)", "control_bounds"),
+    "constraint no dictionary": ("move(constraints=lambda q, u: q[0])", "constraints"),
+    "manifold a class": ("OptimalControlProblem(SO, dynamics, effort, 3)", "manifold must be a Manifold"),
+    "no cost": ("OptimalControlProblem(Q, dynamics)", "missing a required argument: 'running_cost'"),
+    # Ends.
+    "quaternion": ("slew(end=(np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)))", r"shape \(3, 3\)"),
+    "reflection": ("slew(end=(np.diag([1.0, 1.0, -1.0]), np.zeros(3)))", "det x"),
+    "a Rotation": ("slew(end=(Rotation.identity(), np.zeros(3)))", r"as_matrix\(\)"),
+    "angles": ("slew(end=(np.array([0.1, 0.2, 0.3]), np.zeros(3)))", r"shape \(3, 3\)"),
+    "end off the manifold": ("slew(end=(1.1 * np.eye(3), np.zeros(3)))", "not on SO"),
+    "one factor": ("slew(end=np.eye(3))", "structure"),
+    "nan": ("slew(end=(np.nan * np.eye(3), np.zeros(3)))", "NaN"),
+    "too many numbers": ("move(end=[1.0, 0.0, 0.0])", r"shape \(2,\), got \(3,\)"),
+    "text": ("move(end='there')", "got"),
+    # The call.
+    "no horizon": ("solve(PROBLEM, START, END)", "'horizon'"),
+    "horizon none": ("slew(horizon=None)", "positive finite time"),
+    "horizon negative": ("slew(horizon=-1.0)", "positive finite time"),
+    "horizon a tuple": ("slew(horizon=(0.0, 1.0))", "positive finite time"),
+    "steps a float": ("slew(steps=20.0)", "whole number"),
+    "steps positional": ("solve(PROBLEM, START, END, 1.0, 20)", "named, as steps=20"),
+    "method a retraction": ("slew(method=Cayley(Q))", r"Midpoint\("),
+    "method a name": ("slew(method='gauss')", "discretization map"),
+    "method of another manifold": ("slew(method=Midpoint(Cayley(SO(3))))", "acts on"),
+    "tf": ("solve(PROBLEM, START, END, tf=1.0)", "missing|no option 'tf'"),
+    "guess an array": ("solve(PROBLEM, START, END, 1.0, method=METHOD, steps=3, guess=np.zeros((3, 3)))", "Guess"),
+    "guess of other length": (
+        "solve(PROBLEM, START, END, 1.0, method=METHOD, steps=3, guess=Guess((np.zeros((5, 3, 3)), np.zeros((5, 3))), "
+        "np.zeros((5, 3))))",
+        "guess|shape",
+    ),
+    "parameters that nothing takes": (
+        "solve(PROBLEM, START, END, 1.0, steps=3, method=METHOD, parameters=2.0)",
+        "param",
+    ),
+    "tolerance of zero": ("solve(PROBLEM, START, END, 1.0, steps=3, method=METHOD, tolerance=0)", "tolerance"),
+    "accuracy of two": ("solve(PROBLEM, START, END, 1.0, accuracy='high')", "accuracy"),
+    "hamiltonian of one": (
+        "integrate(lambda q: q @ q, SymplecticIntegrator(Gauss(1, Cayley(LINE))), (J[:1], J[:1]), 0.1, 2)",
+        "q, p",
+    ),
+    "a phase alone": ("solve_phases(Phase(PROBLEM, METHOD, 3, 1.0))", "phase"),
+}
+
+
+def shown(source: str) -> list[str]:
+    """The lines of the traceback that the interpreter shows for a program."""
+    name = f"<mistake {abs(hash(source))}>"
+    linecache.cache[name] = (len(source), None, source.splitlines(keepends=True), name)
+    try:
+        exec(compile(source, name, "exec"), dict(SPACE))
+    except Exception as error:
+        frames = traceback.TracebackException.from_exception(error)
+        frames.stack[:] = [frame for frame in frames.stack if frame.filename not in (__file__, "<setting>")]
+        return "".join(frames.format()).splitlines()
+    return []
+
+
+SPACE: dict[str, object] = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def setting():
+    name = "<setting>"
+    linecache.cache[name] = (len(SETTING), None, SETTING.splitlines(keepends=True), name)
+    exec(compile(SETTING, name, "exec"), SPACE)
+    yield
+    SPACE.clear()
+
+
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_mistake_ends_in_a_sentence_on_a_screen(name, monkeypatch):
+    monkeypatch.delenv("RETRAX_TRACEBACK", raising=False)
+    source, words = MISTAKES[name]
+    lines = shown(source)
+    assert lines, "nothing is raised"
+    assert re.search(words, lines[-1]), "\n".join(lines)
+    assert len(lines) <= MOST_LINES + ("retrax" not in lines[-1].partition(":")[0])
