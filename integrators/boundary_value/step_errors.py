@@ -86,13 +86,14 @@ class Estimator:
     def __call__(self, solution: Solution, parameters: Any = None, switches: np.ndarray | None = None) -> StepErrors:
         """The errors; controls may jump at the nodes that are ``switches``."""
         with one_reading(), np.errstate(all="ignore"):
-            excess, free, violations = self._inequalities(solution, parameters)
+            excess, free, bent, violations = self._inequalities(solution, parameters)
             share = np.diff(solution.times)[:, None] / (solution.times[-1] - solution.times[0])
             # Exactly zero: no entry of the control is in the derivative.
             linear = np.max(self.curvature(solution, parameters), axis=0) == 0
             weights = np.where(linear, share**2, share)
-            over = np.max(weights, axis=1) * np.max(excess[:, ~free], axis=1, initial=0.0) ** 2
-            controls, rough = self._controls(solution, weights, switches)
+            steps = np.where(bent, share, np.max(weights, axis=1, keepdims=True))
+            over = np.max((steps * excess**2)[:, ~free], axis=1, initial=0.0)
+            controls, rough = self._controls(solution, share, weights, switches)
             alone = np.max(excess[:, free], axis=1, initial=0.0)
             controls = np.maximum(controls, over)
             return StepErrors(self._states(solution, parameters), controls, alone, violations, rough)
@@ -122,12 +123,14 @@ class Estimator:
         return spreads, sizes
 
     def _controls(
-        self, solution: Solution, weights: np.ndarray, switches: np.ndarray | None
+        self, solution: Solution, share: np.ndarray, weights: np.ndarray, switches: np.ndarray | None
     ) -> tuple[np.ndarray, np.ndarray]:
         times, count = solution.times, solution.steps
         at = solution.stage_times.reshape(count, -1)
         rows = self.propagator.control.rows(solution.controls, 1).reshape(*at.shape, self.propagator.control.size)
-        size = np.max(np.abs(rows), axis=(0, 1), initial=0.0)
+        most = np.max(np.abs(rows), axis=(0, 1), initial=0.0)
+        # The root of the mean square, to which a cost is in proportion; no more is wrong than all of a control.
+        size = np.where(most > 0, np.sqrt(np.sum(share * np.mean(rows**2, axis=1), axis=0)), 1.0)
         linked = np.ones(count - 1, bool)
         linked[[] if switches is None else np.asarray(switches) - 1] = False
         k = np.flatnonzero(linked)
@@ -136,29 +139,29 @@ class Estimator:
             ends = np.stack([times[own], times[own + 1]], axis=1)
             alone = _through(at[own], rows[own], ends)
             both = _through(np.concatenate([at[own], at[other]], 1), np.concatenate([rows[own], rows[other]], 1), ends)
-            apart = np.minimum(np.max(np.abs(alone - both) / np.where(size > 0, size, 1.0), axis=1), 1.0)
+            apart = np.minimum(np.max(np.abs(alone - both), axis=1), most) / size
             found[own] = np.minimum(found[own], np.max(weights[own] * apart**2, axis=1, initial=0.0))
         ends = _through(at, rows, np.stack([times[:-1], times[1:]], axis=1))
-        jumps = np.minimum(np.abs(ends[k + 1, 0] - ends[k, 1]) / np.where(size > 0, 2 * size, 1.0), 1.0)
+        jumps = np.minimum(np.abs(ends[k + 1, 0] - ends[k, 1]) / 2, most)
         rough = np.zeros(count, bool)
         for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
-            found[own] = np.maximum(found[own], np.max(weights[own] * jumps**2, axis=1, initial=0.0))
-            rough[own] |= np.max(2 * jumps, axis=1, initial=0.0) > ROUGH
+            found[own] = np.maximum(found[own], np.max(weights[own] * (jumps / size) ** 2, axis=1, initial=0.0))
+            rough[own] |= np.any(2 * jumps > ROUGH * most, axis=1)
         return found, rough
 
     def _inequalities(
         self, solution: Solution, parameters: Any
-    ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """The largest excess of each step over each inequality, relative; which are free of the controls; and in their
-        units."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """The largest excess of each step over each inequality, relative; which are free of the controls, and which are
+        curved in them; and in their units."""
         if not self.problem.limits.any or solution.interpolant is None:
-            return np.zeros((solution.steps, 0)), np.zeros(0, bool), {}
+            return np.zeros((solution.steps, 0)), np.zeros(0, bool), np.zeros(0, bool), {}
         stages = len(solution.stage_times) // solution.steps
         found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1), costates=False)
         layouts = (self.propagator.state, found.states), (self.propagator.control, found.controls)
         q, u = (layout.rows(points, 2) for layout, points in layouts)
         given = self.parameter.rows(parameters, 0)
-        values, by_state, by_control = self._limits.at(2, q, u, found.times[..., None], given[None, None])
+        values, by_state, by_control, twice = self._limits.at(2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
         bound = self.problem.with_parameters(parameters).at_time(0.0)
         violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes | bound.node_sizes)
@@ -167,16 +170,18 @@ class Estimator:
         size, change = np.max(np.abs(values), axis=(0, 1)), np.max(changes, axis=(0, 1, 2))
         size = np.where(size > HELD * change, size, change)
         free = np.max(np.abs(by_control), axis=(0, 1, 3), initial=0.0) == 0
+        bent = np.max(twice, axis=(0, 1)) > 0
         relative = np.max(excess, axis=1) / np.where(size > 0, size, 1.0)
-        return relative, free, {name: np.max(rows, axis=1) for name, rows in violations.items()}
+        return relative, free, bent, {name: np.max(rows, axis=1) for name, rows in violations.items()}
 
     @cached_property
     def _limits(self) -> Evaluated:
         sizes = self.propagator.state.size, self.propagator.control.size, 1, self.parameter.size
         return Automatic().values(self._limits_of, *sizes)
 
-    def _limits_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array, Array, Array]:
-        """The inequalities, those at nodes last, and the sizes of their derivatives by the states and the controls."""
+    def _limits_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array, Array, Array, Array]:
+        """The inequalities, those at nodes last, and the sizes of their derivatives by the states and the controls, and
+        twice by these."""
         bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
         state, control = self.propagator.state, self.propagator.control
 
@@ -185,7 +190,8 @@ class Estimator:
             return jnp.concatenate([bound.inequalities(point, control.point(u)), bound.node_inequalities(point)])
 
         by_state, by_control = jax.jacfwd(values, argnums=(0, 1))(q, u)
-        return values(q, u), jnp.abs(by_state), jnp.abs(by_control)
+        twice = jnp.abs(jax.jacfwd(jax.jacfwd(values, 1), 1)(q, u))
+        return values(q, u), jnp.abs(by_state), jnp.abs(by_control), jnp.sum(twice, axis=(1, 2))
 
 
 def _through(at: np.ndarray, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
