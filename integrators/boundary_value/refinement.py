@@ -183,7 +183,7 @@ class Refinement:
     def _refined(self, found: _Found) -> "_Found | str":
         """The solution on a finer mesh, or why there is none."""
         parts, method = self._parts(found), self.method
-        self.method = self._raised(found.errors)
+        self.method = self._raised((parts > 1) & ~found.errors.rough)
         if isinstance(method, Gauss) and self.method is not method:
             finer = self._finer(found, np.ones_like(parts))
             if not isinstance(finer, str) and self.error(finer) < self.error(found):
@@ -219,27 +219,22 @@ class Refinement:
         return self._on(self.problem, lengths, self.given.near(solution), solution), None, None
 
     def _parts(self, found: _Found) -> np.ndarray:
-        """Into how many parts each step is divided: a step that errs less than the worst one will is left for later."""
+        """Into how many parts each step is divided."""
         errors, count = found.errors, found.solution.steps
         order = np.where(errors.rough, 2, 2 * len(found.solution.stage_times) / count)
-        each, alone = self._each(errors), np.minimum(errors.inequalities, 1.0)
-        goal = max(self.accuracy / count, np.max(each / PARTS**order))
-        between = max(self.accuracy, np.max(alone) / PARTS**2)
-        needed = np.maximum((each / goal) ** (1 / order), np.sqrt(alone / between))
-        return np.clip(np.ceil(needed), 1, PARTS).astype(int)
+        with np.errstate(all="ignore"):
+            each = np.maximum(errors.states, errors.controls)
+            needed = np.maximum(
+                (each * count / self.accuracy) ** (1 / order), np.sqrt(errors.inequalities / self.accuracy)
+            )
+        return np.clip(np.ceil(np.nan_to_num(needed, nan=PARTS, posinf=PARTS)), 1, PARTS).astype(int)
 
-    def _raised(self, errors: StepErrors) -> Method:
-        """The method with one stage more, where most steps err too much, and not since controls jump in them."""
+    def _raised(self, smooth: np.ndarray) -> Method:
+        """The method with one stage more, where most steps are too long, and not since controls jump in them."""
         method = self.method
-        smooth = (self._each(errors) * len(errors.rough) > self.accuracy) & ~errors.rough
         if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(smooth) > len(smooth):
             return Gauss(method.stages + 1, method.retraction)
         return method
-
-    @staticmethod
-    def _each(errors: StepErrors) -> np.ndarray:
-        """The error of each step; what is larger than all of it tells no more than that it is."""
-        return np.minimum(np.nan_to_num(np.maximum(errors.states, errors.controls), nan=1.0), 1.0)
 
     def _switched(self, found: _Found) -> _Found:
         """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is.

@@ -101,7 +101,7 @@ def test_controls_that_alternate_along_a_limit_err_by_the_square_of_a_step(steps
     problem = OptimalControlProblem(
         PLANE, cart, lambda q, u: 1.0, 1, control_bounds=(-1, 1), node_constraints={"speed": lambda q: q[1] - 0.4}
     )
-    found = solve(problem, Gauss(2, Addition(PLANE)), np.zeros(2), np.array([1.0, 0.0]), Free(3.0), steps)
+    found = solve(problem, np.zeros(2), np.array([1.0, 0.0]), Free(3.0), method=Gauss(2, Addition(PLANE)), steps=steps)
     assert np.ptp(found.controls) == pytest.approx(2.0)
     errors = step_errors(problem, found)
     assert np.all(errors.controls <= 1 / steps**2 * (1 + 1e-6))
@@ -123,10 +123,10 @@ def test_an_inequality_that_is_held_all_along_is_no_error_of_the_steps(turned):
     angle = OptimalControlProblem(
         SPACE, lambda q, u: pushed(q, jnp.stack([jnp.cos(u[0]), jnp.sin(u[0])])), lambda q, u: 1.0, 1
     )
-    found = solve(disc, method, *ends, Free(3.0), 20, accuracy=1e-6, throw=False)
+    found = solve(disc, *ends, Free(3.0), method=method, steps=20, accuracy=1e-6, throw=False)
     assert found.success, found.result
     assert found.steps < 100
     at = found(found.horizon * stage_places(method, np.full(80, 1 / 80)))
     controls = np.unwrap(np.arctan2(at.controls[:, 1], at.controls[:, 0]))[:, None]
-    known = solve(angle, method, *ends, Free(float(found.horizon)), 80, Guess(at.states, controls))
+    known = solve(angle, *ends, Free(float(found.horizon)), method=method, steps=80, guess=Guess(at.states, controls))
     assert found.horizon == pytest.approx(known.horizon, rel=1e-6)
