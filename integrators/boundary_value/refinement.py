@@ -245,8 +245,7 @@ class Refinement:
         if not any(self.problem.limits.bounded.values()) or not self.accuracy < error <= AGAIN * self._vain:
             return found
         structure, known = switching_structure(self.problem, found.solution), found.structure
-        same = known is not None and np.array_equal(known.sides, structure.sides)
-        if same or self._coasts(found, structure):
+        if known is not None and np.array_equal(known.sides, structure.sides):
             return found
         try:
             while structure.jumps:
@@ -262,13 +261,6 @@ class Refinement:
         except RetraxError:  # the guess does not fit: the structure was not seen well enough on this mesh
             return found
         return found
-
-    @staticmethod
-    def _coasts(found: _Found, structure: SwitchingStructure) -> bool:
-        """Whether a control is free along an arc where a limit of the states holds: where that ends no switch says."""
-        stages, active = len(found.solution.stage_times) // found.solution.steps, found.solution.checks.active
-        held = any(active.get(name, 0) > stages for name in found.errors.of_states)
-        return held and bool(np.any(structure.sides == 0))
 
     def _in_arcs(
         self, guess: Solution, structure: SwitchingStructure, lengths: np.ndarray, arcs: np.ndarray

@@ -38,8 +38,7 @@ class StepErrors(NamedTuple):
     unit. ``inequalities``: the largest violation of those that do not depend on the controls, relative to the largest
     value, or to what the spread of a state or the size of a control changes one that is held all along. ``rough``:
     whether the controls of a step are more than a tenth of their size apart from those of a neighbour where both meet:
-    they jump there, or nearly, and the error shrinks with the square of the step alone. ``of_states``: the names of the
-    inequalities that do not depend on the controls.
+    they jump there, or nearly, and the error shrinks with the square of the step alone.
     """
 
     states: np.ndarray
@@ -47,7 +46,6 @@ class StepErrors(NamedTuple):
     inequalities: np.ndarray
     violations: dict[str, np.ndarray]
     rough: np.ndarray
-    of_states: tuple[str, ...]
 
     @property
     def each(self) -> np.ndarray:
@@ -88,7 +86,7 @@ class Estimator:
     def __call__(self, solution: Solution, parameters: Any = None, switches: np.ndarray | None = None) -> StepErrors:
         """The errors; controls may jump at the nodes that are ``switches``."""
         with one_reading(), np.errstate(all="ignore"):
-            excess, free, bent, violations, of_states = self._inequalities(solution, parameters)
+            excess, free, bent, violations = self._inequalities(solution, parameters)
             share = np.diff(solution.times)[:, None] / (solution.times[-1] - solution.times[0])
             # Exactly zero: no entry of the control is in the derivative.
             linear = np.max(self.curvature(solution, parameters), axis=0) == 0
@@ -98,7 +96,7 @@ class Estimator:
             controls, rough = self._controls(solution, share, weights, switches)
             alone = np.max(excess[:, free], axis=1, initial=0.0)
             controls = np.maximum(controls, over)
-            return StepErrors(self._states(solution, parameters), controls, alone, violations, rough, of_states)
+            return StepErrors(self._states(solution, parameters), controls, alone, violations, rough)
 
     def _states(self, solution: Solution, parameters: Any) -> np.ndarray:
         own = solution.times, solution.states, solution.stage_times, solution.controls
@@ -153,11 +151,11 @@ class Estimator:
 
     def _inequalities(
         self, solution: Solution, parameters: Any
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray], tuple[str, ...]]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """The largest excess of each step over each inequality, relative; which are free of the controls, and which are
-        curved in them; the excess in their units; and the names of what is free of the controls."""
+        curved in them; and in their units."""
         if not self.problem.limits.any or solution.interpolant is None:
-            return np.zeros((solution.steps, 0)), np.zeros(0, bool), np.zeros(0, bool), {}, ()
+            return np.zeros((solution.steps, 0)), np.zeros(0, bool), np.zeros(0, bool), {}
         stages = len(solution.stage_times) // solution.steps
         found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1), costates=False)
         layouts = (self.propagator.state, found.states), (self.propagator.control, found.controls)
@@ -166,8 +164,7 @@ class Estimator:
         values, by_state, by_control, twice = self._limits.at(2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
         bound = self.problem.with_parameters(parameters).at_time(0.0)
-        names = bound.inequality_sizes | bound.node_sizes
-        violations = self.problem.limits.by_name(np.max(excess, axis=1), names)
+        violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes | bound.node_sizes)
         state, room = self._sizes(solution)[0], np.max(np.abs(u), axis=(0, 1), initial=0.0)
         changes = np.max(by_state * state, axis=3), np.max(by_control * room, axis=3, initial=0.0)
         size, change = np.max(np.abs(values), axis=(0, 1)), np.max(changes, axis=(0, 1, 2))
@@ -175,8 +172,7 @@ class Estimator:
         free = np.max(np.abs(by_control), axis=(0, 1, 3), initial=0.0) == 0
         bent = np.max(twice, axis=(0, 1)) > 0
         relative = np.max(excess, axis=1) / np.where(size > 0, size, 1.0)
-        of_states = tuple(name for name, own in self.problem.limits.by_name(free, names).items() if np.all(own))
-        return relative, free, bent, {name: np.max(rows, axis=1) for name, rows in violations.items()}, of_states
+        return relative, free, bent, {name: np.max(rows, axis=1) for name, rows in violations.items()}
 
     @cached_property
     def _limits(self) -> Evaluated:
