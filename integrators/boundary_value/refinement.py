@@ -28,7 +28,6 @@ MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
 PARTS = 4  # of a step, at most
 SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
-AGAIN = 0.1  # times the error at which arcs were in vain: where they are tried again
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
@@ -73,7 +72,7 @@ class Refinement:
         self._arcs: dict[tuple[bytes, float | None], Arcs] = {}
         self._estimator: Estimator | None = None
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
-        self._most, self._vain, self._stopped = MOST_STAGES, np.inf, False
+        self._most, self._stopped = MOST_STAGES, False
         options = self.request.options
         looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
         self._tolerance = max(options.tolerance, looser)
@@ -183,7 +182,7 @@ class Refinement:
     def _refined(self, found: _Found) -> "_Found | str":
         """The solution on a finer mesh, or why there is none."""
         parts, method = self._parts(found), self.method
-        self.method = self._raised((parts > 1) & ~found.errors.rough)
+        self.method = self._raised(parts)
         if isinstance(method, Gauss) and self.method is not method:
             finer = self._finer(found, np.ones_like(parts))
             if not isinstance(finer, str) and self.error(finer) < self.error(found):
@@ -220,43 +219,36 @@ class Refinement:
 
     def _parts(self, found: _Found) -> np.ndarray:
         """Into how many parts each step is divided."""
-        errors, count = found.errors, found.solution.steps
-        order = np.where(errors.rough, 2, 2 * len(found.solution.stage_times) / count)
+        errors, order = found.errors, 2 * len(found.solution.stage_times) / found.solution.steps
+        each = np.maximum(errors.states, errors.controls)
         with np.errstate(all="ignore"):
-            each = np.maximum(errors.states, errors.controls)
-            needed = np.maximum(
-                (each * count / self.accuracy) ** (1 / order), np.sqrt(errors.inequalities / self.accuracy)
-            )
+            needed = (each * len(each) / self.accuracy) ** (1 / order)
+            needed = np.maximum(needed, np.sqrt(errors.inequalities / self.accuracy))
         return np.clip(np.ceil(np.nan_to_num(needed, nan=PARTS, posinf=PARTS)), 1, PARTS).astype(int)
 
-    def _raised(self, smooth: np.ndarray) -> Method:
-        """The method with one stage more, where most steps are too long, and not since controls jump in them."""
+    def _raised(self, parts: np.ndarray) -> Method:
+        """The method with one stage more, where most steps are too long."""
         method = self.method
-        if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(smooth) > len(smooth):
+        if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(parts > 1) > len(parts):
             return Gauss(method.stages + 1, method.retraction)
         return method
 
     def _switched(self, found: _Found) -> _Found:
-        """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is.
-
-        Arcs that were in vain are tried again where the mesh is much better.
-        """
-        error = self.error(found)
-        if not any(self.problem.limits.bounded.values()) or not self.accuracy < error <= AGAIN * self._vain:
+        """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
+        if not any(self.problem.limits.bounded.values()):
             return found
         structure, known = switching_structure(self.problem, found.solution), found.structure
         if known is not None and np.array_equal(known.sides, structure.sides):
             return found
         try:
             while structure.jumps:
-                self._vain = error
                 arcs, lengths = _arc_mesh(structure, found.solution)
                 solution, lasting = self._in_arcs(found.solution, structure, lengths, arcs)
                 if not solution.success:
                     return found
                 if lasting.arcs == structure.arcs:
                     better = self._judged(solution, lasting, arcs)
-                    return better if self.error(better) < error else found
+                    return better if self.error(better) < self.error(found) else found
                 structure = lasting
         except RetraxError:  # the guess does not fit: the structure was not seen well enough on this mesh
             return found

@@ -20,7 +20,6 @@ from .propagation import UNRESOLVED, Propagator
 from .solution import Solution
 
 HELD = 0.01  # of what the unknowns change it by: an inequality that comes no farther off its bound is held all along
-ROUGH = 0.1  # of the size of the controls
 POINTS = 4  # for each stage: where inequalities are looked at between the stages
 
 
@@ -31,21 +30,18 @@ class StepErrors(NamedTuple):
     ``states``: how far the controls of the step, propagated from its own first state, lead past its last one, relative
     to the spread of the trajectory, entry by entry. ``controls``: the squared distance of the polynomial of the step
     from that through the stages of a neighbour too, or half that from the neighbour's, at the ends of the step and
-    relative to the size of the controls, times the share of the step in the horizon. By as much the cost is too large
+    relative to the root mean square of the controls, times the share of the step in the horizon. By as much the cost is too large
     where the Hamiltonian is curved in the controls; for one in which it is linear, times the share once more, which a
     switch anywhere in the step costs. No less than the squared relative excess over a limit that depends on the
-    controls, times the share. ``violations``: of each of the inequalities the largest between the stages, in its own
+    controls, times the share, or the square of that where both are linear. ``violations``: of each of the inequalities the largest between the stages, in its own
     unit. ``inequalities``: the largest violation of those that do not depend on the controls, relative to the largest
-    value, or to what the spread of a state or the size of a control changes one that is held all along. ``rough``:
-    whether the controls of a step are more than a tenth of their size apart from those of a neighbour where both meet:
-    they jump there, or nearly, and the error shrinks with the square of the step alone.
+    value, or to what the spread of a state or the size of a control changes one that is held all along.
     """
 
     states: np.ndarray
     controls: np.ndarray
     inequalities: np.ndarray
     violations: dict[str, np.ndarray]
-    rough: np.ndarray
 
     @property
     def each(self) -> np.ndarray:
@@ -93,10 +89,10 @@ class Estimator:
             weights = np.where(linear, share**2, share)
             steps = np.where(bent, share, np.max(weights, axis=1, keepdims=True))
             over = np.max((steps * excess**2)[:, ~free], axis=1, initial=0.0)
-            controls, rough = self._controls(solution, share, weights, switches)
+            controls = self._controls(solution, share, weights, switches)
             alone = np.max(excess[:, free], axis=1, initial=0.0)
             controls = np.maximum(controls, over)
-            return StepErrors(self._states(solution, parameters), controls, alone, violations, rough)
+            return StepErrors(self._states(solution, parameters), controls, alone, violations)
 
     def _states(self, solution: Solution, parameters: Any) -> np.ndarray:
         own = solution.times, solution.states, solution.stage_times, solution.controls
@@ -124,7 +120,7 @@ class Estimator:
 
     def _controls(
         self, solution: Solution, share: np.ndarray, weights: np.ndarray, switches: np.ndarray | None
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> np.ndarray:
         times, count = solution.times, solution.steps
         at = solution.stage_times.reshape(count, -1)
         rows = self.propagator.control.rows(solution.controls, 1).reshape(*at.shape, self.propagator.control.size)
@@ -143,11 +139,9 @@ class Estimator:
             found[own] = np.minimum(found[own], np.max(weights[own] * apart**2, axis=1, initial=0.0))
         ends = _through(at, rows, np.stack([times[:-1], times[1:]], axis=1))
         jumps = np.minimum(np.abs(ends[k + 1, 0] - ends[k, 1]) / 2, most)
-        rough = np.zeros(count, bool)
         for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
             found[own] = np.maximum(found[own], np.max(weights[own] * (jumps / size) ** 2, axis=1, initial=0.0))
-            rough[own] |= np.any(2 * jumps > ROUGH * most, axis=1)
-        return found, rough
+        return found
 
     def _inequalities(
         self, solution: Solution, parameters: Any
