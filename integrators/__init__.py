@@ -18,36 +18,21 @@ from .initial_value import *
 from .problem import OptimalControlProblem
 from .quantities import Quantities, Quantity
 from .results import Result
-from .singular import (
-    L_H,
-    S_H,
-    Choice,
-    Classification,
-    MorseTest,
-    SingularIntegrator,
-    Stratum,
-    classify,
-    singular_integrator,
-)
+from .singular import Classification, SingularIntegrator, classify, singular_integrator
 from .stages import *
 
 if TYPE_CHECKING:
     from .singular.symbolic import SymbolicClassification as SymbolicClassification
 
 __all__ = [
-    "L_H",
-    "S_H",
-    "Choice",
     "Classification",
     "Free",
     "Gauss",
-    "MorseTest",
     "OptimalControlProblem",
     "Quantities",
     "Quantity",
     "Result",
     "SingularIntegrator",
-    "Stratum",
     "classify",
     "singular_integrator",
 ]
@@ -63,6 +48,7 @@ FORMER = {
     "control_structure": "switching_structure",
     "form_defect": "symplecticity_defect",
     "singular_arcs": "find_singular_arcs",
+    **{name: f"singular.{name}" for name in ("L_H", "S_H", "Choice", "MorseTest", "Stratum")},
 }
 
 

@@ -12,6 +12,7 @@ from ..manifolds import InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient
 from .constraints import TAKEN
 from .functions import in_precision, real_vector, shapes_in
+from .text import brief
 
 PERIODIC = "periodic"
 ZERO = "return a number that is zero where the condition holds, as a - b for a == b"
@@ -42,7 +43,7 @@ class BoundaryConditions(eqx.Module):
             'boundary_constraints must be a dictionary of functions by their names, {"name": function of (q_0, q_T)}'
         )
         if not isinstance(given, Mapping):
-            raise InvalidInputError(f"{expected}, got {given!r:.80}")
+            raise InvalidInputError(f"{expected}, got {brief(given)}")
         for name in given:
             if not isinstance(name, str) or not name.strip():
                 raise InvalidInputError(f"{expected}, got the name {name!r}; try a word")
@@ -53,7 +54,7 @@ class BoundaryConditions(eqx.Module):
                 )
         if not (isinstance(periodic, bool) or callable(periodic)):
             raise InvalidInputError(
-                f"periodic must be True, for q(T) = q(0), or a function g with q(T) = g(q(0)), got {periodic!r:.80}"
+                f"periodic must be True, for q(T) = q(0), or a function g with q(T) = g(q(0)), got {brief(periodic)}"
             )
         turn = same if periodic is True else periodic if callable(periodic) else None
         return cls(tuple(given), tuple(given.values()), turn, closed=turn is same)

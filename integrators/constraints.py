@@ -13,6 +13,7 @@ from jaxtyping import Array, Float
 from ..manifolds import Euclidean, InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient, is_traced
 from .functions import real_vector
+from .text import brief
 
 LOWER, UPPER = "control_bounds lower", "control_bounds upper"
 HORIZON_LOWER, HORIZON_UPPER = "horizon lower", "horizon upper"
@@ -235,9 +236,9 @@ def _checked_side(name: str, given: Any, shape: tuple[int, ...]) -> tuple[float,
     try:
         array = np.asarray(given)
     except ValueError as error:
-        raise InvalidInputError(f"control_bounds: {name} is {given!r:.80}, {expected}") from error
+        raise InvalidInputError(f"control_bounds: {name} is {brief(given)}, {expected}") from error
     if array.dtype.kind not in "fiu":
-        raise InvalidInputError(f"control_bounds: {name} is {given!r:.80}, {expected}")
+        raise InvalidInputError(f"control_bounds: {name} is {brief(given)}, {expected}")
     if array.shape not in ((), shape):
         raise InvalidInputError(f"control_bounds: {name} has shape {array.shape}, {expected}")
     if np.any(np.isnan(array)):
@@ -251,7 +252,7 @@ def _checked_constraints(kind: str, given: Any, of: str) -> dict[str, Constraint
         return {}
     if not isinstance(given, Mapping):
         raise InvalidInputError(
-            f'{kind} must be a dictionary of functions by their names, got {given!r:.80}; try {{"name": function}}'
+            f'{kind} must be a dictionary of functions by their names, got {brief(given)}; try {{"name": function}}'
         )
     for name, function in given.items():
         if not isinstance(name, str) or not name.strip():
@@ -259,5 +260,5 @@ def _checked_constraints(kind: str, given: Any, of: str) -> dict[str, Constraint
         if name in TAKEN:
             raise InvalidInputError(f"{kind} have the name {name!r}, which bounds have; try another one")
         if not callable(function):
-            raise InvalidInputError(f"{kind}[{name!r}] must be a function of {of}, got {function!r:.80}")
+            raise InvalidInputError(f"{kind}[{name!r}] must be a function of {of}, got {brief(function)}")
     return dict(given)

@@ -7,16 +7,36 @@ import numpy as np
 
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_traced
+from .text import brief
 
 
 @final
 class Free:
-    """A quantity to be found by the optimisation, near ``guess`` and between ``lower`` and ``upper``.
+    """A quantity that the optimisation finds, near ``guess`` and between ``lower`` and ``upper``.
 
-    As ``horizon`` of ``solve``, a number; as a leaf of ``parameters``, a number or an array; as a part of ``start`` or
-    ``end``, an array, without bounds: then it is free, as with None, and first guessed so. The bounds are numbers, or
-    arrays of the shape of the guess, infinite where there is none. A horizon is positive in any case. Raises
-    ``InvalidInputError`` for other numbers, and for a guess outside the bounds.
+    Parameters
+    ----------
+    guess : float or array_like
+        The value at the beginning of the iteration, in the unit of the quantity.
+    lower, upper : float or array_like, optional
+        Bounds, numbers or arrays of the shape of ``guess``; by default infinite. A horizon is positive in any case.
+
+    Raises
+    ------
+    InvalidInputError
+        If a number is not finite, a bound has another shape, or the guess is outside the bounds.
+
+    Notes
+    -----
+    Use it as the ``horizon`` of ``solve``, as a leaf of ``parameters``, or as a part of ``start`` or ``end``. In
+    ``start`` and ``end`` it is an array without bounds.
+
+    Bounds of a horizon or of parameters have multipliers in ``Solution.multipliers``.
+
+    Examples
+    --------
+    >>> Free(5.0, lower=1.0).bounded
+    True
     """
 
     __slots__ = ("guess", "lower", "upper")
@@ -35,12 +55,12 @@ class Free:
                 )
             object.__setattr__(self, name, array if array.shape else float(array))
         if not np.all(np.isfinite(arrays["guess"])):
-            raise InvalidInputError(f"Free: guess must be finite, got {guess!r:.80}")
+            raise InvalidInputError(f"Free: guess must be finite, got {brief(guess)}")
         if not np.all(arrays["lower"] < arrays["upper"]):
-            raise InvalidInputError(f"Free: lower must be less than upper, got {lower!r:.80} and {upper!r:.80}")
+            raise InvalidInputError(f"Free: lower must be less than upper, got {brief(lower)} and {brief(upper)}")
         if not np.all((arrays["lower"] <= arrays["guess"]) & (arrays["guess"] <= arrays["upper"])):
             raise InvalidInputError(
-                f"Free: guess must lie between lower and upper, got {guess!r:.80}, {lower!r:.80}, {upper!r:.80}"
+                f"Free: guess must lie between lower and upper, got {brief(guess)}, {brief(lower)}, {brief(upper)}"
             )
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -53,7 +73,18 @@ class Free:
         return f"Free({self.guess!r}, lower={self.lower!r}, upper={self.upper!r})"
 
     def member(self, k: int) -> "Free":
-        """Number ``k`` of a batch, of which every array has one more leading axis."""
+        """The quantity of one member of a batch, whose arrays have one more leading axis.
+
+        Parameters
+        ----------
+        k : int
+            The number of the member.
+
+        Returns
+        -------
+        Free
+            Its guess and bounds.
+        """
         return Free(*(value if np.ndim(value) == 0 else value[k] for value in (self.guess, self.lower, self.upper)))
 
     @property
@@ -87,9 +118,9 @@ def _real(name: str, value: Any) -> np.ndarray:
             if parts
             else ""
         )
-        raise InvalidInputError(f"Free: {name} must be a number or an array, got {value!r:.80}{hint}") from error
+        raise InvalidInputError(f"Free: {name} must be a number or an array, got {brief(value)}{hint}") from error
     if array.dtype.kind not in "fiu" or np.any(np.isnan(array)):
-        raise InvalidInputError(f"Free: {name} must be a real number or an array of them, got {value!r:.80}")
+        raise InvalidInputError(f"Free: {name} must be a real number or an array of them, got {brief(value)}")
     array = np.array(array, float)
     array.setflags(write=False)
     return array

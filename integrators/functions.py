@@ -83,6 +83,21 @@ def in_precision(name: str, value: Any, dtype: Any) -> Array:
     return jnp.asarray(value, jax.dtypes.canonicalize_dtype(dtype))
 
 
+def imprecise(functions: dict[str, Any], *arguments: Any) -> str:
+    """Words on the first function that computes in a lower precision than is in use; empty if none does."""
+    eps = np.finfo(working_precision()).eps
+    for name, function in functions.items():
+        kinds = [leaf.dtype for leaf in jax.tree.leaves(jax.eval_shape(function, *arguments))]
+        low = [kind for kind in kinds if jnp.issubdtype(kind, jnp.inexact) and jnp.finfo(kind).eps > eps]
+        if low:
+            return (
+                f"{name} returns {low[0]} values where {working_precision()} is in use, and no condition can be met to "
+                f"more digits than these have; compute it in {working_precision()}, or give a tolerance above "
+                f"{float(jnp.finfo(low[0]).eps):.0e}"
+            )
+    return ""
+
+
 def _stacked(value: Any) -> Any:
     """A list of numbers as an array, and None where it is something else."""
     try:

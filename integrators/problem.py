@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
 from ..indices import require_indices
@@ -14,53 +15,73 @@ from ..manifolds import Euclidean, InvalidInputError, Manifold, Product, RetraxE
 from ..manifolds.manifold import same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
-from ..manifolds.numerics.precision import working_precision
 from ..module import Module
 from ..reading import traced
 from ..retractions import DiscretizationMap, Gauss, default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import digest
 from .constraints import Constraint, Inequalities, constraint_words, node_words
+from .control_use import warn_of_broadcast
 from .controls import resting_control, within_bounds
 from .costs import is_steep, require_cost
-from .functions import Bound, in_precision, real_number, shapes_in, with_last
+from .functions import Bound, imprecise, in_precision, real_number, shapes_in, with_last
 from .inspection import Inspection, probes
 from .options import arguments_of, known_options, require_arguments, takes_more
 from .probing import FAILURES, failure_words
 from .quantities import Quantities
 from .statement import statement
 
-Dynamics = Callable[[Any, Any], Any]
-RunningCost = Callable[[Any, Any], Any]
-TerminalCost = Callable[[Any], Any]
+# Any arguments: each takes the time and the parameters too where it wants them; ``require_arguments`` checks how many.
+Dynamics = RunningCost = TerminalCost = Callable[..., Any]
 
 
 @final
 class OptimalControlProblem(Module):
-    """Minimise ``Phi_0(q(0)) + int F(q, u) dt + Phi(q(T))`` subject to ``q' = X(q, u)`` and ``g(q, u) <= 0`` on a
-    manifold.
+    r"""An optimal control problem on a manifold: dynamics, cost, constraints and boundary conditions in JAX.
 
-    ``dynamics(q, u)`` returns a tangent vector at ``q``; ``running_cost(q, u)``, ``terminal_cost(q)`` and
-    ``initial_cost(q)`` return a scalar; all are JAX functions. ``controls`` is the control manifold U. ``abnormal``
-    sets the cost multiplier p_0 to 0. ``control_bounds``, of controls in R^m only: a pair ``(lower, upper)`` of numbers
-    or arrays of the shape of a control, infinite where there is none. ``constraints``: functions ``g(q, u)`` by their
-    names, of which each returns a number or a vector, whose entries are not positive at the points of a trajectory,
-    the stages of a method. ``node_constraints``: the same of functions ``g(q)`` at its nodes, where the steps meet,
-    first and last included. With ``time_dependent`` the functions take the time after these: ``dynamics(q, u, t)``,
-    ``terminal_cost(q, t)``; the initial cost does not.
+    Parameters
+    ----------
+    manifold : Manifold
+        The states ``q``.
+    dynamics : callable
+        ``X(q, u)``, a tangent vector at ``q``: the derivative of the state with respect to time.
+    running_cost : callable
+        ``F(q, u)``, a number.
+    controls : Manifold or int
+        The control manifold U; ``m`` stands for ``Euclidean(m)``.
+    terminal_cost : callable, optional
+        ``Phi(q)``, a number, at the end.
+    abnormal : bool
+        Whether the cost multiplier ``p_0`` is 0 instead of 1.
+    initial_cost : callable, optional
+        ``Phi_0(q)``, a number, at the start.
+    control_bounds : tuple of array_like, optional
+        ``(lower, upper)`` for controls in R^m: numbers, or arrays of shape ``(m,)``, possibly infinite.
+    constraints : mapping of str to callable, optional
+        ``g(q, u) <= 0`` by name, numbers or vectors, at the stages of the method.
+    time_dependent : bool
+        Whether the functions take the time after these arguments; ``initial_cost`` does not.
+    labels, units : mapping, optional
+        Names and units of ``"states"`` and ``"controls"``: a word, or a tuple with a word for each entry of a vector or
+        each array of a point. ``units`` also names ``"time"`` and ``"cost"``. Reports, pictures and tables use them.
+    boundary_constraints : mapping of str to callable, optional
+        ``b(q_0, q_T) = 0`` by name, numbers or vectors.
+    periodic : bool or callable
+        True for ``q(T) = q(0)``; a function ``g`` for ``q(T) = g(q(0))``.
+    node_constraints : mapping of str to callable, optional
+        ``g(q) <= 0`` by name, at the nodes, where steps meet.
 
-    ``boundary_constraints``: functions ``b(q_0, q_T)`` of the first and the last state by their names, of which each
-    returns a number or a vector that is to be zero; with ``time_dependent`` they take the time T of the end after
-    these. ``periodic``: True for ``q(T) = q(0)``, or a function ``g`` of a point for ``q(T) = g(q(0))``.
+    Notes
+    -----
+    The problem is to minimize :math:`\Phi_0(q(0)) + \int_0^T F(q, u)\,dt + \Phi(q(T))` subject to
+    :math:`\dot q = X(q, u)` and the constraints. Functions with one more argument get the ``parameters`` of ``solve``
+    there. ``InvalidInputError`` for other arguments.
 
-    ``labels`` name the ``"states"`` and ``"controls"``: a word for an array, or a tuple with one for each entry of a
-    vector; in a tuple, one for each array, where a point has several. ``units`` say in the same way what they are
-    measured in, and what the ``"time"`` and the ``"cost"`` are. ``quantities`` holds both; reports, pictures and tables
-    use them.
-
-    Functions that take one more argument are given the ``parameters`` of a call of ``solve`` there, any pytree of
-    numbers and arrays; then ``takes_parameters`` is True, and ``with_parameters`` makes a problem without them. Raises
-    ``InvalidInputError`` for arguments that are something else.
+    Examples
+    --------
+    >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> float(line.hamiltonian(jnp.zeros(1), jnp.ones(1), jnp.ones(1)))
+    0.5
     """
 
     manifold: Manifold
@@ -151,7 +172,7 @@ class OptimalControlProblem(Module):
 
     @property
     def node_constraints(self) -> dict[str, Constraint]:
-        """Those at the nodes by their names."""
+        """The constraints at the nodes by their names."""
         return dict(zip(self.limits.node_names, self.limits.node_functions, strict=True))
 
     @property
@@ -206,17 +227,8 @@ class OptimalControlProblem(Module):
     def replaced(self, **changes: Any) -> "OptimalControlProblem":
         """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a
         ``boundary``."""
-        names = (
-            "manifold",
-            "dynamics",
-            "running_cost",
-            "controls",
-            "terminal_cost",
-            "abnormal",
-            "initial_cost",
-            "time_dependent",
-        )
-        given: Any = {name: getattr(self, name) for name in names}
+        names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "initial_cost"
+        given: Any = {name: getattr(self, name) for name in (*names, "abnormal", "time_dependent")}
         given |= {"constraints": self.limits, "boundary_constraints": self.boundary, "labels": self.quantities}
         return OptimalControlProblem(**given | changes)
 
@@ -305,23 +317,13 @@ class OptimalControlProblem(Module):
         return vec.pairing(p, self.velocity(q, u)), self.cost_rate(q, u)
 
     def hamiltonian(self, q: Ambient, p: Ambient, u: Ambient) -> Array:
-        """Pontryagin's Hamiltonian ``H(q, p, u) = <p, X(q, u)> - p_0 F(q, u)``."""
+        r"""Pontryagin's Hamiltonian :math:`H(q, p, u) = \langle p, X(q, u) \rangle - p_0 F(q, u)`, a scalar."""
         power, rate = self.parts(q, p, u)
         return power - rate
 
     def imprecise(self, q: Ambient, u: Ambient) -> str:
         """Words on functions that compute in a lower precision than is in use; empty if none does."""
-        eps = np.finfo(working_precision()).eps
-        for name in ("dynamics", "running_cost"):
-            kinds = [leaf.dtype for leaf in jax.tree.leaves(jax.eval_shape(getattr(self, name), q, u))]
-            low = [kind for kind in kinds if jnp.issubdtype(kind, jnp.inexact) and jnp.finfo(kind).eps > eps]
-            if low:
-                return (
-                    f"{name} returns {low[0]} values where {working_precision()} is in use, and no condition can be "
-                    f"met to more digits than these have; compute it in {working_precision()}, or give a tolerance "
-                    f"above {float(jnp.finfo(low[0]).eps):.0e}"
-                )
-        return ""
+        return imprecise({"dynamics": self.dynamics, "running_cost": self.running_cost}, q, u)
 
     def digest(self, parameters: Any = None) -> bytes | None:
         """A digest of what the functions compute of parameters of this structure, with the values that they read now;
@@ -332,23 +334,14 @@ class OptimalControlProblem(Module):
     def _values(self, q: Ambient, u: Ambient) -> tuple[Any, ...]:
         """What all functions return."""
         ends = self.boundary.values(q, q), None if self.boundary.turn is None else self.turned(q)
-        return (
-            self.velocity(q, u),
-            self.cost_rate(q, u),
-            self.final_cost(q),
-            self.first_cost(q),
-            self.inequalities(q, u),
-            self.node_inequalities(q),
-            ends,
-        )
+        costs = self.cost_rate(q, u), self.final_cost(q), self.first_cost(q)
+        return self.velocity(q, u), *costs, self.inequalities(q, u), self.node_inequalities(q), ends
 
     def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
         """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
         if not same_manifold(discretization.manifold, self.manifold):
-            raise InvalidInputError(
-                f"the discretization acts on {discretization.manifold}, the problem on {self.manifold}; use one "
-                "manifold"
-            )
+            came, expected = discretization.manifold, self.manifold
+            raise InvalidInputError(f"the method acts on {came}, the problem on {expected}; use one manifold")
 
     def check(self, q: Ambient, u: Ambient) -> None:
         """Raise if the functions return something of the wrong kind at ``(q, u)``, or are not smooth in the controls
@@ -376,9 +369,9 @@ class OptimalControlProblem(Module):
         """
         return is_steep(self, fixed)
 
-    def require_values(self) -> None:
-        """Raise if the functions cannot be called with a point and a control, read entries that these do not have, or
-        return something of another kind."""
+    def require_values(self) -> ClosedJaxpr:
+        """The program of all functions of a point and a control; raises if they cannot be called, read entries that
+        these do not have, or return something of another kind."""
         q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (self.manifold, self.controls))
         try:
             program = traced(self._values, q, u)
@@ -387,6 +380,8 @@ class OptimalControlProblem(Module):
         except FAILURES as error:
             raise InvalidInputError(failure_words(self, error, q, u)) from error
         require_indices(program, "a function of the problem")
+        warn_of_broadcast(program)
+        return program
 
 
 def is_same_problem(a: object, b: object) -> bool:

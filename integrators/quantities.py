@@ -9,6 +9,7 @@ from typing import Any, Self, final
 import jax
 
 from ..manifolds import InvalidInputError, Manifold, Product
+from .text import brief
 
 ABOUT = "states", "controls"
 UNITS = (*ABOUT, "time", "cost")
@@ -17,11 +18,18 @@ UNITS = (*ABOUT, "time", "cost")
 @final
 @dataclass(frozen=True)
 class Quantity:
-    """An array of a state or a control: its ``name``, the ``units`` of its entries, one for all or one each, and its
-    ``space``.
+    """An array of a state or a control: its name, the units and names of its entries, and its manifold.
 
-    ``entries``: names of the entries, row by row; without names of their own their places, as ``1`` or ``0,2``. A unit
-    is empty where none was given. ``space``: its manifold in words, as ``SO(3)``.
+    Attributes
+    ----------
+    name : str
+        The name of the array.
+    units : tuple of str
+        One unit for all entries, or one each; empty without units.
+    entries : tuple of str
+        Names of the entries, row by row; by default their indices, such as ``1`` or ``0,2``.
+    space : str
+        Its manifold, such as ``SO(3)``.
     """
 
     name: str
@@ -31,12 +39,12 @@ class Quantity:
 
     @property
     def unit(self) -> str:
-        """The unit of all entries; empty where they have several, or none."""
+        """The unit of all entries; empty if there are several units, or none."""
         return self.units[0] if len(set(self.units)) == 1 else ""
 
     @property
     def title(self) -> str:
-        """The name with the unit of all entries, as ``body rate [rad/s]``."""
+        """The name with the unit of all entries, such as ``body rate [rad/s]``."""
         return with_unit(self.name, self.unit)
 
     @property
@@ -45,12 +53,18 @@ class Quantity:
         return not all(entry == "" or entry.replace(",", "").isdigit() for entry in self.entries)
 
     def unit_of(self, k: int) -> str:
-        """The unit of an entry."""
+        """The unit of an entry.
+
+        Parameters
+        ----------
+        k : int
+            The number of the entry.
+        """
         return self.units[k if len(self.units) > 1 else 0]
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """A name for each entry: its own, or that of the array with its place, as ``body rate[1]``."""
+        """A name for each entry: its own name, or the name of the array with its index, such as ``body rate[1]``."""
         if self.is_named:
             return self.entries
         return tuple(f"{self.name}[{entry}]" if entry else self.name for entry in self.entries)
@@ -59,7 +73,17 @@ class Quantity:
 @final
 @dataclass(frozen=True)
 class Quantities:
-    """The quantities of a problem: the arrays of a state and of a control, in order, and the units of time and cost."""
+    """The quantities of a problem: the arrays of a state and of a control, and the units of time and cost.
+
+    Attributes
+    ----------
+    states : tuple of Quantity
+        The arrays of a state, in order.
+    controls : tuple of Quantity
+        The arrays of a control, in order.
+    time, cost : str
+        Their units.
+    """
 
     states: tuple[Quantity, ...]
     controls: tuple[Quantity, ...]
@@ -68,7 +92,16 @@ class Quantities:
 
     @classmethod
     def of(cls, manifold: Manifold, controls: Manifold, labels: Any, units: Any) -> Self:
-        """The quantities with what a user says of them; raises ``InvalidInputError`` for names that do not fit."""
+        """The quantities with the labels and units of a user; raises ``InvalidInputError`` for names that do not
+        fit.
+
+        Parameters
+        ----------
+        manifold, controls : Manifold
+            The manifolds of states and controls.
+        labels, units : mapping
+            As in ``OptimalControlProblem``.
+        """
         if isinstance(labels, cls):
             return labels
         given = {"labels": _checked("labels", labels, ABOUT), "units": _checked("units", units, UNITS)}
@@ -81,7 +114,13 @@ class Quantities:
 
     @classmethod
     def unnamed(cls, states: list[tuple[int, ...]], controls: list[tuple[int, ...]]) -> Self:
-        """The quantities of arrays with these shapes, of which nothing else is known."""
+        """The quantities of unnamed arrays.
+
+        Parameters
+        ----------
+        states, controls : list of tuple of int
+            The shapes of the arrays.
+        """
 
         def own(symbol: str, shapes: list[tuple[int, ...]]) -> tuple[Quantity, ...]:
             pairs = zip(_names(symbol, shapes), shapes, strict=True)
@@ -89,24 +128,52 @@ class Quantities:
 
         return cls(own("q", states), own("u", controls))
 
+    def factors(self, count: int) -> list[str]:
+        """The names of the factors of a state: their labels, or ``factor 0`` for a factor without one.
+
+        Parameters
+        ----------
+        count : int
+            The number of factors.
+        """
+        names = [f"factor {k}" for k in range(count)]
+        if len(self.states) == count:
+            pairs = zip(names, self.states, _names("q", self.states), strict=True)
+            names = [name if own.name == default else own.name for name, own, default in pairs]
+        return names
+
     @property
     def text(self) -> str:
-        """What a file holds of them."""
+        """The text of the quantities in a file."""
         return json.dumps(asdict(self))
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """The quantities that have this ``text``; raises ``InvalidInputError`` for any other."""
+        """The quantities with this ``text``; raises ``InvalidInputError`` for another text.
+
+        Parameters
+        ----------
+        text : str
+            The text.
+        """
         try:
             values = json.loads(text)
             own: Any = {about: tuple(_read(value) for value in values.pop(about)) for about in ABOUT}
             rest: Any = {name: _word(name, value) for name, value in values.items()}
             return cls(**own, **rest)
         except (ValueError, TypeError, KeyError, AttributeError) as error:
-            raise InvalidInputError(f"quantities are {text!r:.60}, expected names and units ({error})") from error
+            raise InvalidInputError(f"quantities are {brief(text)}, expected names and units ({error})") from error
 
     def require_fits(self, what: str, states: Any, controls: Any) -> None:
-        """Raise unless arrays along a leading axis have as many entries as there are names for them."""
+        """Raise an error unless arrays with a leading axis have as many entries as there are names.
+
+        Parameters
+        ----------
+        what : str
+            A word for the arrays.
+        states, controls : array, or tuple of arrays
+            The arrays.
+        """
         for name, own, given in (("states", self.states, states), ("controls", self.controls, controls)):
             expected, got = (
                 [len(quantity.entries) for quantity in own],
@@ -119,7 +186,7 @@ class Quantities:
 
     @property
     def lines(self) -> list[str]:
-        """What is named, in words: a line for the states, one for the controls; none where nothing is."""
+        """The names in words: a line for the states and a line for the controls, if they have names."""
         rows = {"q": self.states, "u": self.controls}
         defaults = {symbol: _names(symbol, own) for symbol, own in rows.items()}
         named = {s for s, own in rows.items() if [q.name for q in own] != defaults[s] or any(q.is_named for q in own)}
@@ -143,7 +210,7 @@ def _checked(what: str, given: Any, expected: tuple[str, ...]) -> dict[str, Any]
         return {}
     if not isinstance(given, Mapping) or not set(given) <= set(expected):
         raise InvalidInputError(
-            f"{what} must be a dictionary with keys among {', '.join(map(repr, expected))}, got {given!r:.80}; try "
+            f"{what} must be a dictionary with keys among {', '.join(map(repr, expected))}, got {brief(given)}; try "
             f'{what}={{"controls": "{"torque" if what == "labels" else "N m"}"}}'
         )
     return dict(given)
@@ -165,7 +232,7 @@ def _each(what: str, given: Any, arrays: list[tuple[str, tuple[int, ...]]]) -> l
         return [given]
     if not isinstance(given, list | tuple) or len(given) != len(arrays):
         spaces = ", ".join(space for space, _ in arrays)
-        raise InvalidInputError(f"{what} must be a tuple with one entry for each of {spaces}, got {given!r:.80}")
+        raise InvalidInputError(f"{what} must be a tuple with one entry for each of {spaces}, got {brief(given)}")
     return list(given)
 
 
@@ -196,14 +263,14 @@ def _several(what: str, given: Any, space: str, places: tuple[str, ...]) -> tupl
     ):
         raise InvalidInputError(
             f"{what} of {space} must be a text, or a tuple of {len(places)} texts, one for each of its entries, got "
-            f"{given!r:.80}"
+            f"{brief(given)}"
         )
     return tuple(given)
 
 
 def _word(what: str, given: Any) -> str:
     if not isinstance(given, str):
-        raise InvalidInputError(f"{what} must be a text, got {given!r:.80}")
+        raise InvalidInputError(f"{what} must be a text, got {brief(given)}")
     return given
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from ..manifolds import InvalidInputError
 from .archives import archived, archived_arrays
+from .text import brief
 
 LOADERS = {"Solution": "load_solution", "Trajectory": "load_trajectory"}  # what reads the files of which class
 HEAD = "schema.txt"  # the entry of a batch with its kind
@@ -295,4 +296,4 @@ def _words(value: Any) -> str:
         return f"an array of {value.dtype} with shape {value.shape}"
     if isinstance(value, dict | tuple):
         return f"a {type(value).__name__} of {len(value)}"
-    return f"{value!r:.60}"
+    return f"{brief(value)}"

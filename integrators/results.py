@@ -13,10 +13,15 @@ BETTER = "a better guess (Guess.from_controls, Free(value) at a free end, or con
 
 
 class Result(eqx.Enumeration):
-    """How a trajectory ended, its ``result``. Compare with ``Result.successful``; ``Result[item]`` is the sentence.
+    """The end of an integration, ``Trajectory.result``: compare with ``Result.successful``; ``Result[item]`` is a
+    sentence.
 
-    A ``Solution`` has the sentence itself as its ``result``, and ``success``.
+    Notes
+    -----
+    ``Solution.result`` is the sentence itself.
 
+    Examples
+    --------
     >>> Result[Result.successful]
     'The equations are solved to the tolerance asked for.'
     """
@@ -96,11 +101,11 @@ def reasoned(result: str, *reasons: str) -> str:
     return " ".join([result.replace(sentence("stationary"), sentence("successful")), *said]) if said else result
 
 
-def _callers() -> int:
+def callers() -> int:
     """The level of the stack, as ``warnings.warn`` counts it for the caller of this, that called into this library."""
     frame, levels, level = inspect.currentframe(), list[int](), 0
     while frame is not None:
-        if frame.f_globals.get("__name__", "").partition(".")[0] == __name__.partition(".")[0]:
+        if frame.f_globals.get("__name__", "").partition(".")[0] in ("retrax", "equinox"):
             levels.append(level)
         frame, level = frame.f_back, level + 1
     return levels[-1] + 1
@@ -112,7 +117,7 @@ def _warn_if_single(precision: np.dtype) -> None:
         warnings.warn(
             "JAX is in single precision, so about six digits can be expected; for double precision run "
             'jax.config.update("jax_enable_x64", True) before the first array is made',
-            stacklevel=_callers(),
+            stacklevel=callers(),
         )
 
 
@@ -122,7 +127,7 @@ def warn_of_coarse_values(name: str, given: str, expected: str) -> None:
     warnings.warn(
         f"{name} returns {given} values where {expected} is in use: it is known to few digits, and conditions may not "
         f"be met to the default tolerance; compute it in {expected}, or give a tolerance that it can meet",
-        stacklevel=_callers(),
+        stacklevel=callers(),
     )
 
 

@@ -1,11 +1,13 @@
 """Text that reports print: two columns, lines of a width, counted nouns."""
 
 from collections.abc import Iterable
+from math import prod
 from textwrap import wrap
 
 Line = tuple[str, str]
 WIDTH = 110  # characters of a line of text
 LONGEST_VALUE = 80  # characters of a value in a message
+MOST_ENTRIES = 4  # of an array that a message shows entry by entry
 
 
 def table(lines: list[Line]) -> str:
@@ -30,9 +32,10 @@ def many(count: int, noun: str) -> str:
 
 
 def brief(value: object) -> str:
-    """A value on one line, as messages show what came: an array by its shape, other values cut after 80 characters."""
+    """A value on one line, as messages show what came: a long array by its shape, other values cut after 80
+    characters."""
     shape = getattr(value, "shape", None)
-    if isinstance(shape, tuple) and shape:
+    if isinstance(shape, tuple) and prod(shape) > MOST_ENTRIES:
         return f"an array of shape {shape}"
     text = " ".join(repr(value).split())
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."

@@ -12,7 +12,7 @@ from .bundles import CotangentBundle, TangentBundle
 from .combined_metrics import PowerMetric, ProductMetric, ScaledMetric
 from .groups import *
 from .level_set import LevelSet
-from .manifold import HomogeneousSpace, Manifold, Verdict
+from .manifold import HomogeneousSpace, Manifold
 from .matrices import *
 from .metric import EmbeddedMetric, Metric
 from .numerics.errors import (
@@ -37,6 +37,7 @@ from .symplectic import (
     tangent_lift,
 )
 from .vectors import *
+from .verdict import Verdict
 
 __all__ = [
     "ConvergenceError",

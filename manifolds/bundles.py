@@ -82,19 +82,34 @@ class VectorBundle(Manifold):
 
 @final
 class TangentBundle(VectorBundle):
-    """Tangent bundle ``TM``; points are pairs ``(x, v)``.
+    r"""The tangent bundle ``TM`` of a manifold; points are pairs ``(x, v)``.
 
-    A vector at ``(x, v)`` is a pair ``(xdot, vdot)``, in which ``vdot - D P_x(v)[xdot]`` is tangent at ``x``;
-    ``dim TM = 2 dim M``.
+    Parameters
+    ----------
+    base : Manifold
+        The manifold ``M``.
+
+    Notes
+    -----
+    A vector at ``(x, v)`` is a pair ``(xdot, vdot)``, in which :math:`\dot v - D P_x(v)[\dot x]` is tangent at ``x``.
+    The dimension is :math:`2 \dim M`.
     """
 
 
 @final
 class CotangentBundle(VectorBundle):
-    """Cotangent bundle ``T*M`` with its canonical forms; points are pairs ``(q, p)`` with ``p`` tangent at ``q``.
+    r"""The cotangent bundle ``T*M`` with its canonical forms; points are pairs ``(q, p)`` with ``p`` tangent at
+    ``q``.
 
-    The canonical forms are ``theta = p dq`` and ``omega = -d theta = dq ^ dp``; of a base of dimension n its dimension
-    is ``2 n``.
+    Parameters
+    ----------
+    base : Manifold
+        The manifold ``M``.
+
+    Notes
+    -----
+    The canonical forms are :math:`\theta = p\,dq` and :math:`\omega = -d\theta = dq \wedge dp`. The dimension is
+    :math:`2 \dim M`.
     """
 
     one_point: ClassVar[dict[str, tuple[str, ...]]] = {
@@ -105,17 +120,39 @@ class CotangentBundle(VectorBundle):
     }
 
     def one_form(self, z: Pair, a: Pair) -> Array:
-        """Canonical one-form ``theta = p dq`` at ``z = (q, p)`` on a tangent vector ``a = (dq, dp)``."""
+        r"""The canonical one-form :math:`\theta = p\,dq` on a tangent vector, a scalar.
+
+        Parameters
+        ----------
+        z : pair
+            The point ``(q, p)``.
+        a : pair
+            The tangent vector ``(dq, dp)``.
+        """
         return vec.pairing(z[1], a[0])
 
     def two_form(self, z: Pair, a: Pair, b: Pair) -> Array:
-        """Canonical two-form ``omega = -d theta = dq ^ dp`` at ``z`` on two tangent vectors ``(dq, dp)``."""
+        r"""The canonical two-form :math:`\omega = dq \wedge dp` on two tangent vectors, a scalar.
+
+        Parameters
+        ----------
+        z : pair
+            The point ``(q, p)``.
+        a, b : pair
+            Tangent vectors ``(dq, dp)``.
+        """
         return vec.pairing(a[0], b[1]) - vec.pairing(b[0], a[1])
 
     def sharp(self, z: Pair, covector: Pair) -> Pair:
-        """The tangent vector ``a`` at ``z`` with ``omega(a, b) = <covector, b>`` for every tangent ``b``.
+        r"""The tangent vector ``a`` at ``z`` with :math:`\omega(a, b) = \langle covector, b \rangle` for every
+        tangent ``b``.
 
-        Of ``dH`` it is the Hamiltonian vector field, ``qdot = dH/dp``, ``pdot = -dH/dq``. The covector is ambient.
+        Parameters
+        ----------
+        z : pair
+            The point ``(q, p)``.
+        covector : pair
+            An ambient covector; for ``dH`` the result is the Hamiltonian vector field.
         """
         s, t = self.parts(z, covector)
         return self.lift(z, t, vec.scale(-1.0, s))

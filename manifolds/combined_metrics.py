@@ -16,10 +16,20 @@ from .product import Product
 
 @final
 class ProductMetric(Metric):
-    """The sum of metrics of the factors of a product.
+    r"""The sum of metrics of the factors of a product, :math:`g(v, w) = \sum_i g_i(v_i, w_i)`.
 
-    ``g(v, w) = sum_i g_i(v_i, w_i)``.
+    Parameters
+    ----------
+    *factors : Metric
+        The metrics, one for each factor.
 
+    Raises
+    ------
+    InvalidInputError
+        For other factors.
+
+    Examples
+    --------
     >>> print(ProductMetric(EmbeddedMetric(SO(3)), EmbeddedMetric(Euclidean(3))).manifold)
     SO(3) x R^3
     """
@@ -46,10 +56,22 @@ class ProductMetric(Metric):
 
 @final
 class PowerMetric(Metric):
-    """The sum of one metric over the copies of a power.
+    r"""The sum of one metric over the copies of a power, :math:`g(v, w) = \sum_i g_M(v_i, w_i)`.
 
-    ``g(v, w) = sum_i g(v_i, w_i)``.
+    Parameters
+    ----------
+    factor : Metric
+        The metric of a copy.
+    k : int
+        The number of copies.
 
+    Raises
+    ------
+    InvalidInputError
+        For another metric or number.
+
+    Examples
+    --------
     >>> print(PowerMetric(EmbeddedMetric(Sphere(2)), 3).manifold)
     Power(Sphere(2), 3)
     """
@@ -73,10 +95,17 @@ class PowerMetric(Metric):
 
 @final
 class ScaledMetric(Metric):
-    """A positive multiple of a metric: the same geodesics, other lengths.
+    """A positive multiple of a metric: the same geodesics with other lengths.
 
-    ``g(v, w) = scale * base(v, w)``.
+    Parameters
+    ----------
+    base : Metric
+        The metric.
+    scale : float
+        The factor, positive; ``InvalidInputError`` for another number.
 
+    Examples
+    --------
     >>> q, v = jnp.zeros(2), jnp.array([3.0, 4.0])
     >>> float(ScaledMetric(EmbeddedMetric(Euclidean(2)), 2.0).inner_product(q, v, v))
     50.0

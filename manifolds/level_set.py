@@ -14,7 +14,7 @@ from jaxtyping import Array, Bool, Float
 
 from ..indices import require_indices
 from ..reading import in_one_reading, traced
-from .manifold import Manifold, Verdict
+from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
 from .numerics.errors import InvalidInputError, shapes_of
@@ -22,6 +22,7 @@ from .numerics.frames import null_frame
 from .numerics.precision import default_tolerance, real
 from .numerics.root import solve_small
 from .numerics.sizes import as_shape
+from .verdict import Verdict
 
 RANDOM_STARTS = 20
 GAUSS_NEWTON_STEPS = 30
@@ -41,11 +42,27 @@ def positive_norms(rows: Float[Array, "m N"]) -> Float[Array, " m"]:
 
 
 class LevelSet(Manifold):
-    """Regular level set ``{x : c(x) = 0}`` of a smooth function of arrays of one shape.
+    r"""A regular level set :math:`\{x : c(x) = 0\}` of a smooth function of arrays: a base class.
 
-    Subclass it with ``constraint``. The shape of points is given to each manifold, or is that of the class, ``shape =
-    (3,)``. The tangent spaces, projections, random points and checks follow by automatic differentiation. The equations
-    must be independent: where the Jacobian of ``c`` loses rank there is no manifold.
+    Parameters
+    ----------
+    shape : int or tuple of int
+        The shape of points; a class attribute ``shape = (3,)`` fixes it for all manifolds of the class.
+
+    Notes
+    -----
+    Subclass it with ``constraint``. Automatic differentiation gives the tangent spaces, projections, random points and
+    checks. The equations must be independent: there is no manifold where the Jacobian of ``c`` loses rank.
+
+    Examples
+    --------
+    >>> class Circle(LevelSet):
+    ...     shape = (2,)
+    ...
+    ...     def constraint(self, x):
+    ...         return x @ x - 1.0
+    >>> Circle().dimension
+    1
     """
 
     shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
@@ -84,14 +101,32 @@ class LevelSet(Manifold):
 
     @abstractmethod
     def constraint(self, x: Array) -> Array:
-        """Constraint ``c(x)``, a number or an array of any shape: zero on the manifold, smooth around it."""
+        """The constraint ``c(x)``, a number or an array of any shape: zero on the manifold, smooth around it.
+
+        Parameters
+        ----------
+        x : array
+            A point near the manifold.
+        """
 
     def equations(self, x: Array) -> Float[Array, " m"]:
-        """The constraint as a vector of ``m`` equations."""
+        """The constraint as a vector of ``m`` equations.
+
+        Parameters
+        ----------
+        x : array
+            A point near the manifold.
+        """
         return jnp.ravel(self.constraint(x))
 
     def jacobian(self, x: Array) -> Float[Array, "m N"]:
-        """Jacobian of the equations with respect to the entries of ``x``, one row an equation."""
+        """The Jacobian of the equations in the entries of ``x``, shape ``(m, N)``.
+
+        Parameters
+        ----------
+        x : array
+            A point near the manifold.
+        """
         return in_one_reading(LevelSet._jacobian, self)(x)
 
     def _jacobian(self, x: Array) -> Float[Array, "m N"]:
@@ -107,7 +142,13 @@ class LevelSet(Manifold):
         return real(self.shape)
 
     def in_lengths(self, x: Array) -> tuple[Float[Array, " m"], Float[Array, "m N"]]:
-        """The equations and their Jacobian, each divided by the length of its gradient: distances to first order."""
+        """The equations and their Jacobian, each divided by the length of its gradient: distances to first order.
+
+        Parameters
+        ----------
+        x : array
+            A point near the manifold.
+        """
         j = self.jacobian(x)
         lengths = positive_norms(j)
         return self.equations(x) / lengths, j / lengths[:, None]

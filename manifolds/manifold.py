@@ -2,7 +2,6 @@
 
 import re
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import Any, ClassVar, NoReturn
 
 import equinox as eqx
@@ -11,42 +10,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..module import Module
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
 from .numerics.attribute import attribute
 from .numerics.errors import InvalidInputError
 from .numerics.precision import default_tolerance
 from .numerics.shapes import check_shapes, require_shapes
+from .verdict import Verdict
 
 NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Answer to a membership question: true or false, with the reason in words.
+class Manifold(Module):
+    r"""An ``n``-dimensional manifold embedded in a vector space of arrays: a base class.
 
-    It holds where the largest violation is ``<= tolerance``.
+    Notes
+    -----
+    Points, tangent vectors and covectors are ambient arrays of one shape, or tuples of arrays for products. Covectors
+    pair with vectors by the sum of products of entries. A covector is stored as its tangent representative. Methods act
+    on one point; use ``jax.vmap`` for batches. Methods named in ``one_point`` raise an error for arrays of other
+    shapes.
 
-    >>> verdict = Sphere(2).contains(jnp.array([1.0, 0.0, 0.0]))
-    >>> bool(verdict), verdict.reason
-    (True, 'a point of the manifold to 1e-08')
-    """
-
-    holds: bool
-    reason: str
-
-    def __bool__(self) -> bool:
-        return self.holds
-
-
-class Manifold(eqx.Module):
-    """An ``n``-dimensional manifold embedded in a vector space of arrays.
-
-    Points, tangent vectors and covectors are ambient arrays (pytrees for products) of one shape. Covectors pair with
-    vectors by the sum of products of entries; a covector is stored as its tangent representative.
-    Methods act on one point; batches are ``jax.vmap``: those named in ``one_point`` refuse arrays of other shapes.
-
-    In symbols: ``P_x: E -> T_xM``, orthogonal, and ``sum_i <E_i, a> E_i = P_x a`` for the basis ``E_i`` of ``T_xM``.
+    :math:`P_x: E \to T_xM` is orthogonal, and :math:`\sum_i \langle E_i, a \rangle E_i = P_x a` for the basis
+    :math:`E_i` of :math:`T_xM`.
     """
 
     one_point: ClassVar[dict[str, tuple[str, ...]]] = {
@@ -67,51 +54,100 @@ class Manifold(eqx.Module):
     @attribute
     @abstractmethod
     def dimension(self) -> int:
-        """Dimension ``n`` of the manifold."""
+        """The dimension ``n`` of the manifold."""
 
     @attribute
     @abstractmethod
     def ambient(self) -> Any:
-        """Shapes and dtypes of the arrays that make up a point: a pytree of ``jax.ShapeDtypeStruct``."""
+        """The shapes and dtypes of the arrays of a point: a pytree of ``jax.ShapeDtypeStruct``."""
 
     @abstractmethod
     def projection(self, x: Ambient, a: Ambient) -> Ambient:
-        """Orthogonal projection ``P_x a`` of an ambient vector on the tangent space at ``x``."""
+        """The orthogonal projection :math:`P_x a` of an ambient vector on the tangent space at ``x``.
+
+        Parameters
+        ----------
+        x, a : point, ambient vector
+            A point, and arrays of its shape.
+        """
 
     @abstractmethod
     def basis(self, x: Ambient) -> Frame:
-        """Orthonormal basis ``E(x)`` of the tangent space: leaves of shape ``(n, *leaf)``."""
+        """The orthonormal basis ``E(x)`` of the tangent space: leaves of shape ``(n, *leaf)``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        """
 
     @abstractmethod
     def restore(self, x: Ambient) -> Ambient:
         """One Newton step from an ambient point near the manifold towards it; the identity on the manifold.
 
-        Errors of size ``e`` become ``O(e^2)``: used to keep round-off from accumulating over long products.
+        Parameters
+        ----------
+        x : ambient vector
+            A point near the manifold. Errors of size ``e`` become :math:`O(e^2)`, which limits round-off in long
+            products.
         """
 
     @abstractmethod
     def violations(self, x: Ambient) -> dict[str, Array]:
-        """The defining equations in words, each with how much ``x`` violates it (0 on the manifold)."""
+        """The defining equations in words, each with its violation by ``x`` (0 on the manifold).
+
+        Parameters
+        ----------
+        x : ambient vector
+            A point near the manifold.
+        """
 
     @abstractmethod
     def random_point(self, key: Array) -> Ambient:
-        """A random point from a JAX key."""
+        """A random point.
+
+        Parameters
+        ----------
+        key : JAX key
+            The key, such as ``jax.random.key(0)``.
+        """
 
     def length(self, x: Ambient, a: Ambient) -> Array:
-        """Size of an ambient vector ``a`` at ``x`` in the manifold's own measure, by which inverses are judged.
+        """The size of an ambient vector ``a`` at ``x`` in the measure of the manifold, by default ``max |a_i|``.
 
-        By default ``max |a_i|``. Far out on a manifold with another geometry, an ambient length says nothing of how
-        near two points are: there the length is that of its metric.
+        Parameters
+        ----------
+        x, a : point, ambient vector
+            A point, and arrays of its shape.
+
+        Notes
+        -----
+        Errors of inverses are measured in it. Far out on a manifold with another geometry it is the length in the
+        metric.
         """
         require_shapes(self, {"a point": x, "an ambient vector": a})
         return vec.size(a)
 
     def random_tangent(self, key: Array, x: Ambient) -> Ambient:
-        """A random tangent vector at ``x``: the projection of a standard normal ambient vector."""
+        """A random tangent vector at ``x``: the projection of a standard normal ambient vector.
+
+        Parameters
+        ----------
+        key, x : JAX key, point
+            The key, and a point.
+        """
         return self.projection(x, vec.normal(key, self.ambient))
 
     def contains(self, x: Ambient, tolerance: float | None = None) -> Verdict:
-        """Whether ``x`` is a point of this manifold to ``tolerance`` (default: square root of machine epsilon)."""
+        """Whether ``x`` is a point of this manifold.
+
+        Parameters
+        ----------
+        x : ambient vector
+            Arrays of the shape of a point.
+        tolerance : float, optional
+            The largest violation; by default the square root of the machine epsilon.
+        """
         wrong = self.describe_mismatch(x, "a point")
         if wrong:
             return Verdict(False, wrong)
@@ -119,7 +155,13 @@ class Manifold(eqx.Module):
         return self.judge(_violations(self, jax.tree.map(jnp.asarray, x)), limit)
 
     def judge(self, violations: dict[str, Array], limit: float) -> Verdict:
-        """The verdict on a point with these violations of the defining equations."""
+        """The verdict on a point with given violations of the defining equations.
+
+        Parameters
+        ----------
+        violations, limit : dict of str to number, float
+            The violations, and the largest violation of a point.
+        """
         for words, value in violations.items():
             if not float(value) <= limit:
                 hint = self._hint(words, float(value))
@@ -133,7 +175,15 @@ class Manifold(eqx.Module):
         return "; restore(x) brings a point near the manifold onto it" if value < NEAR else ""
 
     def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:
-        """Whether ``v`` is tangent at ``x``: its normal part, relative to ``1 + max |v|``, is below ``tolerance``."""
+        """Whether ``v`` is tangent at ``x``: its normal part is small relative to ``1 + max |v|``.
+
+        Parameters
+        ----------
+        x, v : point, ambient vector
+            A point, and arrays of its shape.
+        tolerance : float, optional
+            The largest relative normal part; by default the square root of the machine epsilon.
+        """
         wrong = self.describe_mismatch(v, "a tangent vector")
         if wrong:
             return Verdict(False, wrong)
@@ -146,8 +196,13 @@ class Manifold(eqx.Module):
         return Verdict(True, f"tangent to the manifold to {limit:.1g}")
 
     def describe_mismatch(self, a: Ambient, role: str) -> str:
-        """Words on how ``a`` differs from a finite ambient vector of this manifold in its structure; empty if it does
-        not."""
+        """The difference between ``a`` and a finite ambient vector of this manifold, in words; empty without one.
+
+        Parameters
+        ----------
+        a, role : ambient vector, str
+            Arrays, and the word for them, such as ``"a point"``.
+        """
         if self._holds(a):
             return ""
         wrong = self.describe_shapes(a, role) or self.describe_kinds(a, role)
@@ -174,8 +229,13 @@ class Manifold(eqx.Module):
         )
 
     def describe_shapes(self, a: Ambient, role: str) -> str:
-        """Words on how the arrays of ``a`` differ in their shapes from those of an ambient vector; empty if they do
-        not."""
+        """The difference between the shapes of ``a`` and of an ambient vector, in words; empty without one.
+
+        Parameters
+        ----------
+        a, role
+            As in ``describe_mismatch``.
+        """
         expected, wanted = jax.tree.flatten(self.ambient)
         leaves, structure = jax.tree.flatten(a)
         if structure != wanted:
@@ -196,13 +256,23 @@ class Manifold(eqx.Module):
         return ""
 
     def hint_for_shape(self, k: int, shape: tuple[int, ...], role: str) -> str:
-        """Words on an array of another shape in place of the k-th array of what ``role`` says, a point, a tangent
-        vector or a covector; none where it is not known what it may be."""
+        """A hint for an array of another shape, in words; empty without one.
+
+        Parameters
+        ----------
+        k, shape, role : int, tuple of int, str
+            The number of the array, its shape, and the word for it.
+        """
         return ""
 
     def describe_kinds(self, a: Ambient, role: str) -> str:
-        """Words on entries of ``a`` that are not numbers, or complex where those of a point are real; empty if there
-        are none."""
+        """Words on entries that are not numbers, or are complex on a real manifold; empty without such entries.
+
+        Parameters
+        ----------
+        a, role
+            As in ``describe_mismatch``.
+        """
         for expected, leaf in zip(jax.tree.leaves(self.ambient), jax.tree.leaves(a), strict=True):
             kind = leaf.dtype if hasattr(leaf, "dtype") else np.asarray(leaf).dtype
             if not jnp.issubdtype(kind, jnp.number):
@@ -247,11 +317,15 @@ class Manifold(eqx.Module):
 
 
 class HomogeneousSpace(Manifold):
-    """A manifold on which a matrix group acts by linear maps of the ambient space.
+    r"""A manifold on which a matrix group acts by linear maps of the ambient space: a base class.
 
-    The action's generators give the momentum map ``J_i(q, p) = <p, xi_i(q)>``, conserved by every Hamiltonian that the
-    action leaves invariant.
+    Notes
+    -----
+    The generators of the action give the momentum map :math:`J_i(q, p) = \langle p, \xi_i(q) \rangle`. Every
+    Hamiltonian that the action leaves invariant conserves it.
 
+    Examples
+    --------
     >>> isinstance(Sphere(2), HomogeneousSpace)
     True
     """
@@ -264,10 +338,23 @@ class HomogeneousSpace(Manifold):
 
     @abstractmethod
     def generators(self, x: Ambient) -> Frame:
-        """Infinitesimal generators ``xi_i(x)`` of the action, leaves of shape ``(group dimension, *leaf)``."""
+        r"""The infinitesimal generators :math:`\xi_i(x)` of the action, leaves of shape ``(group dimension,
+        *leaf)``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        """
 
     def momentum(self, x: Ambient, p: Ambient) -> Array:
-        """Momentum map ``J_i = <p, xi_i(x)>`` of a covector ``p`` at ``x``."""
+        r"""The momentum map :math:`J_i = \langle p, \xi_i(x) \rangle`, shape ``(group dimension,)``.
+
+        Parameters
+        ----------
+        x, p : point, covector
+            A point, and a covector there.
+        """
         return vec.components(self.generators(x), p)
 
 

@@ -3,9 +3,9 @@
 from abc import abstractmethod
 from typing import Any, ClassVar, final
 
-import equinox as eqx
 from jaxtyping import Array
 
+from ..module import Module
 from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient
@@ -13,14 +13,17 @@ from .numerics.attribute import attribute
 from .numerics.shapes import check_shapes
 
 
-class Metric(eqx.Module):
-    """A Riemannian metric ``g`` on a manifold.
+class Metric(Module):
+    r"""A Riemannian metric ``g`` on a manifold: a base class.
 
-    It is not the pairing of covectors with vectors, which is the sum of products of entries whatever the metric.
+    Notes
+    -----
+    :math:`g_x(v, w)` is symmetric and positive definite on :math:`T_xM`. The covector of ``v`` is the ``p`` with
+    :math:`\langle p, w \rangle = g_x(v, w)`. The pairing of covectors with vectors is the sum of products of entries,
+    with any metric.
 
-    ``g_x(v, w)``, symmetric and positive definite on ``T_xM``; the covector of ``v`` is the ``p`` with ``<p, w> =
-    g_x(v, w)``.
-
+    Examples
+    --------
     >>> isinstance(EmbeddedMetric(Sphere(2)), Metric)
     True
     """
@@ -44,25 +47,64 @@ class Metric(eqx.Module):
 
     @abstractmethod
     def inner_product(self, x: Ambient, v: Ambient, w: Ambient) -> Array:
-        """``g_x(v, w)`` of two tangent vectors at ``x``."""
+        """The inner product :math:`g_x(v, w)` of two tangent vectors, a scalar.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        v, w : tangent vectors
+            Two tangent vectors there.
+        """
 
     @abstractmethod
     def kinetic_energy(self, x: Ambient, p: Ambient) -> Array:
-        """``g_x^-1(p, p) / 2`` of a covector, any ambient array: the Hamiltonian whose solutions are the geodesics."""
+        """The kinetic energy :math:`g_x^{-1}(p, p) / 2`: the Hamiltonian of the geodesics.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        p : covector
+            A covector there, any ambient array.
+        """
 
     def covector(self, x: Ambient, v: Ambient) -> Ambient:
-        """The covector ``g_x(v, .)``: the momentum of a geodesic with velocity ``v``."""
+        r"""The covector :math:`g_x(v, \cdot)`: the momentum of a geodesic with velocity ``v``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        v : tangent vector
+            A tangent vector there.
+        """
         return self.manifold.projection(x, vec.gradient(lambda w: self.inner_product(x, v, w), v))
 
     def vector(self, x: Ambient, p: Ambient) -> Ambient:
-        """The tangent vector whose ``covector`` is ``p``."""
+        """The tangent vector whose ``covector`` is ``p``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        p : covector
+            A covector there.
+        """
         return self.manifold.projection(x, vec.gradient(lambda a: self.kinetic_energy(x, a), p))
 
 
 @final
 class EmbeddedMetric(Metric):
-    """The metric that a manifold has from its ambient space: ``g_x(v, w) = <v, w>``.
+    r"""The metric of the ambient space on a manifold: :math:`g_x(v, w) = \langle v, w \rangle`.
 
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+
+    Examples
+    --------
     >>> q, v = jnp.zeros(2), jnp.array([3.0, 4.0])
     >>> float(EmbeddedMetric(Euclidean(2)).inner_product(q, v, v))
     25.0

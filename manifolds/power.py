@@ -16,13 +16,25 @@ from .numerics.sizes import are_whole
 
 @final
 class Power(Manifold):
-    """``k`` copies of a manifold: every array of a point has one more axis, the first, of length ``k``.
+    r"""The power of a manifold: ``k`` copies, with the copies along the first axis of every array.
 
-    A path of ``k`` attitudes is a point of ``Power(SO(3), k)``, of shape ``(k, 3, 3)``. What is done to a point is done
-    to all copies at once by ``jax.vmap``; for few copies of different kinds there is ``Product``. Raises
-    ``InvalidInputError`` for what is not a manifold and for a number below 1.
+    Parameters
+    ----------
+    factor : Manifold
+        The manifold ``M`` of a copy.
+    k : int
+        The number of copies, at least 1.
 
-    Its points are ``(x_1, ..., x_k)``, ``M^k`` with ``dim M^k = k dim M``.
+    Raises
+    ------
+    InvalidInputError
+        For another manifold or number.
+
+    Notes
+    -----
+    Points are :math:`(x_1, \dots, x_k)`, and :math:`\dim M^k = k \dim M`. A path of ``k`` attitudes is a point of
+    ``Power(SO(3), k)``, shape ``(k, 3, 3)``. ``jax.vmap`` acts on all copies at once; use ``Product`` for a few
+    different manifolds.
     """
 
     factor: Manifold
@@ -64,8 +76,13 @@ class Power(Manifold):
         return jax.vmap(self.factor.random_point)(jax.random.split(key, self.k))
 
     def pad(self, frames: Frame) -> Frame:
-        """Frames of the copies, leaves of shape ``(k, m, *leaf)``, as one frame: each vector is zero on the other
-        copies."""
+        """Frames of the copies as one frame, each vector zero on the other copies.
+
+        Parameters
+        ----------
+        frames : pytree of arrays
+            Leaves of shape ``(k, m, *leaf)``.
+        """
 
         def padded(leaf: Array) -> Array:
             apart = jnp.einsum("ij,im...->imj...", jnp.eye(self.k, dtype=leaf.dtype), leaf)

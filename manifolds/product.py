@@ -14,9 +14,22 @@ from .numerics.errors import InvalidInputError
 
 @final
 class Product(Manifold):
-    """Product of manifolds; a point is the tuple of its factors' points: ``R, w = q`` on ``SO(3) * Euclidean(3)``.
+    """The product of manifolds; a point is the tuple of the points of its factors.
 
-    Raises ``InvalidInputError`` for no factors, and for those that are not manifolds.
+    Parameters
+    ----------
+    *factors : Manifold
+        At least one manifold; ``SO(3) * Euclidean(3)`` is short for ``Product(SO(3), Euclidean(3))``.
+
+    Raises
+    ------
+    InvalidInputError
+        Without factors, and for other factors.
+
+    Examples
+    --------
+    >>> (SO(3) * Euclidean(3)).dimension
+    6
     """
 
     factors: tuple[Manifold, ...]
@@ -66,7 +79,13 @@ class Product(Manifold):
         return tuple(m.random_point(k) for m, k in zip(self.factors, keys, strict=True))
 
     def pad(self, frames: list[vec.Frame]) -> tuple[Any, ...]:
-        """Frames of the factors, one after the other, each zero on the other factors."""
+        """Frames of the factors as one frame, each vector zero on the other factors.
+
+        Parameters
+        ----------
+        frames : list of frames
+            A frame for each factor.
+        """
         counts = [jax.tree.leaves(frame)[0].shape[0] for frame in frames]
         before = [sum(counts[:i]) for i in range(len(counts))]
 

@@ -19,12 +19,20 @@ from .numerics.tolerances import HALF, tolerance
 
 @final
 class Submanifold(Manifold):
-    """``{x in M : c(x) = 0}`` for a smooth function of points of ``M`` with values in ``R^m``, in the ambient space of
-    ``M``.
+    r"""The submanifold :math:`\{x \in M : c(x) = 0\}` of a manifold ``M``, in the ambient space of ``M``.
 
-    The equations must be independent: the differentials of the ``m`` components along ``M`` have rank ``m`` on the set.
-    Where that is several pieces, ``piece``, as many equations that hold on one of them alone, makes it that one.
+    Parameters
+    ----------
+    parent : Manifold
+        The manifold ``M``.
+    equations : callable
+        ``c(x)``, a smooth function of points of ``M`` with values of shape ``(m,)``. Its differentials along ``M`` must
+        have rank ``m`` on the set.
+    piece : callable, optional
+        As many equations that hold on one piece alone, if the set has several pieces.
 
+    Examples
+    --------
     >>> print(Submanifold(Euclidean(2), lambda x: x[1:]).dimension)
     1
     """
@@ -54,12 +62,24 @@ class Submanifold(Manifold):
         return self.parent.ambient
 
     def normals(self, x: Ambient) -> Frame:
-        """Gradients along ``M`` of the ``m`` equations: leaves of shape ``(m, *leaf)``."""
+        """The gradients of the ``m`` equations along ``M``: leaves of shape ``(m, *leaf)``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        """
         gradients = jax.jacrev(self.equations)(x)
         return jax.vmap(lambda gradient: self.parent.projection(x, gradient))(gradients)
 
     def values(self, x: Ambient) -> tuple[Float[Array, " m"], Frame]:
-        """Values of the equations at ``x``, and their gradients along ``M``."""
+        """The values of the equations, shape ``(m,)``, and their gradients along ``M``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        """
         return self.equations(x), self.normals(x)
 
     def projection(self, x: Ambient, a: Ambient) -> Ambient:
@@ -77,10 +97,16 @@ class Submanifold(Manifold):
         return vec.subtract(near, _combination(normals, values))
 
     def nearby(self, x: Ambient) -> Ambient:
-        """A point of the submanifold near ``x``, by Newton steps along the normals until they are rounding.
+        """A point of the submanifold near ``x``, by Newton steps along the normals.
 
-        Where they do not converge the last iterate is returned: ``contains`` says so. Raises ``InvalidInputError`` if
-        ``x`` has not the structure of a point.
+        Parameters
+        ----------
+        x : ambient vector
+            A point near the submanifold; ``InvalidInputError`` for another structure.
+
+        Notes
+        -----
+        If Newton's method does not converge, the last iterate is returned: check it with ``contains``.
         """
         wrong = self.describe_mismatch(x, "a point beside it")
         if wrong:

@@ -25,13 +25,24 @@ Pair = tuple[Ambient, Ambient]
 def cotangent_lift(
     diffeomorphism: Callable[[Ambient], Ambient], source: Manifold, target: Manifold
 ) -> Callable[[Ambient, Ambient], Pair]:
-    """Cotangent lift ``hat(F) = (TF^-1)^*: T*M1 -> T*M2`` of a (local) diffeomorphism ``F: M1 -> M2``.
+    r"""The cotangent lift :math:`\hat F = (TF^{-1})^*: T^*M_1 \to T^*M_2` of a (local) diffeomorphism.
 
-    The result takes a point ``x`` of ``source`` and a covector ``p`` there (any ambient array) to ``F(x)`` and the
-    covector ``p'`` with ``<p', DF(x) e> = <p, e>`` for every tangent vector ``e`` at ``x``.
+    Parameters
+    ----------
+    diffeomorphism : callable
+        ``F``, from points of ``source`` to points of ``target``.
+    source, target : Manifold
+        The manifolds.
 
-    Each is an array of the shape of a point of its manifold.
+    Returns
+    -------
+    callable
+        A function of a point ``x`` of ``source`` and a covector ``p`` of its shape. It returns ``F(x)`` and
+        the covector ``p'`` with :math:`\langle p', DF(x) e \rangle = \langle p, e \rangle` for every tangent vector
+        ``e``.
 
+    Examples
+    --------
     >>> lift = cotangent_lift(lambda x: 2.0 * x, Euclidean(1), Euclidean(1))
     >>> [part.tolist() for part in lift(jnp.ones(1), jnp.ones(1))]
     [[2.0], [0.5]]
@@ -49,15 +60,37 @@ def cotangent_lift(
 
 @final
 class CotangentLift(DiscretizationMap):
-    """Cotangent lift ``R_d^{T*}: TT*Q -> T*Q x T*Q`` of a discretization map on ``Q``: a discretization map on ``T*Q``.
+    r"""The cotangent lift of a discretization map on ``Q``: a discretization map on ``T*Q``.
 
-    At ``z = (x, p)`` and ``zdot = (xdot, pdot)`` its value ``(q0, p0; q1, p1)`` is ``(q0, q1) = R_d(x, xdot)`` and, for
-    every ``(dx, dv)`` tangent to ``TQ`` at ``(x, xdot)``,
+    Parameters
+    ----------
+    discretization : DiscretizationMap
+        The map :math:`R_d = (R_1, R_2)` on ``Q``.
 
-        -<p0, D R1[dx, dv]> + <p1, D R2[dx, dv]> = <pdot, dx> + <p, dv>.
+    Raises
+    ------
+    InvalidInputError
+        For another object.
 
-    It pulls ``pr2* omega - pr1* omega`` back to the tangent lift of ``omega``. Raises ``InvalidInputError`` for what is
-    not a discretization map.
+    Notes
+    -----
+    At ``z = (x, p)`` and ``zdot = (xdot, pdot)`` its value is :math:`(q_0, p_0; q_1, p_1)` with
+    :math:`(q_0, q_1) = R_d(x, \dot x)` and, for every :math:`(dx, dv)` tangent to ``TQ`` at :math:`(x, \dot x)`,
+
+    .. math::
+        -\langle p_0, DR_1[dx, dv] \rangle + \langle p_1, DR_2[dx, dv] \rangle
+        = \langle \dot p, dx \rangle + \langle p, dv \rangle.
+
+    It pulls :math:`pr_2^* \omega - pr_1^* \omega` back to the tangent lift of :math:`\omega`.
+
+    References
+    ----------
+    Barbero-Liñán and Martin de Diego, Retraction maps: a seed of geometric integrators, 2022.
+
+    Examples
+    --------
+    >>> CotangentLift(Midpoint(Cayley(SO(3)))).theta
+    0.5
     """
 
     discretization: DiscretizationMap
@@ -85,8 +118,9 @@ class CotangentLift(DiscretizationMap):
         return Phi_inverse(*lift((q, qdot), (p_q, p_v)))
 
     def preimage(self, x0: Pair, x1: Pair) -> tuple[Pair, Pair]:
-        """Inverse from the inverse of ``R_d``: the covector on ``T(Q x Q)`` is pulled back, then made tangent to
-        ``T*Q``."""
+        """The inverse by the inverse of ``R_d``: the covector on ``T(Q x Q)`` is pulled back, then made tangent to
+        ``T*Q``.
+        """
         ends, covector = Phi(x0, x1)
         base = self.discretization.manifold
         q, qdot = self.discretization.preimage(*ends)
@@ -96,10 +130,20 @@ class CotangentLift(DiscretizationMap):
 
 @final
 class BundleRetraction(Retraction):
-    """Retraction of ``T*Q`` over a retraction of ``Q``: move the base, project the moved covector.
+    r"""The retraction of ``T*Q`` over a retraction of ``Q``: it moves the base and projects the moved covector.
 
-    ``R((q, p), (qdot, pdot)) = (R_Q(q, qdot), P(p + pdot))`` with the tangent projection ``P`` at the moved point.
+    Parameters
+    ----------
+    base : Retraction
+        The retraction of ``Q``.
 
+    Notes
+    -----
+    :math:`R((q, p), (\dot q, \dot p)) = (R_Q(q, \dot q), P(p + \dot p))` with the tangent projection ``P`` at the moved
+    point.
+
+    Examples
+    --------
     >>> CotangentLift(Midpoint(Projection(Sphere(2)))).retraction
     BundleRetraction(base=SphereProjection(manifold=Sphere(n=2)))
     """

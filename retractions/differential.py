@@ -11,33 +11,70 @@ from .retraction import Retraction
 
 
 class DifferentiatedRetraction(Retraction):
-    """A retraction with closed forms of its derivative along the fibres and of the adjoint of that.
+    r"""A retraction with closed forms of its derivative along the fibres and of its adjoint: a base class.
 
-    Use ``differentiated`` and ``differential_adjoint``, which take any retraction.
+    Notes
+    -----
+    :math:`DR[w] = \frac{d}{ds} R(x, v + s w)` at ``s = 0``. The functions ``differentiated`` and
+    ``differential_adjoint`` take any retraction.
 
-    The derivative is ``DR[w] = d/ds R(x, v + s w)`` at ``s = 0``.
-
+    Examples
+    --------
     >>> isinstance(Cayley(SO(3)), DifferentiatedRetraction)
     True
     """
 
     @abstractmethod
     def fibre_derivative(self, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
-        """``DR[w] = D_v R(x, v)[w]``, tangent at ``R(x, v)``, for ``w`` tangent at ``x``."""
+        """The derivative :math:`DR[w] = D_v R(x, v)[w]`, tangent at ``R(x, v)``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        v, w : tangent vectors
+            Tangent vectors there.
+        """
 
     @abstractmethod
     def differential_adjoint(self, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
-        """``DR*[xi]``, tangent at ``x``, for ``xi`` any ambient covector at ``R(x, v)``."""
+        r"""The adjoint :math:`DR^*[\xi]`, tangent at ``x``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        v : tangent vector
+            A tangent vector there.
+        xi : covector
+            Any ambient covector at ``R(x, v)``.
+        """
 
 
 def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -> Ambient:
-    """Differentiated retraction ``DR[w] = d/ds R(x, v + s w)`` at ``s = 0``, a tangent vector at ``R(x, v)``.
+    r"""The differentiated retraction :math:`DR[w] = \frac{d}{ds} R(x, v + s w)` at ``s = 0``, a tangent vector at
+    ``R(x, v)``.
 
-    ``x``, ``v``, ``w``: a point and two tangent vectors there. It is the vector transport of ``w`` along ``v`` that
-    belongs to the retraction [Absil, Mahony, Sepulchre 2008, 8.1.2].
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction ``R``.
+    x : point
+        A point.
+    v, w : tangent vectors
+        Tangent vectors there, of the shape of ``x``.
 
-    All of them, and the value, have the shape of a point.
+    Returns
+    -------
+    tangent vector
+        The vector transport of ``w`` along ``v`` that belongs to the retraction, of the shape of ``x``.
 
+    References
+    ----------
+    Absil, Mahony, Sepulchre, Optimization algorithms on matrix manifolds, 2008, 8.1.2.
+
+    Examples
+    --------
     >>> x, v, w = jnp.zeros(2), jnp.ones(2), jnp.array([1.0, 2.0])
     >>> differentiated(Addition(Euclidean(2)), x, v, w).tolist()
     [1.0, 2.0]
@@ -49,13 +86,27 @@ def differentiated(retraction: Retraction, x: Ambient, v: Ambient, w: Ambient) -
 
 
 def differential_adjoint(retraction: Retraction, x: Ambient, v: Ambient, xi: Ambient) -> Ambient:
-    """Adjoint ``DR*`` of the differentiated retraction: ``<DR[w], xi> = <w, DR*[xi]>`` for every ``w`` tangent at
-    ``x``.
+    r"""The adjoint :math:`DR^*` of the differentiated retraction:
+    :math:`\langle DR[w], \xi \rangle = \langle w, DR^*[\xi] \rangle`.
 
-    ``xi`` is a covector at ``R(x, v)``, any ambient array; the value is the covector at ``x``, as a tangent vector.
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction ``R``.
+    x : point
+        A point.
+    v : tangent vector
+        A tangent vector there, of the shape of ``x``.
+    xi : covector
+        A covector at ``R(x, v)``, any ambient array.
 
-    ``v`` and the value are tangent vectors at ``x``, all of the shape of a point.
+    Returns
+    -------
+    tangent vector
+        The covector at ``x``, as a tangent vector.
 
+    Examples
+    --------
     >>> x, v, xi = jnp.zeros(2), jnp.ones(2), jnp.array([1.0, 2.0])
     >>> differential_adjoint(Addition(Euclidean(2)), x, v, xi).tolist()
     [1.0, 2.0]

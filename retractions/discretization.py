@@ -8,23 +8,33 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool
 
+from ..errors import concise
 from ..manifolds import DomainError, InvalidInputError, Manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.attribute import attribute
 from ..manifolds.numerics.root import find_root
+from ..module import Module
 from .constructions import PowerRetraction, ProductRetraction
 from .retraction import MidpointRetraction, Retraction, is_reached, nan_unless
 
 Pair = tuple[Ambient, Ambient]
 
 
-class DiscretizationMap(eqx.Module):
-    """A map ``R_d = (R1, R2): TM -> M x M`` with (i) ``R_d(x, 0) = (x, x)``; (ii) ``D_v R2(x, 0) - D_v R1(x, 0) = Id``.
+class DiscretizationMap(Module):
+    r"""A map of a tangent vector, base point and velocity times step, to the two ends of a step: a base class.
 
-    It turns a tangent vector, base point and velocity times step, into the two ends of a step
-    [Barbero-Linan, Martin de Diego, "Retraction maps: a seed of geometric integrators", 2022].
+    Notes
+    -----
+    :math:`R_d = (R_1, R_2): TM \to M \times M` with :math:`R_d(x, 0) = (x, x)` and
+    :math:`D_v R_2(x, 0) - D_v R_1(x, 0) = \mathrm{Id}`.
 
+    References
+    ----------
+    Barbero-Liñán and Martin de Diego, Retraction maps: a seed of geometric integrators, 2022.
+
+    Examples
+    --------
     >>> R_d = Theta(Addition(Euclidean(1)), 0.25)
     >>> [end.tolist() for end in R_d(jnp.array([1.0]), jnp.array([0.4]))]
     [[0.9], [1.3]]
@@ -35,7 +45,7 @@ class DiscretizationMap(eqx.Module):
     @attribute
     @abstractmethod
     def theta(self) -> float:
-        """Where in the step the base point sits: 0 at its start, 1 at its end."""
+        """The place of the base point in the step: 0 at its start, 1 at its end."""
 
     @attribute
     @abstractmethod
@@ -44,7 +54,15 @@ class DiscretizationMap(eqx.Module):
 
     @abstractmethod
     def __call__(self, x: Ambient, v: Ambient) -> Pair:
-        """The two ends ``(R1(x, v), R2(x, v))``."""
+        """The two ends :math:`(R_1(x, v), R_2(x, v))`.
+
+        Parameters
+        ----------
+        x : point
+            The base point.
+        v : tangent vector
+            The velocity times the step.
+        """
 
     @property
     def manifold(self) -> Manifold:
@@ -52,13 +70,28 @@ class DiscretizationMap(eqx.Module):
         return self.retraction.manifold
 
     def preimage(self, x0: Ambient, x1: Ambient) -> Pair:
-        """The ``(x, v)`` with ``R_d(x, v) = (x0, x1)``, by Newton's method; entries are NaN where it finds none."""
+        """The pair ``(x, v)`` with ``R_d(x, v) = (x0, x1)``, by Newton's method; entries are NaN without
+        convergence.
+
+        Parameters
+        ----------
+        x0, x1 : point
+            The ends.
+        """
         return newton_preimage(self, x0, x1)
 
     def inverse(self, x0: Ambient, x1: Ambient) -> Pair:
-        """Inverse ``(x, v)`` with ``R_d(x, v) = (x0, x1)``.
+        """The pair ``(x, v)`` with ``R_d(x, v) = (x0, x1)``.
 
-        Raises ``DomainError`` if none is found; under ``jit`` and ``vmap`` the entries are NaN there.
+        Parameters
+        ----------
+        x0, x1 : point
+            The ends.
+
+        Raises
+        ------
+        DomainError
+            If none is found; under ``jit`` and ``vmap`` the entries are NaN instead.
         """
         z = self.preimage(x0, x1)
         if not vec.is_traced(x0, x1, z):
@@ -103,10 +136,30 @@ def newton_preimage(discretization: DiscretizationMap, x0: Ambient, x1: Ambient)
 
 @final
 class Theta(DiscretizationMap):
-    """``R_d(x, v) = (A(x, -theta v), B(x, (1 - theta) v))`` from retractions ``A`` and ``B``, usually the same one.
+    r"""The theta family of discretization maps, :math:`R_d(x, v) = (A(x, -\theta v), B(x, (1 - \theta) v))`.
 
-    ``theta = 0`` is Euler, ``1/2`` midpoint (symmetric if ``A = B``, hence of order 2), ``1`` backward Euler. Raises
-    ``InvalidInputError`` for what is not a retraction, retractions of two manifolds, and ``theta`` outside [0, 1].
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction ``A``.
+    theta : float
+        A number in [0, 1]: 0 is Euler, 1/2 midpoint, 1 backward Euler.
+    forward : Retraction, optional
+        The retraction ``B``; by default ``A``.
+
+    Raises
+    ------
+    InvalidInputError
+        For other retractions, retractions of two manifolds, and ``theta`` outside [0, 1].
+
+    Notes
+    -----
+    ``theta = 1/2`` with ``A = B`` is symmetric, hence of order 2.
+
+    Examples
+    --------
+    >>> Theta(Cayley(SO(3)), 0.5).manifold
+    SO(n=3)
     """
 
     backward: Retraction
@@ -147,8 +200,9 @@ class Theta(DiscretizationMap):
         return start, end
 
     def preimage(self, x0: Ambient, x1: Ambient) -> Pair:
-        """Closed form for Euler, backward Euler and, where the retraction knows midpoints, the midpoint map; else
-        Newton."""
+        """The inverse, in closed form for Euler, backward Euler, and midpoint with known midpoints; otherwise by
+        Newton's method.
+        """
         if self.theta == 0:
             return x0, self.forward.preimage(x0, x1)
         if self.theta == 1:
@@ -165,21 +219,61 @@ class Theta(DiscretizationMap):
         return newton_preimage(self, x0, x1)
 
 
+@concise
 def Euler(retraction: Retraction) -> Theta:
-    """Explicit Euler: ``R_d(x, v) = (x, R(x, v))``."""
+    """The explicit Euler map :math:`R_d(x, v) = (x, R(x, v))`.
+
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction ``R``.
+
+    Returns
+    -------
+    Theta
+        The map with ``theta = 0``, of order 1.
+
+    Examples
+    --------
+    >>> Euler(Cayley(SO(3))).theta
+    0.0
+    """
     return Theta(retraction, 0.0)
 
 
+@concise
 def Midpoint(retraction: Retraction) -> Theta:
-    """Midpoint rule: ``R_d(x, v) = (R(x, -v/2), R(x, v/2))``; symmetric, of order 2."""
+    """The midpoint map :math:`R_d(x, v) = (R(x, -v/2), R(x, v/2))`: symmetric, of order 2.
+
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction ``R``.
+
+    Returns
+    -------
+    Theta
+        The map with ``theta = 1/2``.
+
+    Examples
+    --------
+    >>> Midpoint(Cayley(SO(3))).theta
+    0.5
+    """
     return Theta(retraction, 0.5)
 
 
 @final
 class Adjoint(DiscretizationMap):
-    """Adjoint of a discretization map: ``(x, v) -> (R2(x, -v), R1(x, -v))``. A map is symmetric if it is its own
-    adjoint.
+    r"""The adjoint :math:`(x, v) \mapsto (R_2(x, -v), R_1(x, -v))` of a discretization map.
 
+    Parameters
+    ----------
+    inner : DiscretizationMap
+        The map. It is symmetric if it is its own adjoint.
+
+    Examples
+    --------
     >>> Adjoint(Euler(Addition(Euclidean(1)))).theta
     1.0
     """

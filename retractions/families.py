@@ -65,13 +65,23 @@ from .vectors import (
 
 
 class RetractionFamily:
-    """Retractions that share a name. Called with a manifold it gives the one for it.
+    r"""Retractions that share a name, such as ``Cayley``; a call with a manifold returns its member.
 
-    A product is taken factor by factor, a power copy by copy, a Euclidean factor by addition. A class of one's own
-    joins with ``register(MyManifold, MyRetraction)``, for ``MyManifold`` and its subclasses.
+    Parameters
+    ----------
+    name : str
+        The name.
+    members : dict of type to callable
+        The retraction, a function of a manifold, for each class of manifolds.
 
-    The member is a retraction: ``R(x, 0) = x`` and ``D_v R(x, 0) = Id``.
+    Notes
+    -----
+    A product is taken factor by factor, a power copy by copy, a Euclidean factor by addition. A custom class joins with
+    ``register(MyManifold, MyRetraction)``. A member is a retraction: :math:`R(x, 0) = x` and
+    :math:`D_v R(x, 0) = \mathrm{Id}`.
 
+    Examples
+    --------
     >>> Cayley.knows(SO(3)), Cayley.knows(Sphere(2))
     (True, False)
     """
@@ -87,8 +97,17 @@ class RetractionFamily:
         retraction: Callable[..., Retraction],
         where: Callable[[Any], bool] = lambda _: True,
     ) -> None:
-        """Make ``retraction(m)`` the member of this family for those manifolds ``m`` of the given class with
-        ``where(m)``."""
+        """Make ``retraction(m)`` the member of this family for the manifolds ``m`` of a class.
+
+        Parameters
+        ----------
+        manifold : type
+            The class; its subclasses are included.
+        retraction : callable
+            A function of a manifold that returns its retraction, such as a class.
+        where : callable, optional
+            Whether the family has a member for ``m``; by default always.
+        """
         self._members[manifold], self._conditions[manifold] = retraction, where
 
     def _member(self, manifold: Manifold) -> Callable[..., Retraction] | None:
@@ -98,7 +117,13 @@ class RetractionFamily:
         return self._members[kind]
 
     def knows(self, manifold: Manifold) -> bool:
-        """Whether the family has a member for a manifold."""
+        """Whether the family has a member for a manifold.
+
+        Parameters
+        ----------
+        manifold : Manifold
+            The manifold.
+        """
         if isinstance(manifold, Product):
             return all(self.knows(factor) for factor in manifold.factors)
         if isinstance(manifold, Power):
@@ -106,11 +131,11 @@ class RetractionFamily:
         return self._member(manifold) is not None
 
     def __call__(self, manifold: Manifold | None = None) -> Retraction:
-        if manifold is None:
-            raise InvalidInputError(f"{self.name} takes a manifold, got none; try {self.name}(problem.manifold)")
-        if isinstance(manifold, type):
-            own = manifold.__name__
-            raise InvalidInputError(f"{self.name} takes a manifold, got the class {own}; try {self.name}({own}(...))")
+        if not isinstance(manifold, Manifold):
+            own = manifold.__name__ if isinstance(manifold, type) else ""
+            came = f"the class {own}" if own else "none" if manifold is None else repr(manifold)
+            hint = f"{own}(...)" if own else "problem.manifold"
+            raise InvalidInputError(f"{self.name} takes a manifold, got {came}; try {self.name}({hint})")
         if isinstance(manifold, Product):
             return ProductRetraction(*(self(factor) for factor in manifold.factors))
         if isinstance(manifold, Power):
@@ -175,12 +200,22 @@ FAMILIES = (Exponential, Projection, Cayley, Polar, QR)
 
 
 def default_retraction(manifold: Manifold) -> Retraction:
-    """The first of Exponential, Projection, Cayley, Polar, QR that is known on a manifold, else
-    ``ProjectionByNewton``.
+    """The first of Exponential, Projection, Cayley, Polar, QR on a manifold, otherwise ``ProjectionByNewton``.
 
-    Factor by factor on products.
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold; products are taken factor by factor.
 
-    It is a retraction: ``R(x, 0) = x``, ``D_v R(x, 0) = Id``.
+    Returns
+    -------
+    Retraction
+        A retraction: ``R(x, 0) = x``, ``D_v R(x, 0) = Id``.
+
+    Examples
+    --------
+    >>> default_retraction(SO(3))
+    GroupExponential(manifold=SO(n=3))
     """
     if isinstance(manifold, Product):
         return ProductRetraction(*(default_retraction(factor) for factor in manifold.factors))

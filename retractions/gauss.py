@@ -12,28 +12,50 @@ from numpy.polynomial.legendre import leggauss, legvander
 
 from ..manifolds import InvalidInputError, Manifold
 from ..manifolds.numerics.ambient import Ambient, is_count
+from ..module import Module
 from .retraction import Retraction
 
 
 @final
-class Gauss(eqx.Module):
-    """Collocation at ``s`` Gauss-Legendre nodes in the chart of a retraction ``R`` around a point ``x`` amid the step.
+class Gauss(Module):
+    r"""Collocation at ``s`` Gauss-Legendre nodes in the chart of a retraction around a point in the middle of the
+    step.
 
-    With the tableau ``b, c, A`` of the classical method [Hairer, Lubich, Wanner, Geometric Numerical Integration, 2006,
-    II.1.3], a frame ``E`` of ``T_xQ`` and chart velocities ``nu_i`` in R^n, a step of length ``h`` has
+    Parameters
+    ----------
+    stages : int
+        The number ``s`` of nodes, at least 1. The order is ``2 s``.
+    retraction : Retraction
+        The retraction ``R``; the method acts on its manifold.
 
-        ends    q_0, q_1 = R_x(-E eta/2), R_x(E eta/2),    eta = h sum_j b_j nu_j
-        points  q_i = R_x(E xi_i),    velocities D R_x(E xi_i)[E nu_i],    xi_i = h sum_j (a_ij - b_j/2) nu_j
+    Raises
+    ------
+    InvalidInputError
+        For other arguments.
 
-    and collocation asks for the velocities ``X(q_i)``. In the chart this is the classical method, so its order is ``2
-    s``, whatever the retraction; because the chart sits in the middle, the step is symmetric: a step back from ``q_1``
-    has the same centre, and returns. For Hamilton's equations and for optimal control the equations of a step are
-    stationarity of a generating function ``<p_1, q_1> - <p_0, q_0> - h sum_i b_i (...)``, so that a step is a
-    symplectic map of ``T*Q``. One stage is the midpoint rule, ``Midpoint(R)``; it alone is a map of one tangent vector,
-    a ``DiscretizationMap``.
+    Notes
+    -----
+    With the tableau ``b, c, A`` of the classical method, a frame ``E`` of :math:`T_xQ` and chart velocities
+    :math:`\nu_i` in R^n, a step of length ``h`` has the ends :math:`q_0, q_1 = R_x(\mp E\eta/2)` with
+    :math:`\eta = h \sum_j b_j \nu_j`, and
 
-    The methods take coordinates, shape ``(n,)``, in the basis of the manifold at ``x``, and what ``frame(x)`` returns.
-    ``stages``: the number ``s`` of nodes, at least 1. Raises ``InvalidInputError`` for anything else.
+    .. math::
+        q_i = R_x(E \xi_i), \quad v_i = DR_x(E \xi_i)[E \nu_i], \quad
+        \xi_i = h \sum_j (a_{ij} - b_j/2) \nu_j, \quad v_i = X(q_i).
+
+    In the chart this is the classical method: the order is :math:`2s` with any retraction. The chart is centred in the
+    middle of the step, so that the step is symmetric. For Hamilton's equations and for optimal control the step is a
+    symplectic map of ``T*Q``. One stage is the midpoint rule, ``Midpoint(R)``. The methods take coordinates, shape
+    ``(n,)``, in the basis at ``x``, and the result of ``frame(x)``.
+
+    References
+    ----------
+    Hairer, Lubich, Wanner, Geometric Numerical Integration, 2006, II.1.3.
+
+    Examples
+    --------
+    >>> Gauss(3, Exponential(SO(3))).order
+    6
     """
 
     stages: int = eqx.field(static=True)
@@ -52,55 +74,87 @@ class Gauss(eqx.Module):
 
     @property
     def manifold(self) -> Manifold:
-        """The manifold on which this is a method."""
+        """The manifold of the method."""
         return self.retraction.manifold
 
     @property
     def order(self) -> int:
-        """Order of convergence at the ends of the steps."""
+        """The order of convergence at the ends of the steps."""
         return 2 * self.stages
 
     @property
     def theta(self) -> float:
-        """Where in the step the centre sits: in its middle."""
+        """The place of the centre in the step: 1/2."""
         return 0.5
 
     @property
     def weights(self) -> Float[np.ndarray, " s"]:
-        """Weights ``b`` of the quadrature on [0, 1]."""
+        """The weights ``b`` of the quadrature on [0, 1]."""
         return _tableau(self.stages).weights
 
     @property
     def nodes(self) -> Float[np.ndarray, " s"]:
-        """Nodes ``c`` in [0, 1], ascending: the times of the points, in fractions of the step."""
+        """The nodes ``c`` in [0, 1], ascending: the times of the points, in fractions of the step."""
         return _tableau(self.stages).nodes
 
     @property
     def centred(self) -> Float[np.ndarray, "s s"]:
-        """Matrix ``a_ij - b_j/2``: integrals from the middle of the step instead of its start. It is zero for one
-        stage."""
+        """The matrix :math:`a_{ij} - b_j/2`: integrals from the middle of the step instead of its start."""
         return _tableau(self.stages).centred
 
     @property
     def matrix(self) -> Float[np.ndarray, "s s"]:
-        """Matrix ``A``: ``a_ij`` is the integral from 0 to ``c_i`` of the Lagrange polynomial of the node ``c_j``."""
+        """The matrix ``A``: :math:`a_{ij}` is the integral from 0 to :math:`c_i` of the Lagrange polynomial of
+        :math:`c_j`.
+        """
         return _tableau(self.stages).matrix
 
     def frame(self, x: Ambient) -> Any:
-        """What the other methods need of the basis at ``x``: computed once for a step, because a basis may jump near
-        ``x``."""
+        """The basis data of a step at ``x``, computed once because a basis may jump near ``x``.
+
+        Parameters
+        ----------
+        x : point
+            The centre.
+        """
         return self.retraction.frame(x)
 
     def ends(self, x: Ambient, frame: Any, eta: Array) -> tuple[Ambient, Ambient]:
-        """Both ends ``R_x(-E eta/2)``, ``R_x(E eta/2)`` of a step with the displacement ``eta``, shape ``(n,)``."""
+        r"""The two ends :math:`R_x(-E\eta/2)` and :math:`R_x(E\eta/2)` of a step.
+
+        Parameters
+        ----------
+        x : point
+            The centre.
+        frame : pytree
+            The result of ``frame(x)``.
+        eta : array of shape (n,)
+            The displacement.
+        """
         return self.point(x, frame, -eta / 2), self.point(x, frame, eta / 2)
 
     def point(self, x: Ambient, frame: Any, xi: Array) -> Ambient:
-        """The point ``R_x(E xi)``."""
+        r"""The point :math:`R_x(E\xi)`.
+
+        Parameters
+        ----------
+        x, frame
+            As in ``ends``.
+        xi : array of shape (n,)
+            Its coordinates.
+        """
         return self.retraction.chart(x, frame, xi)
 
     def velocity(self, x: Ambient, frame: Any, xi: Array, nu: Array) -> tuple[Ambient, Ambient]:
-        """The point ``R_x(E xi)`` and the tangent vector ``D R_x(E xi)[E nu]`` there."""
+        r"""The point :math:`R_x(E\xi)` and the tangent vector :math:`DR_x(E\xi)[E\nu]` there.
+
+        Parameters
+        ----------
+        x, frame
+            As in ``ends``.
+        xi, nu : array of shape (n,)
+            Coordinates of the point and of the velocity.
+        """
         return jax.jvp(lambda c: self.point(x, frame, c), (xi,), (nu,))
 
 

@@ -13,12 +13,21 @@ from .retraction import Retraction, is_reached, nan_unless
 
 @final
 class LevelSetProjection(Retraction):
-    """``R(x, v)`` = critical point of the distance to ``x + v`` reached from ``x + v``: the nearest point for small
-    ``v``.
+    """The projection of ``x + v`` on a level set: the nearest point for small ``v``.
 
-    It solves ``y = x + v + c'(y)' l``, ``c(y) = 0`` for ``y`` and ``l``; entries are NaN where Newton's method fails.
-    Inverse: ``v = y - x + c'(y)' l`` with ``l`` such that ``v`` is tangent at ``x``, a linear equation.
+    Parameters
+    ----------
+    manifold : LevelSet
+        The level set.
 
+    Notes
+    -----
+    It solves :math:`y = x + v + c'(y)^T l`, :math:`c(y) = 0` for ``y`` and ``l`` by Newton's method from ``x + v``;
+    entries are NaN without convergence. Inverse: :math:`v = y - x + c'(y)^T l` with the ``l`` for which ``v`` is
+    tangent at ``x``, a linear equation.
+
+    Examples
+    --------
     >>> class Circle(LevelSet):
     ...     def constraint(self, x):
     ...         return x @ x - 1.0

@@ -23,15 +23,28 @@ UNSEEN = 1e3  # times eps: errors that may be rounding
 
 
 class MeasuredOrder(NamedTuple):
-    """Order of a retraction with what it was read from, the worst of all points at which it was measured.
+    r"""The measured order of a retraction, the worst of all points.
 
-    ``order`` is 2 where the curves ``R(x, tv)`` agree with geodesics to second order, 1 where they have the velocity
-    ``v`` at ``x``, 0 else. ``base`` is the largest ``|R(x, 0) - x|``, ``velocity`` the largest ``|D_v R(x, 0)[v] - v|``
-    and ``acceleration`` the largest acceleration of the curves, all for unit vectors ``v``. ``slope`` is that of the
-    error against the geodesic's Taylor polynomial over ``t``: infinite if there is none.
+    Attributes
+    ----------
+    order : int
+        2 if the curves ``R(x, tv)`` agree with geodesics to second order, 1 if they have the velocity ``v`` at ``x``,
+        otherwise 0.
+    base : float
+        Largest ``|R(x, 0) - x|``.
+    velocity : float
+        Largest ``|D_v R(x, 0)[v] - v|`` for unit vectors ``v``.
+    acceleration : float
+        Largest acceleration of the curves for unit vectors.
+    slope : float
+        Slope of the error against the Taylor polynomial of the geodesic over ``t``; infinite without an error.
 
-    The errors are ``|R(x, t v) - gamma(t)| = O(t^(order + 1))`` beside a geodesic ``gamma``.
+    Notes
+    -----
+    :math:`|R(x, tv) - \gamma(t)| = O(t^{order + 1})` for a geodesic :math:`\gamma`.
 
+    Examples
+    --------
     >>> measured = MeasuredOrder(order=2, base=0.0, velocity=0.0, acceleration=0.0, slope=3.0)
     >>> measured.order
     2
@@ -51,14 +64,29 @@ def measured_order(
     points: int = 5,
     seed: int = 0,
 ) -> MeasuredOrder:
-    """Measure the order of ``retraction`` for ``metric`` (default: that of the ambient space).
+    """Measure the order of a retraction for a metric.
 
-    At the point and tangent vector ``at = (x, v)``, or at as many random ``points``, it is measured twice: by
-    derivatives at ``v = 0`` and by the values ``R(x, tv)`` for ``t`` from ``2^-5`` to ``2^-11``. The order is the
-    smaller of both.
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction.
+    metric : Metric, optional
+        The metric; by default the embedded metric.
+    at : tuple of point and tangent vector, optional
+        One place ``(x, v)``; by default random points.
+    points : int
+        The number of random points.
+    seed : int
+        Their seed.
 
-    ``at``: a point and a vector of its shape.
+    Returns
+    -------
+    MeasuredOrder
+        The smaller of two orders: by derivatives at ``v = 0``, and by the values ``R(x, tv)`` for ``t`` from ``2^-5``
+        to ``2^-11``.
 
+    Examples
+    --------
     >>> measured_order(Cayley(SO(3))).order, measured_order(QR(SO(3))).order
     (2, 1)
     """

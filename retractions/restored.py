@@ -18,13 +18,25 @@ FAR = 0.25  # and of those that no point has, however large it is: of inequaliti
 
 @final
 class ProjectionByNewton(Retraction):
-    """``R(x, v)``: the point to which ``manifold.restore`` leads from ``x + v``; entries are NaN where it leads to
-    none.
+    """The point that ``manifold.restore`` reaches from ``x + v``: a retraction for a manifold without closed forms.
 
-    ``restore`` moves a point at distance ``e`` by ``O(e)`` and leaves the manifold as it is, so that ``x + t v``, at
-    distance ``O(t^2)``, moves by ``O(t^2)``: a retraction of the projection-like kind [Absil, Malick 2012], for a
-    manifold without closed forms. Inverse: Newton's method.
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
 
+    Notes
+    -----
+    ``restore`` moves a point at distance ``e`` by :math:`O(e)` and is the identity on the manifold. :math:`x + t v`, at
+    distance :math:`O(t^2)`, moves by :math:`O(t^2)`: the map is a retraction. Newton's method computes the inverse.
+    Entries are NaN without convergence.
+
+    References
+    ----------
+    Absil, Malick, Projection-like retractions on matrix manifolds, 2012.
+
+    Examples
+    --------
     >>> ProjectionByNewton(Sphere(2)).manifold
     Sphere(n=2)
     """

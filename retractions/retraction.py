@@ -18,19 +18,27 @@ from ..manifolds.numerics.errors import NotOnManifoldError
 from ..manifolds.numerics.precision import default_tolerance, same_point
 from ..manifolds.numerics.root import find_root, known_root
 from ..manifolds.numerics.shapes import require_shapes
+from ..module import Module
 
 DERIVED = ("preimage", "domain", "frame", "chart", "both_ways")
 ROUNDING = 8  # units of it in the entries of a point, by which the value of an inverse may miss it anywhere
 
 
-class Retraction(eqx.Module):
-    """A retraction ``R: TM -> M``: (i) ``R(x, 0) = x``; (ii) ``D_v R(x, 0) = Id`` [Absil, Mahony, Sepulchre 2008, 4.1].
+class Retraction(Module):
+    r"""A retraction ``R: TM -> M`` of a manifold: a base class.
 
-    However long ``v`` is, ``R(x, v)`` is a point of the manifold to rounding, or not finite. Subclass it with
-    ``manifold`` and ``retract``, which ``R(x, v)`` calls after a check of the shapes. ``preimage`` and ``domain`` have
-    derived defaults (Newton's method and a round trip), and so have ``frame``, ``chart`` and ``both_ways``; a class
-    that knows closed forms writes them in their place. Raises ``InvalidInputError`` for a class that defines
-    ``__call__``.
+    Notes
+    -----
+    :math:`R(x, 0) = x` and :math:`D_v R(x, 0) = \mathrm{Id}`. For any length of ``v``, ``R(x, v)`` is a point of the
+    manifold to rounding, or not finite.
+
+    Subclass it with ``manifold`` and ``retract``; a call ``R(x, v)`` checks the shapes and calls ``retract``.
+    ``preimage``, ``domain``, ``frame``, ``chart`` and ``both_ways`` have defaults by Newton's method and a round trip;
+    a class with closed forms replaces them. A class that defines ``__call__`` raises ``InvalidInputError``.
+
+    References
+    ----------
+    Absil, Mahony, Sepulchre, Optimization algorithms on matrix manifolds, 2008, 4.1.
     """
 
     __hash__ = vec.shared_hash  # for jax.jit of a method
@@ -38,7 +46,7 @@ class Retraction(eqx.Module):
     @attribute
     @abstractmethod
     def manifold(self) -> Manifold:
-        """The manifold on which this is a retraction."""
+        """The manifold of the retraction."""
 
     def __init_subclass__(cls, **options: Any) -> None:
         """Raise for a class that would leave out the check of the shapes."""
@@ -60,64 +68,119 @@ class Retraction(eqx.Module):
 
     @final
     def __call__(self, x: Ambient, v: Ambient) -> Ambient:
-        """Point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``, by ``retract``.
+        """The point ``R(x, v)`` reached from ``x`` along the tangent vector ``v``.
 
-        Whether ``v`` is tangent is not looked at, as this runs in compiled functions: ``manifold.is_tangent(x, v)``
-        says.
-        Raises ``InvalidInputError`` for arrays of other shapes, as those of a batch without ``jax.vmap``, which would
-        broadcast.
+        Parameters
+        ----------
+        x : point
+            A point.
+        v : tangent vector
+            A tangent vector there; ``manifold.is_tangent(x, v)`` checks it, this call does not.
+
+        Raises
+        ------
+        InvalidInputError
+            For arrays of other shapes, such as a batch without ``jax.vmap``.
         """
         require_shapes(self.manifold, {"a point": x, "a tangent vector": v})
         return self.retract(x, v)
 
     @abstractmethod
     def retract(self, x: Ambient, v: Ambient) -> Ambient:
-        """``R(x, v)`` for arrays of the shape of a point; smooth also for ``x``, ``v`` off ``TM``."""
+        """The point ``R(x, v)`` for arrays of the shape of a point; smooth also for ``x``, ``v`` off ``TM``.
+
+        Parameters
+        ----------
+        x, v : point, tangent vector
+            Arrays of the shape of a point.
+        """
 
     @property
     def closed_forms(self) -> frozenset[str]:
-        """Which of ``preimage``, ``domain``, ``frame``, ``chart`` and ``both_ways`` the class writes in place of the
-        derived default."""
+        """The names among ``preimage``, ``domain``, ``frame``, ``chart`` and ``both_ways`` that the class defines."""
         return frozenset(name for name in DERIVED if getattr(type(self), name) is not getattr(Retraction, name))
 
     def frame(self, x: Ambient) -> Any:
-        """What ``chart`` needs of the basis at ``x``: computed once for a chart, because a basis may jump near
-        ``x``."""
+        """The basis data of a chart at ``x``, computed once because a basis may jump near ``x``.
+
+        Parameters
+        ----------
+        x : point
+            The centre.
+        """
         return self.manifold.basis(x)
 
     def chart(self, x: Ambient, frame: Any, c: Array) -> Ambient:
-        """Point ``R(x, sum_k c_k E_k(x))`` with coordinates ``c`` in the manifold's basis at ``x``; ``frame`` from
-        ``frame``."""
+        r"""The point :math:`R(x, \sum_k c_k E_k(x))` with coordinates ``c`` in the basis at ``x``.
+
+        Parameters
+        ----------
+        x : point
+            The centre.
+        frame : pytree
+            The result of ``frame(x)``.
+        c : array of shape (n,)
+            The coordinates.
+        """
         return self(x, vec.combine(frame, c))
 
     def both_ways(self, x: Ambient, v: Ambient) -> tuple[Ambient, Ambient]:
-        """The two points ``R(x, -v)`` and ``R(x, v)``."""
+        """The two points ``R(x, -v)`` and ``R(x, v)``.
+
+        Parameters
+        ----------
+        x, v : point, tangent vector
+            Arrays of the shape of a point.
+        """
         # One batched evaluation: half as much to compile as two.
         both = jax.vmap(lambda s: self(x, vec.scale(s, v)))(jnp.array([-1.0, 1.0]))
         first, second = (vec.entries(both, i) for i in (0, 1))
         return first, second
 
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:
-        """The inverse retraction that returns NaN: ``v`` at ``x`` with ``R(x, v) = y``, NaN where there is none.
+        """The inverse retraction: ``v`` at ``x`` with ``R(x, v) = y``, with NaN if there is none.
 
-        ``inverse`` is the same for one point outside of ``jit``, where it raises instead.
+        Parameters
+        ----------
+        x, y : point
+            Two points.
+
+        Notes
+        -----
+        ``inverse`` is the same for one point outside of ``jit``; it raises an error instead of returning NaN.
         """
         return newton_preimage(self, x, y)
 
     def domain(self, x: Ambient, v: Ambient) -> Bool[Array, ""]:
-        """Whether ``preimage`` inverts ``R_x`` at ``v`` to more than half of the digits: ``sqrt(eps)`` relative to ``1
-        + |v|``.
+        """Whether ``preimage`` inverts :math:`R_x` at ``v`` to more than half of the digits, relative to ``1 +
+        |v|``.
 
-        Closed forms end where ``R_x`` ceases to be injective, or where rounding of ``R(x, v)`` leaves less of ``v``.
+        Parameters
+        ----------
+        x, v : point, tangent vector
+            Arrays of the shape of a point.
+
+        Notes
+        -----
+        Closed forms end where :math:`R_x` is no longer injective, or where rounding of ``R(x, v)`` leaves fewer digits
+        of ``v``.
         """
         return comes_back(self, x, v)
 
     def inverse(self, x: Ambient, y: Ambient) -> Ambient:
-        """Inverse retraction: the tangent vector ``v`` at ``x`` with ``R(x, v) = y``.
+        """The inverse retraction: the tangent vector ``v`` at ``x`` with ``R(x, v) = y``.
 
-        Raises ``DomainError`` if ``y`` is outside the image, or so far that ``R(x, v)`` misses it by more than half of
-        the digits in the manifold's own measure, and ``NotOnManifoldError`` if it is no point. Under ``jit`` and
-        ``vmap``, where nothing can be raised, the entries are NaN outside the image.
+        Parameters
+        ----------
+        x, y : point
+            Two points.
+
+        Raises
+        ------
+        DomainError
+            If ``y`` is outside the image, or so far that half of the digits are lost.
+        NotOnManifoldError
+            If ``y`` is not a point. Under ``jit`` and ``vmap`` the entries are NaN instead.
         """
         require_shapes(self.manifold, {"a base point": x, "a point": y})
         v = self.preimage(x, y)
@@ -206,12 +269,25 @@ def nan_unless(valid: Bool[Array, ""], v: Ambient) -> Ambient:
 
 
 class MidpointRetraction(Retraction):
-    """A retraction whose midpoints are known: the ``m`` with ``R(m, -w) = x0`` and ``R(m, w) = x1`` for one ``w``.
+    """A retraction with known midpoints: a base class.
 
+    Notes
+    -----
+    The midpoint of :math:`x_0` and :math:`x_1` is the ``m`` with :math:`R(m, -w) = x_0` and :math:`R(m, w) = x_1` for
+    one ``w``.
+
+    Examples
+    --------
     >>> isinstance(Cayley(SO(3)), MidpointRetraction)
     True
     """
 
     @abstractmethod
     def midpoint(self, x0: Ambient, x1: Ambient) -> Ambient:
-        """The point midway between two points."""
+        """The midpoint of two points.
+
+        Parameters
+        ----------
+        x0, x1 : point
+            The points.
+        """

@@ -16,13 +16,27 @@ from .retraction import Retraction, is_reached, nan_unless
 
 @final
 class Orthographic(Retraction):
-    """``R(x, v) = R_M(x, v + sum_i l_i n_i(x))`` with the multipliers ``l`` that put it on the submanifold.
+    r"""The orthographic retraction of a submanifold: it corrects a step along the normals at its start.
 
-    ``R_M`` is a retraction of the parent manifold and ``n_i`` are the gradients of the equations at ``x``: the step is
-    corrected along the normals where it starts [Absil, Malick, "Projection-like retractions on matrix manifolds",
-    2012]. Entries are NaN where Newton's method fails. Inverse: the tangential part of the inverse of ``R_M``, NaN
-    where ``R`` does not lead back.
+    Parameters
+    ----------
+    manifold : Submanifold
+        The submanifold.
+    parent : Retraction
+        The retraction :math:`R_M` of its parent manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = R_M(x, v + \sum_i l_i n_i(x))` with the gradients :math:`n_i` of the equations at ``x`` and the
+    multipliers ``l`` for which it lies on the submanifold; entries are NaN without convergence. Inverse: the tangential
+    part of the inverse of :math:`R_M`; NaN if ``R`` does not lead back.
+
+    References
+    ----------
+    Absil, Malick, Projection-like retractions on matrix manifolds, 2012.
+
+    Examples
+    --------
     >>> line = Submanifold(Euclidean(2), lambda x: x[1:])
     >>> isinstance(Projection(line), Orthographic)
     True

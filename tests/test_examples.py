@@ -21,7 +21,7 @@ def test_attitude_slew(tmp_path, capsys):
     module = example("attitude_slew")
     solution = module.main(["--steps", "20", "--output", str(tmp_path)])
     assert solution.checks.strict_minimum
-    assert solution.checks.constraint <= 1e-13
+    assert solution.checks.manifold_violation <= 1e-13
     assert abs(solution.cost / module.REFERENCE_COST - 1) <= 1e-11
     assert {path.suffix for path in tmp_path.iterdir()} == {".png", ".npz"}
     assert "loads back unchanged: True" in capsys.readouterr().out

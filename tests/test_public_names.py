@@ -23,6 +23,7 @@ ROOMS = (
     "manifolds.symplectic",
     "retractions",
     "integrators",
+    "integrators.singular",
     "problems",
     "sweeps",
     "plotting",
@@ -35,7 +36,7 @@ RECORDED = tomllib.loads(RECORD.read_text())
 ARRAYS = re.compile(r"\b(Array|ArrayLike|ndarray)\b")
 SIZED = re.compile(r'(Float|Int|Bool|Complex)\[[^\]]*"')  # jaxtyping writes the shape in the annotation
 SHAPE = re.compile(r"shape|``\([A-Za-z]|\bscalar\b|\bleaves\b|\baxis\b|\bmatri|\bnumbers?\b")
-SOURCE = re.compile(r"``[^`]*(=|->|<=|\^)[^`]*``|\[[A-Z][^\]]*\d{4}|\b(19|20)\d{2}\b|^    \S", re.MULTILINE)
+SOURCE = re.compile(r":math:`|``[^`]*(=|->|<=|\^)[^`]*``|\[[A-Z][^\]]*\d{4}|\b(19|20)\d{2}\b|^    \S", re.MULTILINE)
 
 
 @cache

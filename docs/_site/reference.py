@@ -17,6 +17,7 @@ ROOMS = {
     "manifolds.symplectic": "Forms, Lagrangian submanifolds and the Tulczyjew triple",
     "retractions": "Retractions and discretization maps",
     "integrators": "Integrators and solvers",
+    "integrators.singular": "Classes of singular problems",
     "problems": "Problems with known optima",
     "sweeps": "Thousands of solves",
     "plotting": "Pictures and pages",

@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import jax
 import numpy as np
-from docstrings import escaped
+from docstrings import escaped, prose
 from retrax import manifolds as m
 from retrax import retractions as r
 from retrax.manifolds import Manifold
@@ -93,8 +93,7 @@ def row(*cells: str) -> list[str]:
 
 def words(kind: type[Retraction]) -> str:
     """The first sentence of a class, and those on its inverse, image and domain."""
-    parts = inspect.cleandoc(kind.__doc__ or "").split("\n\n")
-    paragraphs = [" ".join(part.split()) for part in parts if not part.startswith(">>>")]
+    paragraphs = prose(inspect.cleandoc(kind.__doc__ or ""))
     sentences = re.split(r"(?<=[.;]) (?=[A-Z`])", " ".join(paragraphs[1:]))
     about = [text for text in sentences if re.search(r"\b(inverse|image|domain)\b", text, re.IGNORECASE)]
     return escaped(" ".join([paragraphs[0], *about]).rstrip(";.") + ".")

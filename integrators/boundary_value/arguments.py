@@ -90,12 +90,12 @@ def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
         )
     if not problem.takes_parameters and parameters is not None:
         raise InvalidInputError(
-            f"parameters are given, {parameters!r:.80}, and no function of the problem takes them; expected functions "
+            f"parameters are given, {brief(parameters)}, and no function of the problem takes them; expected functions "
             "of (q, u, parameters)"
         )
     for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
         array, where = np.asarray(leaf), f"parameters{jax.tree_util.keystr(path)}"
-        got = f"{leaf!r:.80} as {where}" if array.dtype.kind not in "fiub" else ""
+        got = f"{brief(leaf)} as {where}" if array.dtype.kind not in "fiub" else ""
         if not got and not np.isfinite(array).all():
             place = np.argwhere(~np.isfinite(array))[0].tolist()
             got = f"{array[tuple(place)]} as {where}{place if place else ''}"
@@ -119,7 +119,7 @@ def fractions_of(steps: Any) -> np.ndarray:
     ):
         return given / np.sum(given)
     raise InvalidInputError(
-        f"steps must be a whole number of at least 1, got {steps!r:.80}; or the lengths of the steps, positive numbers"
+        f"steps must be a whole number of at least 1, got {brief(steps)}; or the lengths of the steps, positive numbers"
     )
 
 

@@ -10,6 +10,7 @@ from ...manifolds import InvalidInputError, Manifold
 from ...retractions import Retraction
 from ..archives import archived
 from ..records import HEAD
+from ..text import brief
 
 if TYPE_CHECKING:
     from .solution import Solution
@@ -33,10 +34,24 @@ def save_batch(members: Sequence["Solution"], path: str | Path) -> None:
 def load_solutions(
     path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None
 ) -> "Solutions":
-    """Read a batch that ``Solutions.save`` wrote; nothing in the file is executed.
+    """The batch in a file that ``Solutions.save`` wrote; nothing in the file is executed.
 
-    ``retraction`` and ``controls`` as in ``load_solution``, for every member. Raises ``InvalidInputError`` if the file
-    is something else, damaged, incomplete, or of another version, or a member has other arrays than the first.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    retraction, controls
+        As in ``load_solution``, for every member.
+
+    Returns
+    -------
+    Solutions
+        The batch.
+
+    Raises
+    ------
+    InvalidInputError
+        If the file is something else, damaged, incomplete, or of another version; if members have different arrays.
     """
     from .solution import load_solution
     from .solutions import Solutions
@@ -63,7 +78,7 @@ def _unpacked(path: Path, folder: Path) -> list[Path]:
     if head != f"{SCHEMA}\n{count} members\n" or sorted(content) != sorted(expected) or not count:
         begins = head.partition("\n")[0]
         raise InvalidInputError(
-            f"{path} is not a saved batch: it begins with {begins!r:.60} and has {len(names)} entries, expected "
+            f"{path} is not a saved batch: it begins with {brief(begins)} and has {len(names)} entries, expected "
             f"{SCHEMA!r} and a file for each of one or more members, from Solutions.save; try load_solution for a "
             "single one"
         )

@@ -17,6 +17,7 @@ from ..free import guessed, is_free
 from ..layout import Layout
 from ..options import known_options
 from ..results import Result
+from ..text import brief
 from .arguments import Given
 from .differentiable import pushed
 from .engine.found import stops
@@ -35,10 +36,18 @@ NEAR = 0.1  # of the size of the trajectory: a correction by less leads to no ot
 @final
 @dataclass(frozen=True, eq=False)
 class Continuation:
-    """The extremals along a path, at ``places`` in [0, 1], shape ``(K,)``, up to the last that was reached.
+    """The extremals along a path of problems, up to the last place that was reached.
 
-    ``success``: whether that is the end of the path; ``result`` says in words why not. ``solutions`` belong to the
-    places; ``solution`` is the last of them.
+    Attributes
+    ----------
+    places : array of shape (K,)
+        Numbers in [0, 1].
+    solutions : Solutions
+        The solution at each place.
+    success : bool
+        Whether the last place is the end of the path, 1.
+    result : str
+        A sentence on the reason otherwise.
     """
 
     places: np.ndarray
@@ -77,25 +86,52 @@ def continuation(
     max_iterations: int = 20,
     callback: Callable[[float, Solution], Any] | None = None,
 ) -> Continuation:
-    """The solution at the end of a path of problems, followed from its beginning [Allgower, Georg, Numerical
-    Continuation, 1990].
+    """The solution at the end of a path of problems, followed from its beginning.
 
-    ``path``: a function of a number in [0, 1] that returns the arguments ``start``, ``end``, ``horizon`` and
-    ``parameters`` of ``solver.solve`` in a dictionary, continuous, easy at 0, where it is solved from ``guess``, and
-    with the problem that is wanted at 1. Each step predicts the next extremal by the tangent, from
-    ``solver.sensitivity``, and corrects it by Newton's method; where that fails, as where a limit begins to hold, the
-    last solution is corrected instead. Steps become longer where the correction is small beside what was predicted
-    [den Heijer, Rheinboldt, On steplength algorithms for a class of continuation methods, SIAM J. Numer. Anal. 18,
-    1981], and shorter where it is large, leads to another extremal, takes more than ``max_iterations``, or loses the
-    strict minimum.
+    Parameters
+    ----------
+    solver : Solver
+        The solver of a regular problem.
+    path : callable
+        A continuous function of a number in [0, 1]. It returns the arguments ``start``, ``end``, ``horizon`` and
+        ``parameters`` of ``solver.solve`` in a dictionary. The problem at 0 is easy, the problem at 1 is the one to
+        solve.
+    guess : Guess or Solution, optional
+        The guess at 0.
+    smallest_step : float
+        The step in [0, 1] below which the continuation stops, for example at a fold.
+    tolerance : float, optional
+        As in ``solve``.
+    max_iterations : int
+        The most iterations of one correction.
+    callback : callable, optional
+        A function of each place and solution; the continuation stops if it returns True.
 
-    Where a step of ``smallest_step`` fails, as at a fold, the record has the last solution, and says why. ``callback``:
-    called with each place and solution; the way ends where it returns something true, and at Ctrl-C. Regular problems
-    only. Raises what ``solver.solve`` raises at the beginning of the path.
+    Returns
+    -------
+    Continuation
+        The solutions, and the reason if the end was not reached.
+
+    Raises
+    ------
+    InvalidInputError, NotOnManifoldError, DomainError, ConvergenceError
+        As ``solver.solve`` at the beginning of the path.
+
+    Notes
+    -----
+    Each step predicts the next extremal by the tangent, from ``solver.sensitivity``, and corrects it by Newton's
+    method. If that fails, for example where a limit becomes active, the last solution is corrected instead. Steps
+    become longer if the correction is small compared with the prediction. They become shorter if it is large, leads to
+    another extremal or loses the strict minimum. An interrupt ends the continuation.
+
+    References
+    ----------
+    Allgower, Georg, Numerical Continuation Methods, 1990. den Heijer, Rheinboldt, On steplength algorithms for a class
+    of continuation methods, SIAM J. Numer. Anal. 18, 1981.
     """
     if not (isinstance(solver, Solver) and callable(path)):
         raise InvalidInputError(
-            f"continuation takes a Solver and a path, a function of a number, got {solver!r:.60}, {path!r:.60}"
+            f"continuation takes a Solver and a path, a function of a number, got {brief(solver)}, {brief(path)}"
         )
     if not (is_finite_number(smallest_step) and 0 < smallest_step <= 1):
         raise InvalidInputError(f"smallest_step must be a number in (0, 1], got {smallest_step!r}")
@@ -136,7 +172,7 @@ def problem_at(path: Callable[[float], dict[str, Any]], place: float) -> Given:
     given = path(place)
     names = {"start", "end", "horizon"}
     if not isinstance(given, dict) or not names <= set(given) <= set(Given._fields):
-        came = sorted(map(str, given)) if isinstance(given, dict) else f"{given!r:.60}"
+        came = sorted(map(str, given)) if isinstance(given, dict) else f"{brief(given)}"
         raise InvalidInputError(
             f"the path returned {came} at {place:.6g}, expected a dictionary with start, end, horizon and, where "
             "functions take them, parameters"

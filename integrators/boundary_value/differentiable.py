@@ -12,6 +12,7 @@ from ...manifolds import InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
 from ..free import is_free
 from ..functions import is_transformed
+from ..text import brief
 from .arguments import Given
 from .sensitivity import Derivative, Sensitivity
 from .solution import Solution
@@ -20,10 +21,16 @@ INSTEAD = "solver.extremal, which has derivatives, or solver.solve_many, which t
 
 
 class DifferentiableSolution(NamedTuple):
-    """What ``Solver.extremal`` returns: the arrays of a ``Solution`` that have derivatives, as JAX arrays of the same
-    shapes.
+    """The arrays of a ``Solution`` that have derivatives, as JAX arrays; ``Solver.extremal`` returns them.
 
-    ``cost`` is a scalar; ``states`` and ``costates`` belong to the N + 1 nodes, ``controls`` to the stages.
+    Attributes
+    ----------
+    cost : Array
+        The cost, a scalar.
+    states, costates : Array, or tuple of Arrays
+        At the ``N + 1`` nodes, in the shapes of ``Solution``.
+    controls : Array, or tuple of Arrays
+        At the stages.
     """
 
     cost: Any
@@ -66,7 +73,7 @@ def _numbers(given: Given) -> Given:
     def number(a: Any) -> Any:
         if not vec.is_traced(a) and np.asarray(a).dtype.kind not in "fciub":
             hint = "; solve with it free, and give extremal what was found" if is_free(a) else ""
-            raise InvalidInputError(f"extremal takes numbers and arrays of them, got {a!r:.60}{hint}")
+            raise InvalidInputError(f"extremal takes numbers and arrays of them, got {brief(a)}{hint}")
         return jnp.asarray(a, jnp.promote_types(jnp.result_type(a), real))
 
     return jax.tree.map(number, given)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple, Self, final
 
 import equinox as eqx
 import jax
@@ -17,6 +17,9 @@ from ..controls import resting_control
 from ..evaluation import verdict_at
 from ..free import Free, guessed, is_free
 from ..layout import Layout
+from ..problem import OptimalControlProblem
+from ..quantities import Quantities
+from ..text import brief
 
 
 class Part(NamedTuple):
@@ -119,11 +122,17 @@ class EndPoints(NamedTuple):
 class EndReader:
     """Reads points of a manifold in which ``None`` or a ``Free`` guess marks what is free, or batches of them."""
 
-    def __init__(self, manifold: Manifold) -> None:
-        self.manifold, self.layout, self.dimension = manifold, Layout.of(manifold), manifold.dimension
+    def __init__(self, manifold: Manifold, quantities: Quantities | None = None) -> None:
+        self.manifold, self.quantities, self.layout = manifold, quantities, Layout.of(manifold)
+        self.dimension = manifold.dimension
         self.factors = tuple(map(EndReader, manifold.factors)) if isinstance(manifold, Product) else ()
         self._prescribed: dict[Any, Prescribed] = {}
         self._of_points: dict[str, Prescribed] = {}  # by whole points, at the end of this name
+
+    @classmethod
+    def of(cls, problem: OptimalControlProblem) -> Self:
+        """The reader of the states of a problem, with its labels in messages."""
+        return cls(problem.manifold, problem.quantities)
 
     @cached_property
     def at_rest(self) -> np.ndarray:
@@ -144,7 +153,7 @@ class EndReader:
         """A flat point, nothing of which is free. Raises ``NotOnManifoldError`` for what is none."""
         ends = self.ends(given, None, batched=False)
         if not np.all(ends.prescribed[0].entries):
-            raise NotOnManifoldError(f"start: a part of {given!r:.80} is free, expected a point of {self.manifold}")
+            raise NotOnManifoldError(f"start: a part of {brief(given)} is free, expected a point of {self.manifold}")
         self.require_on_manifold(given, None)
         return ends.start[0]
 
@@ -191,8 +200,10 @@ class EndReader:
     def _parts(self, given: Any, name: str) -> Iterator[tuple[str, "EndReader", Any]]:
         """Names of the parts of a point, readers of them, and what is given, None or a guess where it is free."""
         if self._is_split(given):
-            for i, (factor, part) in enumerate(zip(self.factors, given, strict=True)):
-                yield from factor._parts(part, f"{name}, factor {i}")
+            count = len(self.factors)
+            names = [f"factor {i}" for i in range(count)] if self.quantities is None else self.quantities.factors(count)
+            for own, factor, part in zip(names, self.factors, given, strict=True):
+                yield from factor._parts(part, f"{name}, {own}")
         else:
             yield name, self, self._array(given)
 

@@ -14,6 +14,7 @@ from ..controls import resting_control
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from ..records import shapes
+from ..text import brief
 from .arguments import ALONG, BETWEEN, Method, check_problem, fractions_of
 from .end_points import EndReader
 from .engine.rollout import RollOut
@@ -21,12 +22,37 @@ from .engine.start import Start
 
 
 class Guess(NamedTuple):
-    """A guess for ``solve``: states and controls at the stages, and costates at the N + 1 nodes (None: zero).
+    """A guess for ``solve``: states and controls at the stages, and costates at the ``N + 1`` nodes.
 
-    Leaves carry the stages or nodes along their leading axis; a step has one stage, with ``Gauss(s, R)`` it has ``s``.
-    What is known of an extremal in addition are its states at the ``nodes`` and its costates at the stages: both or
-    neither; and the ``multipliers`` of its inequalities at the stages, and the ``node_multipliers``, by their names as
-    in a ``Solution``. Where these fit, an iteration begins near to where it would end.
+    Parameters
+    ----------
+    states : point with a leading axis
+        Points of ``problem.manifold`` at the ``N s`` stages: arrays of shape ``(N s, *leaf)``. ``s`` is 1 for a
+        discretization map.
+    controls : point with a leading axis
+        Controls at the stages, such as an array of shape ``(N s, m)``.
+    costates : covectors with a leading axis, optional
+        Costates at the nodes, shape ``(N + 1, *leaf)``; by default zero.
+    nodes : point with a leading axis, optional
+        States at the nodes, shape ``(N + 1, *leaf)``, if an extremal is known.
+    stage_costates : covectors with a leading axis, optional
+        Costates at the stages. Give both ``nodes`` and ``stage_costates``, or neither.
+    multipliers : mapping of str to array, optional
+        Multipliers of the inequalities at the stages, by name, as in ``Solution.multipliers``.
+    node_multipliers : mapping of str to array, optional
+        Multipliers of the node constraints, as in ``Solution.node_multipliers``.
+
+    Notes
+    -----
+    With the states at the nodes, the costates at the stages and the multipliers of a solution, the solver starts close
+    to that solution. ``Solution.guess`` returns all of these.
+
+    Examples
+    --------
+    >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> method = Midpoint(Addition(Euclidean(1)))
+    >>> Guess.from_waypoints(line, method, [np.zeros(1), np.ones(1)], steps=4).states[:, 0].tolist()
+    [0.125, 0.375, 0.625, 0.875]
     """
 
     states: Ambient
@@ -41,12 +67,35 @@ class Guess(NamedTuple):
     def from_controls(
         cls, problem: OptimalControlProblem, method: Method, start: Ambient, controls: Any, horizon: float, steps: Any
     ) -> "Guess":
-        """The trajectory to which controls lead from ``start`` over ``[0, horizon]``.
+        """The trajectory that given controls produce from ``start`` over ``[0, horizon]``.
 
-        ``controls``: points of U with the stages along the leading axis, as in a ``Guess`` or a ``Solution``, or a
-        function of time. Each is held for the share of the step that its stage has as a weight of quadrature.
-        ``steps``: their number, or their lengths. Costates are zero. Raises ``InvalidInputError`` or
-        ``NotOnManifoldError`` for other arguments, and ``DomainError`` where the controls lead to no finite state.
+        Parameters
+        ----------
+        problem : OptimalControlProblem
+            The dynamics.
+        method : Gauss or DiscretizationMap
+            The discretization, whose stages the guess has.
+        start : point
+            The first state.
+        controls : point with a leading axis, or callable
+            Controls at the stages, shape ``(N s, m)``, or a function of the time. Each is constant over the share of
+            the step that is the quadrature weight of its stage.
+        horizon : float
+            The duration.
+        steps : int or array_like
+            The number of steps, or their relative lengths.
+
+        Returns
+        -------
+        Guess
+            States at the stages, the controls, and costates that are zero.
+
+        Raises
+        ------
+        InvalidInputError, NotOnManifoldError
+            For other arguments.
+        DomainError
+            If a state is not finite.
         """
         return rolled_out(problem, method, start, controls, horizon, steps)
 
@@ -54,11 +103,32 @@ class Guess(NamedTuple):
     def from_waypoints(
         cls, problem: OptimalControlProblem, method: Method, points: Sequence[Ambient], steps: Any, times: Any = None
     ) -> "Guess":
-        """The trajectory through ``points``, from each to the next on the way of ``default_guess``.
+        """The trajectory through given points; between two points it is the curve of ``default_guess``.
 
-        ``times`` of the points: ascending, counted relative to the last minus the first; by default evenly spaced.
-        Controls rest, costates are zero. Raises ``InvalidInputError`` or ``NotOnManifoldError`` for other arguments,
-        and ``DomainError`` if no curve arrives.
+        Parameters
+        ----------
+        problem : OptimalControlProblem
+            The problem, whose manifold has the points.
+        method : Gauss or DiscretizationMap
+            The discretization, whose stages the guess has.
+        points : sequence of points
+            At least two points, from start to end.
+        steps : int or array_like
+            The number of steps, or their relative lengths.
+        times : array_like, optional
+            Ascending times of the points, relative to the last minus the first; by default evenly spaced.
+
+        Returns
+        -------
+        Guess
+            States at the stages, controls at rest, and costates that are zero.
+
+        Raises
+        ------
+        InvalidInputError, NotOnManifoldError
+            For other arguments.
+        DomainError
+            If no curve reaches the next point.
         """
         check_problem(problem, method)
         given = list(points)
@@ -66,7 +136,7 @@ class Guess(NamedTuple):
             raise InvalidInputError(
                 f"a guess goes through at least two points, got {len(given)}; give the start, the end and more"
             )
-        rows, shares = np.stack([*map(EndReader(problem.manifold).point, given)]), _shares(times, len(given))
+        rows, shares = np.stack([*map(EndReader.of(problem).point, given)]), _shares(times, len(given))
         return through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
 
     def __repr__(self) -> str:
@@ -76,15 +146,39 @@ class Guess(NamedTuple):
 
 
 def default_guess(problem: OptimalControlProblem, method: Method, start: Any, end: Any, steps: Any) -> Guess:
-    """The guess that ``solve`` begins with: along the curve of a retraction from start to end, or a walk to the end.
+    """The guess of ``solve``: the curve of a retraction from start to end, or a walk to the end.
 
-    The retraction is the default one of the manifold, whose curve is a geodesic where that is known; where it does not
-    arrive, or in very unequal steps, the method's own. The method's own comes first where no tape gives the default
-    one, as on Stiefel manifolds. Where the two points are opposite to each other, as attitudes half a turn apart, the
-    walk sets out in a direction that is random but always the same: there are several ways round, and this is one of
-    them. Controls rest, costates are zero. Raises ``DomainError`` if no curve arrives near the end.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem.
+    method : Gauss or DiscretizationMap
+        The discretization, whose stages the guess has.
+    start, end : point, None or Free
+        The ends, as in ``solve``.
+    steps : int or array_like
+        The number of steps, or their relative lengths.
+
+    Returns
+    -------
+    Guess
+        States at the stages, controls at rest, and costates that are zero.
+
+    Raises
+    ------
+    DomainError
+        If no curve comes near the end.
+
+    Notes
+    -----
+    The retraction is the default retraction of the manifold, whose curve is a geodesic where that is known. If it does
+    not reach the end, the retraction of ``method`` replaces it. On manifolds without a tape of the default retraction,
+    such as Stiefel manifolds, the retraction of ``method`` comes first.
+
+    If the points are opposite to each other, such as attitudes half a turn apart, several curves are shortest. The
+    guess follows one of them, in a direction that is random but always the same.
     """
-    ends = EndReader(problem.manifold).ends(start, end, batched=False)
+    ends = EndReader.of(problem).ends(start, end, batched=False)
     ends.require_known(start)
     rows, shares = np.concatenate([ends.start, ends.end]), np.array([0.0, 1.0])
     return through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
@@ -115,7 +209,7 @@ def _shares(times: Any, count: int) -> np.ndarray:
         or not np.all(np.diff(given) > 0)
         or not np.all(np.isfinite(given))
     ):
-        raise InvalidInputError(f"times must be {count} ascending numbers, one for each point, got {times!r:.80}")
+        raise InvalidInputError(f"times must be {count} ascending numbers, one for each point, got {brief(times)}")
     return (given - given[0]) / (given[-1] - given[0])
 
 
@@ -127,7 +221,7 @@ def rolled_out(
     problem.require_treated("Guess.from_controls", *ALONG, *BETWEEN)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
-    begin = EndReader(problem.manifold).point(start)
+    begin = EndReader.of(problem).point(start)
     fractions, layout, control = fractions_of(steps), Layout.of(problem.manifold), Layout.of(problem.controls)
     places = stage_places(method, fractions)
     if callable(controls):

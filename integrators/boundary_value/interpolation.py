@@ -16,6 +16,7 @@ from ...retractions import Retraction, default_retraction
 from ..evaluated import Evaluated
 from ..evaluator import Automatic
 from ..layout import Layout
+from ..text import brief
 from .engine.chart import Chart, lagrange
 from .guess import Guess
 from .stored import as_text, from_text
@@ -66,7 +67,7 @@ class Interpolant:
         if not (isinstance(retraction, Retraction) and isinstance(controls, Manifold)):
             raise InvalidInputError(
                 "a solution is interpolated with a retraction and the manifold of the controls, got "
-                f"{retraction!r:.60} and {controls!r:.60}; try those of its method and its problem"
+                f"{brief(retraction)} and {brief(controls)}; try those of its method and its problem"
             )
         self.retraction, self.controls = retraction, controls
         self.state, self.control = Layout.of(retraction.manifold), Layout.of(controls)
@@ -271,7 +272,7 @@ def checked_times(t: Any, times: np.ndarray) -> np.ndarray:
     """Times of an extremal as an array; raises ``InvalidInputError`` for what is none."""
     given = np.asarray(t)
     if given.size == 0 or given.dtype.kind not in "fiu" or not np.all(np.isfinite(given)):
-        raise InvalidInputError(f"the time must be a finite real number, or an array of them, got {t!r:.80}")
+        raise InvalidInputError(f"the time must be a finite real number, or an array of them, got {brief(t)}")
     first, last = float(times[0]), float(times[-1])
     slack = SUMMED * len(times) * max(abs(first), abs(last))
     outside = (given < first - slack) | (given > last + slack)

@@ -7,7 +7,7 @@ import numpy as np
 
 from .engine.found import Iteration
 
-TITLES = f"{'iteration':>9} {'cost':>16} {'gap':>9} {'stationarity':>12} {'shift':>8} {'step':>6}"
+TITLES = f"{'iteration':>9} {'cost':>16} {'defect':>9} {'stationarity':>12} {'shift':>8} {'step':>6}"
 LIMITED = f" {'violation':>9} {'barrier':>8}"  # with inequalities
 
 
@@ -22,8 +22,8 @@ class Printed:
         limited = bool(np.any(iteration.barrier > 0))
         if not iteration.number:
             print(TITLES + (LIMITED if limited else ""))
-        worst = int(np.argmax(np.maximum(iteration.gap, iteration.stationarity)))
-        line = f"{iteration.number:>9} {iteration.cost[worst]:>16.9g} {iteration.gap[worst]:>9.1e}"
+        worst = int(np.argmax(np.maximum(iteration.defect, iteration.stationarity)))
+        line = f"{iteration.number:>9} {iteration.cost[worst]:>16.9g} {iteration.defect[worst]:>9.1e}"
         line += (
             f" {iteration.stationarity[worst]:>12.1e} {iteration.shift[worst]:>8.0e} {iteration.fraction[worst]:>6.3g}"
         )

@@ -12,6 +12,7 @@ from ..free import Free, is_free
 from ..functions import require_concrete
 from ..layout import Layout
 from ..options import known_options
+from ..text import brief
 from .end_points import EndReader
 from .engine.start import Start
 from .guess import Guess, through
@@ -33,21 +34,46 @@ def multistart(
     tolerance: float | None = None,
     max_iterations: int = 100,
 ) -> Solutions:
-    """The extremals to which ``count`` guesses lead, in one batch: those that converged first, the cheapest before all
-    others.
+    """The extremals that several guesses lead to, in one batch: converged members first, the lowest cost first of
+    all.
 
-    The first guess is the default one; the others go through one to three points of the manifold, drawn in turns from
-    ``seed``, with controls at rest. A point of a flat factor is drawn around both ends, by their distance and sizes.
-    What is found are local extremals: the least cost is an upper bound of the optimum, and no proof of it [Rinnooy Kan,
-    Timmer, Stochastic global optimization methods, Math. Program. 39, 1987].
+    Parameters
+    ----------
+    solver : Solver
+        The solver of a regular problem.
+    start, end, horizon
+        As in ``solver.solve``.
+    count : int
+        The number of guesses.
+    seed : int
+        The seed of the random points.
+    parameters, tolerance, max_iterations
+        As in ``solver.solve``.
 
-    ``start``, ``end``, ``horizon``, ``parameters``: as for ``solver.solve``. Of what is returned ``distinct`` counts
-    the extremals that differ, and ``[0]`` is the best. Nothing is raised where none converged: read ``success``. Raises
-    ``InvalidInputError`` for other arguments. Regular problems only.
+    Returns
+    -------
+    Solutions
+        The batch: ``[0]`` is the best, ``distinct`` the number of different extremals. Nothing is raised if no guess
+        converges: read ``success``.
+
+    Raises
+    ------
+    InvalidInputError
+        For other arguments.
+
+    Notes
+    -----
+    The first guess is the default guess. The others pass through one to three random points of the manifold, with
+    controls at rest. In flat factors the points are near both ends, relative to the distance and size of the ends. The
+    least cost is an upper bound of the optimum, not a proof of it.
+
+    References
+    ----------
+    Rinnooy Kan, Timmer, Stochastic global optimization methods, Math. Program. 39, 1987.
     """
     require_concrete("multistart", start, end, horizon, parameters)
     if not isinstance(solver, Solver):
-        raise InvalidInputError(f"multistart takes a Solver, got {solver!r:.60}; try Solver(problem, method, steps)")
+        raise InvalidInputError(f"multistart takes a Solver, got {brief(solver)}; try Solver(problem, method, steps)")
     for name, value, least in (("count", count, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InvalidInputError(f"{name} must be a whole number of at least {least}, got {value!r}")
@@ -67,7 +93,7 @@ def _repeated(count: int, leaf: Any) -> Any:
 def _guesses(solver: Solver, start: Any, end: Any, count: int, seed: int) -> list[Guess]:
     """The guesses."""
     problem, method, steps = solver.problem, solver.method, solver.fractions
-    ends, layout = EndReader(problem.manifold).ends(start, end, batched=False), Layout.of(problem.manifold)
+    ends, layout = EndReader.of(problem).ends(start, end, batched=False), Layout.of(problem.manifold)
     ends.require_known(start)
     first, last = layout.points(ends.start[0]), layout.points(ends.end[0])
     ways, guesses = Start(problem.manifold, method.retraction), list[Guess]()

@@ -48,7 +48,7 @@ class _Known:
     @classmethod
     def of(cls, number: int, phase: Any) -> "_Known":
         """What a phase says of its ends, by itself or by its guess."""
-        reader, layout = EndReader(phase.problem.manifold), Layout.of(phase.problem.manifold)
+        reader, layout = EndReader.of(phase.problem), Layout.of(phase.problem.manifold)
         try:
             first, last = reader.ends(phase.start, None, False), reader.ends(None, phase.end, False)
         except NAMED as error:

@@ -15,11 +15,21 @@ from .solution import Solution, Statistics, Status, status_of
 @final
 @dataclass(frozen=True, eq=False)
 class PhasedSolution:
-    """The extremal of P phases that follow one another: a ``Solution`` of each, whose times go on from phase to phase.
+    r"""The extremal of P phases that follow one another: a ``Solution`` of each phase, with times that continue.
 
-    ``cost``: the sum of those of the phases. ``multipliers`` of the boundary constraints of all phases by their names,
-    each of shape ``(k,)`` for k equations, and of the ``horizon`` if it was given: the cost changes by ``multiplier .
-    e`` where the constraint ``b = 0`` is to be ``b = -e``. ``times`` has the shape ``(P + 1,)``.
+    Attributes
+    ----------
+    phases : tuple of Solution
+        The solutions.
+    cost : float
+        The sum of their costs.
+    success, result : bool, str
+        Whether the first-order conditions hold, and a sentence on the end of the computation.
+    multipliers : dict of str to array
+        Multipliers of the boundary constraints by name, shape ``(k,)``, and of a given ``horizon``. The cost changes by
+        :math:`\mu e` if ``b = 0`` becomes ``b = -e``.
+    statistics : Statistics
+        Iterations and seconds.
     """
 
     phases: tuple[Solution, ...]
@@ -31,7 +41,15 @@ class PhasedSolution:
 
     @classmethod
     def of(cls, phases: Sequence[Solution], multipliers: dict[str, np.ndarray]) -> Self:
-        """The record of phases, each of which begins at the time zero or at its own."""
+        """The record of phases, each of which begins at time zero or at its own time.
+
+        Parameters
+        ----------
+        phases : sequence of Solution
+            The solutions.
+        multipliers : dict of str to array
+            The multipliers of the boundary constraints.
+        """
         begins = np.cumsum([0.0, *(phase.horizon for phase in phases)])
         moved = tuple(_at(phase, float(begin)) for phase, begin in zip(phases, begins, strict=False))
         success = all(phase.success for phase in phases)
@@ -39,17 +57,23 @@ class PhasedSolution:
         return cls(moved, cost, success, _told(phases, success), multipliers, phases[0].statistics)
 
     def renewed(self, **changes: Any) -> Self:
-        """The record with changes."""
+        """The record with changes.
+
+        Parameters
+        ----------
+        changes
+            Fields with new values.
+        """
         return replace(self, **changes)
 
     @property
     def times(self) -> np.ndarray:
-        """The times at which phases begin, and at which the last one ends."""
+        """The times at which phases begin, and the time at which the last phase ends, shape ``(P + 1,)``."""
         return np.array([*(phase.times[0] for phase in self.phases), self.phases[-1].times[-1]])
 
     @property
     def durations(self) -> np.ndarray:
-        """How long the phases take."""
+        """The durations of the phases, shape ``(P,)``."""
         return np.diff(self.times)
 
     @property
@@ -64,17 +88,24 @@ class PhasedSolution:
 
     @property
     def status(self) -> Status:
-        """``"minimum"``, ``"stationary"`` or ``"failed"``, as that of a ``Solution``, of all phases together."""
+        """The status of all phases together: ``"minimum"``, ``"stationary"`` or ``"failed"``."""
         return status_of(self.success, self.strict_minimum)
 
     def __call__(self, t: float) -> Sample:
-        """States, controls and costates at a time, of the phase that it is in; where one ends, of the next."""
+        """States, controls and costates at a time, of the phase at that time; at the end of a phase, of the next
+        phase.
+
+        Parameters
+        ----------
+        t : float
+            The time.
+        """
         time = float(checked_times(t, self.times))
         k = int(np.clip(np.searchsorted(self.times, time, side="right") - 1, 0, len(self.phases) - 1))
         return self.phases[k](time)
 
     def report(self) -> None:
-        """Print what a user checks."""
+        """A print of the figures of the solution."""
         print(self)
 
     def __repr__(self) -> str:
@@ -88,7 +119,7 @@ class PhasedSolution:
         return self._text()
 
     def require_success(self) -> "PhasedSolution":
-        """This solution, or a ``ConvergenceError`` with its result if the conditions are not met."""
+        """This solution; raises ``ConvergenceError`` with its result if the conditions are not met."""
         if not self.success:
             raise ConvergenceError(f"{self.result}\n{self._text(result=False)}", self)
         return self

@@ -45,11 +45,24 @@ LOST = (
 
 @final
 class Phase(NamedTuple):
-    """A phase of a trajectory: a problem over a duration, fixed or ``Free``, with the method and the steps it is solved
-    by.
+    """A phase of a trajectory: a problem over a duration, with the method and the steps that discretize it.
 
-    ``start``, ``end``: what is prescribed there, as in ``solve``; None where only links and boundary constraints say
-    something. ``guess``: a ``Guess`` or ``Solution``, by default on the way between the ends that are known.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The dynamics, the cost and the constraints.
+    method : Gauss or DiscretizationMap
+        The discretization.
+    steps : int or array_like of shape (N,)
+        The number of steps, or their relative lengths.
+    duration : float or Free
+        The duration.
+    start, end : point, None or Free, optional
+        Prescribed ends, as in ``solve``; None if only links and boundary constraints fix them.
+    guess : Guess or Solution, optional
+        By default the curve between the known ends.
+    parameters : pytree, optional
+        As in ``solve``.
     """
 
     problem: OptimalControlProblem
@@ -68,7 +81,7 @@ def solve_phases(
     phases: Sequence[Phase],
     links: Sequence[Any] | None = None,
     horizon: float | None = None,
-    boundary_constraints: Mapping[str, Callable[[Sequence[PhaseEnds]], Any]] | None = None,
+    boundary_constraints: Mapping[str, Callable[[list[PhaseEnds]], Any]] | None = None,
     guess: PhasedSolution | None = None,
     tolerance: float | None = None,
     max_iterations: int = 100,
@@ -76,17 +89,40 @@ def solve_phases(
     callback: Callable[[Iteration], Any] | None = None,
     verbose: bool = False,
 ) -> PhasedSolution:
-    """Solve phases that follow one another as one optimal control problem, the sum of their costs being least.
+    """Solve phases that follow one another as one optimal control problem with the sum of their costs.
 
-    ``links``: for each phase and the next, True where the next begins as this one ends, the default; a function ``g``
-    where it begins at ``g(q)``, a point of its own manifold, as at the staging of a rocket; False where nothing links
-    them. One more, from the last phase to the first, makes them periodic. ``horizon``: the sum of all durations, if it
-    is given. ``boundary_constraints``: functions by their names of the list of the ends of all phases, each with
-    ``start``, ``end`` and ``duration``, that return a number or a vector which is to be zero; ``multipliers`` of the
-    solution are theirs. The time of phases whose functions depend on it goes on from phase to phase.
+    Parameters
+    ----------
+    phases : sequence of Phase
+        The phases in order.
+    links : sequence of bool or callable, optional
+        For each phase and the next: True, the default, if the next begins where this one ends. A function ``g`` if it
+        begins at ``g(q)``, such as at the staging of a rocket; False for no link. One more link, from the last phase to
+        the first, makes the phases periodic.
+    horizon : float, optional
+        The sum of all durations.
+    boundary_constraints : mapping of str to callable, optional
+        Functions by name that are zero at a solution, numbers or vectors. Their argument is the list of the ends of all
+        phases, each with ``start``, ``end`` and ``duration``.
+    guess : PhasedSolution, optional
+        A solution to begin from.
+    tolerance, max_iterations, throw, callback, verbose
+        As in ``solve``.
 
-    The costate before a link is ``dg' p`` of that after it. With free durations the Hamiltonian is continuous where
-    nothing depends on the time. Raises what ``solve`` raises.
+    Returns
+    -------
+    PhasedSolution
+        The solutions of all phases.
+
+    Raises
+    ------
+    InvalidInputError, NotOnManifoldError, DomainError, ConvergenceError
+        As ``solve``.
+
+    Notes
+    -----
+    The costate before a link is :math:`Dg^* p` of the costate after it. With free durations and no explicit time, the
+    Hamiltonian is continuous. The time of functions with an explicit time continues from phase to phase.
     """
     require_concrete("solve_phases", guess)
     options = Options.of(tolerance, max_iterations, callback, verbose)
@@ -251,13 +287,13 @@ def _checked(phases: Any, guess: Any) -> list[Phase]:
         duration = guessed(phase.duration)
         if not (is_finite_number(duration) and duration > 0):
             raise InvalidInputError(
-                f"phase {k}: duration must be a positive finite time, or Free, got {phase.duration!r:.80}"
+                f"phase {k}: duration must be a positive finite time, or Free, got {brief(phase.duration)}"
             )
     if guess is None:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):
         raise InvalidInputError(
-            f"guess must be a PhasedSolution of {many(len(phases), 'phase')}, got {guess!r:.80}; try what "
+            f"guess must be a PhasedSolution of {many(len(phases), 'phase')}, got {brief(guess)}; try what "
             "solve_phases returned for phases like these"
         )
     return [_near(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]
@@ -281,13 +317,13 @@ def _checked_links(links: Any, phases: list[Phase]) -> list[Any]:
     if not (isinstance(given, Sequence) and len(given) in (count - 1, count)):
         raise InvalidInputError(
             f"links must be a list of {count - 1}, one from each phase to the next, or one more from the last to the "
-            f"first, got {links!r:.80}"
+            f"first, got {brief(links)}"
         )
     for k, link in enumerate(given):
         if not (isinstance(link, bool) or callable(link)):
             raise InvalidInputError(
                 f"links[{k}] must be True for a continuous state, a function of the state before it, or False, got "
-                f"{link!r:.80}"
+                f"{brief(link)}"
             )
         one, other = (phases[at].problem.manifold for at in (k, (k + 1) % count))
         if link is True and one.ambient != other.ambient:
@@ -304,6 +340,6 @@ def _checked_constraints(given: Any, count: int) -> dict[str, Any]:
     for name, function in zip(functions.names, functions.functions, strict=True):
         if not callable(function):
             raise InvalidInputError(
-                f"{boundary_words(name)} must be a function of the ends of all phases, got {function!r:.80}"
+                f"{boundary_words(name)} must be a function of the ends of all phases, got {brief(function)}"
             )
     return dict(zip(functions.names, functions.functions, strict=True))

@@ -30,7 +30,15 @@ NAMED = InvalidInputError, NotOnManifoldError, DomainError  # errors that are sa
 
 
 class PhaseEnds(NamedTuple):
-    """What a boundary constraint of phases sees of each: its first and its last state, and how long it takes."""
+    """The ends of a phase, the argument of the boundary constraints of ``solve_phases``.
+
+    Attributes
+    ----------
+    start, end : point
+        The first and the last state.
+    duration : scalar Array
+        The duration.
+    """
 
     start: Any
     end: Any

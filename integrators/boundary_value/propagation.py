@@ -1,6 +1,6 @@
 """The error of a discrete solution: its controls as functions of time, propagated by an integrator of order 8."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any, NamedTuple, final
@@ -11,7 +11,7 @@ import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array
 
-from ...manifolds import SE, SO, DomainError, InvalidInputError, Manifold, Power, Product, Sphere
+from ...manifolds import DomainError, InvalidInputError, Product
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.tolerances import EPS, HALF, ROUNDING
@@ -22,6 +22,7 @@ from ..evaluator import Automatic
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
 from .arguments import ALONG, BETWEEN, check_parameters
+from .distances import factor_distances
 from .engine.chart import lagrange
 from .solution import Solution
 
@@ -45,14 +46,18 @@ def _tableau() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 @final
 @dataclass(frozen=True, eq=False)
 class DiscretizationError:
-    """Distances between the states of a discrete solution and those to which its controls lead, for each factor of the
-    manifold.
+    """The distances between the states of a discrete solution and the states that its controls produce, for each
+    factor.
 
-    ``distances``: arrays of shape ``(N + 1,)`` over the nodes, in the unit of the factor: radians on SO(n), where it is
-    the root of the sum of the squared angles of rotation, on spheres and for the rotation of SE(n); elsewhere the norm
-    of the difference in the ambient space. Infinite where the controls lead nowhere. ``resolution``: by how much
-    halving its steps last changed what the integrator finds: the largest distance between the states before and after,
-    an upper estimate of its own error.
+    Attributes
+    ----------
+    distances : dict of str to array of shape (N + 1,)
+        Distances at the nodes, in the unit of the factor. Radians on SO(n), the root of the sum of the squared angles,
+        on spheres and for the rotation of SE(n); elsewhere the norm in the ambient space. Infinite if the controls lead
+        nowhere.
+    resolution : dict of str to float
+        An upper estimate of the error of the integrator: the largest change of a state by the last halving of its
+        steps.
     """
 
     distances: dict[str, np.ndarray]
@@ -60,7 +65,7 @@ class DiscretizationError:
 
     @property
     def largest(self) -> dict[str, float]:
-        """The largest distance over the nodes."""
+        """The largest distance over the nodes, for each factor."""
         return {name: float(np.max(values)) for name, values in self.distances.items()}
 
 
@@ -68,12 +73,39 @@ class DiscretizationError:
 def discretization_error(
     problem: OptimalControlProblem, retraction: Retraction, solution: Solution, parameters: Any = None
 ) -> DiscretizationError:
-    """The distances of the states of a solution from those to which its controls lead, as functions of time.
+    """The distances between the states of a solution and the states that its controls, functions of time, produce.
 
-    The control of a step is the polynomial through its stages. It is propagated from the first state in charts of the
-    ``retraction`` by DOP853 [Hairer, Norsett, Wanner 1993], in steps so fine that its own error is a hundredth of what
-    is found. ``parameters``: those of the solution. Raises ``DomainError`` if the controls of a step are not in one
-    chart of their manifold, and ``InvalidInputError`` for anything but a retraction, or if parameters are missing.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem.
+    retraction : Retraction
+        The retraction whose charts the propagation uses.
+    solution : Solution
+        A solution of the problem.
+    parameters : pytree, optional
+        The parameters of the solution.
+
+    Returns
+    -------
+    DiscretizationError
+        The distances for each factor of the manifold.
+
+    Raises
+    ------
+    DomainError
+        If the controls of a step are not in one chart of their manifold.
+    InvalidInputError
+        For another retraction, and for missing parameters.
+
+    Notes
+    -----
+    The control of a step is the polynomial through its stages. DOP853 propagates it from the first state, in steps so
+    short that its own error is a hundredth of the distances.
+
+    References
+    ----------
+    Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 1993.
     """
     if not isinstance(retraction, Retraction):
         got = type(retraction).__name__
@@ -212,8 +244,8 @@ class Propagator:
         return {name: max(RELATIVE * np.max(error[name]), UNRESOLVED * np.max(size[name])) for name in error}
 
     def _distances(self, first: np.ndarray, second: np.ndarray) -> dict[str, np.ndarray]:
-        pairs = factor_distances(self.problem.manifold, self.state.points(first), self.state.points(second))
-        return dict(pairs)
+        points = self.state.points(first), self.state.points(second)
+        return {name: found for name, found, _ in factor_distances(self.problem.manifold, *points)}
 
     def in_turn(self, given: _Given, parts: int) -> np.ndarray | None:
         """The states to which the controls lead, step after step; None if they are not finite."""
@@ -334,34 +366,3 @@ class _AtOnce:
             np.add.reduceat(a**2, self.entries, axis=1) for a in (gaps - tangential, tangential, self.given.states[1:])
         ]
         return bool(np.all(sizes[0] <= sizes[1] + UNRESOLVED**2 * sizes[2]))
-
-
-def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """Names of the factors of a manifold, and in the unit of each the distances of points with leading axes."""
-    match manifold:
-        case Product(factors=factors):
-            for i, (factor, x, y) in enumerate(zip(factors, first, second, strict=True)):
-                yield from factor_distances(factor, x, y, f"{name}factor {i}, ")
-        case Power(factor=factor):
-            for part, distances in factor_distances(factor, first, second):
-                yield f"{name}{manifold}{part.removeprefix(str(factor))}", np.max(distances, axis=-1)
-        case SE(n=n):
-            yield f"{name}{manifold}, rotation", _turn(first[..., :n, :n], second[..., :n, :n])
-            yield f"{name}{manifold}, translation", np.linalg.norm(first[..., :n, n] - second[..., :n, n], axis=-1)
-        case SO():
-            yield f"{name}{manifold}", _turn(first, second)
-        case Sphere():
-            difference, total = (np.linalg.norm(a, axis=-1) for a in (first - second, first + second))
-            yield f"{name}{manifold}", 2 * np.arctan2(difference, total)
-        case _:
-            pairs = zip(jax.tree.leaves(manifold.ambient), jax.tree.leaves(first), jax.tree.leaves(second), strict=True)
-            parts = [
-                np.sum(np.abs(a - b) ** 2, axis=tuple(range(a.ndim - len(kind.shape), a.ndim))) for kind, a, b in pairs
-            ]
-            yield f"{name}{manifold}", np.sqrt(np.sum(parts, axis=0))
-
-
-def _turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Root of the sum of the squared angles of the rotation between two, each of which is in two singular values."""
-    chords = np.linalg.svd(first - second, compute_uv=False)
-    return np.linalg.norm(2 * np.arcsin(np.minimum(chords / 2, 1)), axis=-1) / np.sqrt(2)

@@ -264,7 +264,7 @@ class Qualification:
 def _is_nearly_met(solution: Solution) -> bool:
     """Whether what a trajectory without success lacks is so little that an inequality of it may hold it."""
     checks: Any = solution.checks
-    return max(checks.gap, checks.stationarity, checks.violation) <= MULTIPLIERS_TELL
+    return max(checks.defect, checks.stationarity, checks.violation) <= MULTIPLIERS_TELL
 
 
 def _is_flat(values: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> np.ndarray:

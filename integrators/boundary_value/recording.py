@@ -138,7 +138,7 @@ def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
     """What the iteration knows of the checks of each member."""
     residuals = found.residuals
     values = {
-        "gap": residuals.gap,
+        "defect": residuals.gap,
         "stationarity": residuals.stationarity,
         "strict_minimum": found.strict_minimum & success,
         "violation": np.maximum(residuals.violation, residuals.excess),

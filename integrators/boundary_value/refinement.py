@@ -145,7 +145,7 @@ class Refinement:
         """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than
         rounding."""
         errors, checks = found.errors, found.solution.checks
-        left = checks.gap, checks.stationarity
+        left = checks.defect, checks.stationarity
         if isinstance(checks, RegularChecks):
             left = *left, checks.complementarity
         return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))

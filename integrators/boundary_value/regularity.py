@@ -1,5 +1,6 @@
 """Whether a problem is regular or singular with the parameters of a call, found out once for each of them."""
 
+import warnings
 from functools import cached_property
 from typing import Any, final
 
@@ -7,9 +8,12 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics import ambient as vec
+from ..control_use import unread_controls
 from ..controls import resting_control, within_bounds
 from ..costs import require_cost
 from ..inspection import inspected, probes
+from ..problem import OptimalControlProblem
+from ..results import callers
 from ..singular import Classification, classify
 from .iteration_table import say
 from .posed import Posing
@@ -51,6 +55,7 @@ class Regularity:
             excluded = None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False
             if not regular:
                 say(request.options.callback, CLASSIFYING)
+                _warn_of_unread(problem)
             self._classes[key] = values, None if regular else classify(problem, exclude_zero_costate=excluded)
         return self._classes[key][1]
 
@@ -128,3 +133,14 @@ class Regularity:
 
     def _key(self, request: Request) -> Any:
         return request.structure, request.ends.prescribed[1].parts
+
+
+def _warn_of_unread(problem: OptimalControlProblem) -> None:
+    """Warn of controls that no function reads: each makes a problem singular."""
+    unread = unread_controls(problem.require_values(), problem.quantities)
+    if unread:
+        warnings.warn(
+            f"no function of the problem reads {', '.join(unread)}, which makes the problem singular; try fewer "
+            "controls, or a cost of each control",
+            stacklevel=callers(),
+        )

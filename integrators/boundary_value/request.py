@@ -26,6 +26,7 @@ from ..free import all_guessed, guessed, is_free
 from ..layout import Layout, parameter_layout
 from ..options import HORIZON
 from ..problem import OptimalControlProblem
+from ..results import callers
 from ..singular import Classification, SingularIntegrator
 from .arguments import (
     Given,
@@ -53,7 +54,7 @@ class RequestReader:
     """What requests to a solver are read with: its problem and method, checked before, and its mesh."""
 
     def __init__(self, problem: OptimalControlProblem, method: Method, mesh: Mesh, evaluator: Evaluator) -> None:
-        self.problem, self.method, self.mesh, self.ends = problem, method, mesh, EndReader(problem.manifold)
+        self.problem, self.method, self.mesh, self.ends = problem, method, mesh, EndReader.of(problem)
         self.guesses = GuessReader(problem, len(mesh.fractions), len(mesh.stages))
         self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
         self._parameters: dict[Any, Layout] = {}
@@ -304,7 +305,7 @@ def _warn_of_rounding(manifold: Manifold, violation: float) -> None:
     warnings.warn(
         f"start or end satisfies the equations of {manifold} to {violation:.1g} only, as a point of six digits or of "
         "single precision does; it was projected onto the manifold. Pass a point in double precision to be exact.",
-        stacklevel=2,
+        stacklevel=callers(),
     )
 
 

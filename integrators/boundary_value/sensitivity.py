@@ -17,10 +17,16 @@ from .solution import Solution
 @final
 @dataclass(frozen=True, eq=False)
 class Derivative:
-    """The derivative of an extremal by a number, or, with more leading axes, by an array of numbers.
+    """The derivative of an extremal with respect to a number, or to an array, whose axes lead.
 
-    ``states``, ``costates`` and ``controls`` are derivatives of the arrays of the ``Solution``, tangent vectors of the
-    ambient space with its nodes or stages along the axis behind those leading ones.
+    Attributes
+    ----------
+    cost : float or array
+        The derivative of the cost.
+    states, costates : array, or tuple of arrays
+        Tangent vectors of the ambient space at the nodes, on the axis behind the leading axes.
+    controls : array, or tuple of arrays
+        The derivatives at the stages.
     """
 
     cost: Any
@@ -35,23 +41,38 @@ class Derivative:
 @final
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Derivatives of an extremal ``y`` by what it was computed for, ``dy = -K^-1 dF`` with its KKT system ``F(y) = 0``.
+    """The derivatives of an extremal with respect to its ends, horizon and parameters.
 
-    ``start``, ``end``: by the coordinates of the ends in the bases ``manifold.basis(start)`` and
-    ``manifold.basis(end)``, leading axis n, zero for those that are free. ``horizon``: with the lengths of the steps in
-    proportion; None where that is free. ``parameters``: in the structure of the parameters, a ``Derivative`` for each
-    array, with its axes leading; None where there are none, and where one is free. The derivative of the cost is that
-    of the Lagrangian (envelope theorem): ``start.cost`` is ``-p_0`` in coordinates.
+    Attributes
+    ----------
+    start, end : Derivative
+        With respect to the coordinates of the ends in ``manifold.basis(start)`` and ``manifold.basis(end)``, leading
+        axis ``n``; zero for free ends.
+    horizon : Derivative or None
+        With respect to the horizon, with proportional steps; None if it is free.
+    parameters : pytree of Derivative, or None
+        One ``Derivative`` for each array of the parameters; None if there are none, or one is free.
+
+    Notes
+    -----
+    :math:`dy = -K^{-1} dF` with the KKT system :math:`F(y) = 0` of the extremal. The derivative of the cost is the
+    derivative of the Lagrangian (envelope theorem): ``start.cost`` is :math:`-p_0` in coordinates.
     """
 
     start: Derivative
     end: Derivative
-    horizon: Derivative | None
+    horizon: Derivative | Any
     parameters: Any
 
     @classmethod
     def of(cls, found: Derivatives, layouts: tuple[Layout, Layout], n: int, parameters: Any) -> "Sensitivity":
-        """The record from the columns of one extremal."""
+        """The record from the columns of one extremal.
+
+        Parameters
+        ----------
+        found, layouts, n, parameters : Derivatives, pair of Layout, int, pytree
+            The columns, the free entries of both ends, the dimension, and the parameters.
+        """
         state, control = layouts
 
         def part(begin: int, shape: tuple[int, ...]) -> Derivative:

@@ -11,6 +11,7 @@ from ...manifolds import Euclidean, InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ..problem import OptimalControlProblem
 from ..singular import Classification, classify
+from ..text import brief
 from .control_curvature import ControlCurvature
 from .shooting.legendre import second_order
 from .solution import Solution
@@ -22,14 +23,25 @@ LONGEST = 200  # stages of an arc that are looked at
 @final
 @dataclass(frozen=True, eq=False)
 class ClassifiedArc:
-    """A singular arc from ``begin`` to ``end``, along which the entries ``controls`` of the control lie between their
-    bounds while ``dH/du = 0`` does not determine them, and all others stay at a bound or are regular.
+    """A singular arc: between their bounds, some controls are not determined by ``dH/du = 0``.
 
-    ``order``: the arc is of order k where the 2k-th derivative of ``dH/du`` by time is the first that contains a
-    singular control; None if some of them are gauge. ``classification``: that of the problem in the controls that are
-    not at a bound, without bounds; its ``control(q, p)`` is the feedback. ``feedback_error``: the largest distance of
-    the controls of the solution from that, as a share of the room between their bounds; NaN where it is not defined.
-    ``second_order``: what the generalised Legendre-Clebsch condition, for one control Kelley's, says, in words.
+    Attributes
+    ----------
+    begin, end : float
+        The times of its ends.
+    controls : tuple of int
+        The entries of the control that are singular; all others stay at a bound or are regular.
+    order : int or None
+        ``k`` if the 2k-th time derivative of ``dH/du`` is the first with a singular control; None if some controls are
+        gauge.
+    classification : Classification
+        The classification of the problem in the controls that are not at a bound; its ``control(q, p)`` is the
+        feedback.
+    feedback_error : float
+        Largest distance between the controls of the solution and the feedback, as a fraction of the range between their
+        bounds; NaN if undefined.
+    second_order : str
+        The result of the generalised Legendre-Clebsch condition (Kelley's condition for one control).
     """
 
     begin: float
@@ -58,15 +70,30 @@ class ClassifiedArc:
 def find_singular_arcs(problem: OptimalControlProblem, solution: Solution) -> list[ClassifiedArc]:
     """The singular arcs of a solution with control bounds, each with its classification.
 
-    Along an arc of ``switching_structure`` the controls at bounds are constants, and the problem in the others is
-    treated by ``classify``, near the middle of the arc. Arcs along which a constraint holds the trajectory are left
-    out: it determines controls. The controls of a solution with ``accuracy`` are nearest to the feedback.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem, with control bounds and without an explicit time.
+    solution : Solution
+        A solution; with ``accuracy`` its controls are closest to the feedback.
 
-    Raises ``InvalidInputError`` for a problem without control bounds, one with an explicit time, and anything but a
-    ``Solution``.
+    Returns
+    -------
+    list of ClassifiedArc
+        The arcs in order of time.
+
+    Raises
+    ------
+    InvalidInputError
+        For another problem or solution.
+
+    Notes
+    -----
+    Along an arc of ``switching_structure`` the controls at bounds are constant. ``classify`` treats the problem in the
+    other controls, near the middle of the arc. Arcs with an active constraint are left out.
     """
     if not isinstance(solution, Solution):
-        raise InvalidInputError(f"find_singular_arcs takes a Solution, got {solution!r:.80}; try what solve returns")
+        raise InvalidInputError(f"find_singular_arcs takes a Solution, got {brief(solution)}; try what solve returns")
     problem = problem.with_parameters(solution.parameters) if problem.takes_parameters else problem
     if problem.time_dependent:
         raise InvalidInputError(

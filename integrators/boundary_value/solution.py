@@ -14,11 +14,11 @@ from ...manifolds.numerics.tolerances import ACTIVE
 from ...retractions import Retraction
 from ..quantities import Quantities
 from ..records import Along, RecordFile, Values, not_finite, shapes
-from .checks import RegularChecks, SingularChecks
+from .checks import RegularChecks, SingularArc, SingularChecks, Statistics
 from .guess import Guess
 from .interpolation import Interpolant, Sample
 
-VERSION = 6  # of the file
+VERSION = 7  # of the file
 NAMED_ELSEWHERE = {
     "x": "states",
     "y": "states",
@@ -30,69 +30,63 @@ Status = Literal["minimum", "stationary", "failed"]
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
 
-@dataclass(frozen=True)
-class Statistics:
-    """How the computation went: Newton iterations, seconds to trace and compile, seconds to run.
-
-    Where a search from the guess fails, others follow from guesses that are moved, each with ``max_iterations`` for
-    itself: the iterations are those of the search that the result is of, and of those before it. ``stopped``: a
-    callback, or an interrupt, asked for an end, as of all that would have followed.
-    """
-
-    iterations: int
-    compile_seconds: float
-    run_seconds: float
-    stopped: bool = False
-
-
-@dataclass(frozen=True)
-class SingularArc:
-    """What is particular to an interior singular extremal, a curve in the final manifold ``P_f``.
-
-    ``dimension`` of ``P_f`` and of the ``kernel`` of its form; number of ``gauge_controls``; the choice of the
-    ``strategy`` in words, or the class of an integrator that was given, and whether it is ``presymplectic``.
-    ``conditions``: by how much each boundary condition is violated, relative to 1 + size; ``independent``: how many of
-    them are independent on ``P_f``, to first order. ``second_order``: what the generalised Legendre-Clebsch condition
-    says.
-    """
-
-    dimension: int
-    kernel: int
-    gauge_controls: int
-    strategy: str
-    presymplectic: bool
-    conditions: dict[str, float]
-    independent: int
-    second_order: str
-
-
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """A discrete extremal. Arrays are read-only NumPy arrays with the nodes (N + 1) or stages (N) along the leading
-    axis.
+    r"""A discrete extremal with costates, multipliers and checks, in read-only NumPy arrays over nodes or stages.
 
-    ``states`` and ``costates`` are points and ambient covectors at the nodes, at ``times``; ``stage_states``,
-    ``stage_costates`` and ``controls`` belong to ``stage_times``. ``body_costates`` and ``spatial_costates`` hold, for
-    every factor that is a matrix group, the costate in the body and in the spatial frame. ``result`` says in words how
-    the computation ended, ``success`` whether the conditions are met. ``singular`` is None for a regular problem.
-    ``parameters`` are those of the problem's functions, as given or found, and None if there are none. ``multipliers``
-    of the inequalities by their names, at the stages, are not negative, and per unit of time: the Hamiltonian ``<p, X>
-    - F - nu g`` is stationary in the controls, and ``nu g = 0``. Those of the bounds of a horizon or of parameters
-    belong to the first stage. Multipliers ``mu`` of boundary constraints, one for each equation: ``p(T) = -d(Phi + mu .
-    b)`` by the last state, ``p(0) = d(Phi_0 + mu . b)`` by the first one, and the cost changes by ``mu . e`` where
-    ``b`` is to be ``-e``. ``node_multipliers`` of the constraints at the nodes, by their names, are not negative
-    either: where one holds, the costate jumps by ``mu dg``. ``costates`` are those behind such a jump, at the first
-    node that before it, so that the conditions above hold for both ends. ``quantities``: the names and units of the
-    problem.
+    Attributes
+    ----------
+    times, t : array of shape (N + 1,)
+        The times of the nodes.
+    states, q : array, or tuple of arrays
+        Points of the manifold at the nodes, shape ``(N + 1, *leaf)``.
+    costates, p : array, or tuple of arrays
+        Covectors at the nodes, ambient arrays of the shape of ``states``. Where a node constraint is active, the
+        costate behind its jump; at the first node, the costate before it.
+    stage_times : array of shape (N s,)
+        The times of the stages.
+    stage_states, stage_costates : array, or tuple of arrays
+        States and costates at the stages, shape ``(N s, *leaf)``.
+    controls, u : array, or tuple of arrays
+        Controls at the stages, shape ``(N s, m)``.
+    hamiltonians : array of shape (N s,)
+        ``<p, X> - p_0 F`` at the stages.
+    momenta, body_costates, spatial_costates : dict of str to array
+        Of each factor with a group action the momentum; of each matrix group the costate in the body and in the spatial
+        frame, shape ``(N + 1, d)``.
+    cost : float
+        The cost, in the unit of the running cost times time.
+    success, result, message : bool, str, str
+        Whether the first-order conditions hold, and a sentence on how the computation ended.
+    status : {"minimum", "stationary", "failed"}
+        ``"minimum"`` if the second-order conditions hold too.
+    checks, statistics, singular : RegularChecks or SingularChecks, Statistics, SingularArc or None
+        The figures of the solution, the effort, and the particulars of a singular extremal.
+    multipliers : dict of str to array
+        Nonnegative multipliers of the inequalities at the stages, shape ``(N s, k)``, per unit of time; multipliers of
+        boundary constraints, shape ``(k,)``. Those of bounds of a horizon or of parameters belong to the first stage.
+    node_multipliers : dict of str to array
+        Nonnegative multipliers ``mu`` of the node constraints, shape ``(N + 1, k)``, by which the costate jumps: ``mu
+        dg``.
+    parameters : pytree or None
+        The parameters, as given or found.
+    interpolant, quantities : Interpolant, Quantities
+        The polynomials between the nodes; the names and units of the problem.
+
+    Notes
+    -----
+    :math:`\langle p, X \rangle - F - \nu g` is stationary in the controls, with :math:`\nu g = 0`. For boundary
+    constraints, :math:`p(T) = -d(\Phi + \mu b)` in the last state and :math:`p(0) = d(\Phi_0 + \mu b)` in the first
+    one; the cost changes by :math:`\mu e` if ``b = 0`` becomes ``b = -e``.
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
-    states: Annotated[Any, Along("nodes")]
-    costates: Annotated[Any, Along("nodes", like="states")]
+    states: Annotated[np.ndarray | Any, Along("nodes")]
+    costates: Annotated[np.ndarray | Any, Along("nodes", like="states")]
     stage_times: Annotated[np.ndarray, Along("stages", ndim=1)]
-    stage_states: Annotated[Any, Along("stages", like="states")]
-    stage_costates: Annotated[Any, Along("stages", like="states")]
-    controls: Annotated[Any, Along("stages")]
+    stage_states: Annotated[np.ndarray | Any, Along("stages", like="states")]
+    stage_costates: Annotated[np.ndarray | Any, Along("stages", like="states")]
+    controls: Annotated[np.ndarray | Any, Along("stages")]
     hamiltonians: Annotated[np.ndarray, Along("stages", ndim=1)]
     momenta: Annotated[dict[str, np.ndarray], Along("nodes", ndim=2)]
     body_costates: Annotated[dict[str, np.ndarray], Along("nodes")]
@@ -107,7 +101,7 @@ class Solution:
     node_multipliers: Annotated[dict[str, np.ndarray], Along("nodes", ndim=2)] = field(default_factory=dict)
     parameters: Annotated[Any, Values()] = None
     interpolant: Interpolant | None = field(default=None, repr=False)
-    quantities: Quantities | None = None
+    quantities: Quantities | Any = None
 
     def __post_init__(self) -> None:
         _write_protect(vars(self))
@@ -134,17 +128,17 @@ class Solution:
         return self.times
 
     @property
-    def q(self) -> Any:
+    def q(self) -> np.ndarray | Any:
         """The states at the nodes, ``states``."""
         return self.states
 
     @property
-    def p(self) -> Any:
+    def p(self) -> np.ndarray | Any:
         """The costates at the nodes, ``costates``."""
         return self.costates
 
     @property
-    def u(self) -> Any:
+    def u(self) -> np.ndarray | Any:
         """The controls at the stages, ``controls``."""
         return self.controls
 
@@ -154,11 +148,17 @@ class Solution:
         return self.result
 
     def __call__(self, t: Any) -> Sample:
-        """States, controls and costates at a time, or an array of times, by the polynomials of the method on the
-        manifold.
+        """States, controls and costates at a time, from the polynomials of the method on the manifold.
 
-        States and costates are continuous, controls polynomials on each step; see ``Interpolant``. Raises
-        ``InvalidInputError`` for times outside the horizon, and ``DomainError`` where a step does not fit into a chart.
+        Parameters
+        ----------
+        t : float or array_like
+            Times between the first node and the last.
+
+        Raises
+        ------
+        InvalidInputError, DomainError
+            For times outside the horizon, and for a step that does not fit into a chart.
         """
         return self._between_nodes(self, t)
 
@@ -180,11 +180,12 @@ class Solution:
             raise AttributeError(f"a Solution has no attribute {name!r}{hint}")
 
     def guess(self, after: float = 0.0) -> Guess:
-        """This solution as a guess with as many steps and stages; ``solve`` takes the solution itself for any number of
-        them.
+        """This solution as a guess with the same steps and stages, or its rest from a time on, for a warm start.
 
-        ``after``: the time since its beginning from which on it is wanted, as where a plan is made again on the way,
-        over what is left of the horizon. Raises ``InvalidInputError`` where nothing is left.
+        Parameters
+        ----------
+        after : float
+            The time since the beginning at which the guess starts; ``InvalidInputError`` if nothing is left.
         """
         if not 0 <= after < self.horizon:
             raise InvalidInputError(
@@ -199,7 +200,7 @@ class Solution:
         return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates, *multipliers)
 
     def report(self) -> None:
-        """Print what a user checks."""
+        """A print of the figures of the solution: status, cost, violations, errors and time."""
         print(self)
 
     def __repr__(self) -> str:
@@ -207,7 +208,7 @@ class Solution:
         span = f"times={self.times[0]:.6g}..{self.times[-1]:.6g}" if len(self.times) else "times=[]"
         arrays = [f"{name}={shapes(getattr(self, name))}" for name in ("states", "costates", "controls", "momenta")]
         kind = "" if self.singular is None else f"singular, on P_f of dimension {self.singular.dimension}; "
-        checks = f"gap={self.checks.gap:.1e}, stationarity={self.checks.stationarity:.1e}"
+        checks = f"defect={self.checks.defect:.1e}, stationarity={self.checks.stationarity:.1e}"
         parts = [
             f"status={self.status!r}, cost={self.cost:.12g}, steps={self.steps}, {span}",
             *arrays,
@@ -225,7 +226,7 @@ class Solution:
         return f"<pre>{escape(str(self))}</pre>"
 
     def require_success(self) -> "Solution":
-        """This solution, or a ``ConvergenceError`` with its result if the conditions are not met."""
+        """This solution; raises ``ConvergenceError`` with its result if the conditions are not met."""
         if not self.success:
             from .solution_report import report_text
 
@@ -234,7 +235,7 @@ class Solution:
 
     @property
     def stage_multipliers(self) -> dict[str, np.ndarray]:
-        """The multipliers of the inequalities, of shape ``(N s, k)``: all but those of the boundary constraints."""
+        """The multipliers of the inequalities, shape ``(N s, k)``, without boundary constraints."""
         return {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
 
     @property
@@ -243,8 +244,14 @@ class Solution:
         return self._held(self.node_multipliers, self.node_multipliers, len(self.times))
 
     def held_by(self, names: Collection[str]) -> np.ndarray:
-        """At which stages one of these inequalities holds the trajectory, or at both nodes of their step, shape ``(N
-        s,)``; the barrier leaves others multipliers too."""
+        """The stages at which one of the named inequalities is active, there or at both nodes of the step, shape ``(N
+        s,)``.
+
+        Parameters
+        ----------
+        names : collection of str
+            Names of inequalities.
+        """
         stages = self._held(names, self.stage_multipliers, len(self.stage_times))
         nodes = self._held(names, self.node_multipliers, len(self.times))
         return stages | np.repeat(nodes[:-1] & nodes[1:], len(stages) // self.steps)
@@ -264,7 +271,13 @@ class Solution:
         return to_xarray(self)
 
     def to_pandas(self, at: Any = "nodes") -> Any:
-        """The solution as a ``pandas.DataFrame`` with a column for each entry; see ``retrax.interop.to_pandas``."""
+        """The solution as a ``pandas.DataFrame`` with a column for each entry; see ``retrax.interop.to_pandas``.
+
+        Parameters
+        ----------
+        at : {"nodes", "stages"} or array_like
+            The rows: nodes, stages, or times.
+        """
         from ...interop import to_pandas
 
         return to_pandas(self, at)
@@ -276,15 +289,24 @@ class Solution:
         return histories(self)
 
     def to_html(self, path: str | Path, mesh: tuple[Any, Any] | None = None, title: str = "") -> None:
-        """Write a page that shows the solution in motion, in one file; see ``retrax.plotting.to_html``."""
+        """A page in one file that shows the solution in motion; see ``retrax.plotting.to_html``.
+
+        Parameters
+        ----------
+        path, mesh, title
+            As in ``retrax.plotting.to_html``.
+        """
         from ...plotting import to_html
 
         to_html(self, path, mesh, title)
 
     def save(self, path: str | Path) -> None:
-        """Write the solution to an ``.npz`` file that ``load_solution`` reads.
+        """An ``.npz`` file with the solution, which ``load_solution`` reads.
 
-        Raises ``InvalidInputError`` if it is not one that can be read again, such as one put together by hand.
+        Parameters
+        ----------
+        path : str or Path
+            The file; ``InvalidInputError`` if the solution could not be read again.
         """
         values = {field.name: getattr(self, field.name) for field in fields(self) if field.name not in IN_TEXT}
         values["geometry"] = None if self.interpolant is None else self.interpolant.text
@@ -330,11 +352,27 @@ _FILE = RecordFile(
 
 
 def load_solution(path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None) -> Solution:
-    """Read a solution that ``Solution.save`` wrote; nothing in the file is executed.
+    """The solution in a file that ``Solution.save`` wrote; nothing in the file is executed.
 
-    ``retraction`` and ``controls``: those of the method and the problem, by which it is known between its nodes. A file
-    has them where they are classes of the library, made with numbers. Raises ``InvalidInputError`` if the file is
-    something else, damaged, incomplete, or of another version, or the retraction acts on other points.
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    retraction : Retraction, optional
+        The retraction of the method, if it is a custom class.
+    controls : Manifold, optional
+        The control manifold of the problem, if it is a custom class.
+
+    Returns
+    -------
+    Solution
+        The solution, with its numbers to the last bit.
+
+    Raises
+    ------
+    InvalidInputError
+        If the file is not a solution, or is damaged, incomplete or of another version; if the retraction acts on other
+        points.
     """
     values = _FILE.read(path)
     text, names = values.pop("geometry"), values.pop("quantities")

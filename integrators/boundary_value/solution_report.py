@@ -1,34 +1,40 @@
 """The printed report of a solution."""
 
+import re
 from collections.abc import Iterator
 
+import jax
 import numpy as np
 
 from ..text import many, table
 from .checks import RegularChecks
+from .distances import factor_distances
 from .solution import SingularArc, Solution
 
 LONGEST_MOMENTUM = 6
+LONGEST_TURN = 2 * np.pi / 3  # radians: larger turns in one step hardly tell one direction from the other
 EQUAL = 1e-9  # relative: steps that differ by less are of one length
 
 
 def report_text(solution: Solution, *, result: bool = True) -> str:
-    """What a user checks, a line each; the first says how it ended, unless that is said already."""
-    rows = [*_optimality(solution), *_geometry(solution), *_effort(solution)]
-    return table(rows if result else rows[1:])
+    """The report of a solution: the outcome and the effort, then the residuals and the geometry.
+
+    ``result``: whether the report begins with the sentence on how the search ended.
+    """
+    rows = [*_outcome(solution), *_turns(solution), *_effort(solution)]
+    return "\n\n".join(map(table, (rows if result else rows[1:], [*_residuals(solution), *_geometry(solution)])))
 
 
-def _optimality(solution: Solution) -> Iterator[tuple[str, str]]:
+def _outcome(solution: Solution) -> Iterator[tuple[str, str]]:
     checks = solution.checks
     yield "result", solution.result
     yield "cost", f"{solution.cost:.12g}{_unit(solution, 'cost')}"
+    yield "horizon", f"{solution.horizon:.9g}{_unit(solution, 'time')}"
     if solution.singular is not None:
         yield from _singular(solution.singular)
-        yield "residual", f"gap {checks.gap:.1e}, equations of P_f {checks.stationarity:.1e} (relative)"
         return
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
-    yield "KKT residual", f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e} (relative)"
     if isinstance(checks, RegularChecks) and checks.error is not None:
         yield "accuracy", f"error of the steps {checks.error:.1e} (relative, the sum)"
         for name, largest in checks.between.items():
@@ -79,10 +85,41 @@ def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:
         yield "", f"{name} missed by {violation:.1e}"
 
 
+def _turns(solution: Solution) -> Iterator[tuple[str, str]]:
+    """The angles of rotations, and of points of spheres, from the start to the end and in one step."""
+    if solution.interpolant is None:
+        return
+    manifold, states = solution.interpolant.retraction.manifold, solution.states
+    before, after = (jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], states) for k in (slice(-1), slice(1, None)))
+    start, end = (jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], states) for k in (0, -1))
+    ends, steps = factor_distances(manifold, start, end), factor_distances(manifold, before, after)
+    for (name, whole, is_angle), (_, own, _) in zip(ends, steps, strict=True):
+        if not is_angle:
+            continue
+        largest = float(np.max(own))
+        yield (
+            "turn",
+            f"{_labelled(name, solution)}: {np.degrees(whole):.4g} degrees from start to end, at most "
+            f"{np.degrees(largest):.3g} degrees in one step",
+        )
+        if largest > LONGEST_TURN:
+            yield (
+                "",
+                "a step turns too far to be trusted: increase steps, and check that angles and rates are in radians",
+            )
+
+
+def _residuals(solution: Solution) -> Iterator[tuple[str, str]]:
+    """How far the conditions of an extremal are from being met."""
+    checks = solution.checks
+    kind, other = ("KKT residual", "stationarity") if solution.singular is None else ("residual", "equations of P_f")
+    yield kind, f"defect {checks.defect:.1e}, {other} {checks.stationarity:.1e} (relative)"
+
+
 def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
     checks = solution.checks
     for equation, violation in checks.violations.items():
-        yield "constraint error", f"{equation}: {violation:.1e}"
+        yield "constraint error", f"{_labelled(equation, solution)}: {violation:.1e}"
     share = checks.hamiltonian_spread / checks.hamiltonian_size if checks.hamiltonian_size else 0.0
     yield (
         "Hamiltonian",
@@ -92,16 +129,25 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
         yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
     for name, momentum in solution.momenta.items() if solution.success else ():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
+        label = _labelled(name, solution)
         conserved, count = checks.conserved[name], momentum.shape[1]
         constant = f"constant along this extremal: {conserved or 'none'} of {count} components"
         if not conserved:
-            yield title, f"{name}: {constant}"
+            yield title, f"{label}: {constant}"
             continue
         first = np.array2string(momentum[0], precision=8) if count <= LONGEST_MOMENTUM else "at the start"
         size, spread = np.max(np.abs(momentum)), checks.momentum_spreads[name]
         # The spread of those that are not constant is no error.
         kept = f", spread over the nodes {spread:.1e}" if conserved == count else ""
-        yield title, f"{name}: {first}, size {size:.3g}; {constant}{kept}"
+        yield title, f"{label}: {first}, size {size:.3g}; {constant}{kept}"
+
+
+def _labelled(name: str, solution: Solution) -> str:
+    """A name that begins with ``factor k``, with the label of that factor instead."""
+    states, quantities = solution.states, solution.quantities
+    if not isinstance(states, tuple) or quantities is None:
+        return name
+    return re.sub(r"^factor (\d+)", lambda found: quantities.factors(len(states))[int(found[1])], name)
 
 
 def _effort(solution: Solution) -> Iterator[tuple[str, str]]:

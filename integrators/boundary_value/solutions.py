@@ -21,9 +21,18 @@ SAME_EXTREMAL = 1e-6  # relative distance within which two extremals are one
 class Solutions(Sequence[Solution]):
     """The solutions of a batch: a sequence of ``Solution``, and their fields with one more leading axis.
 
-    ``solutions.controls`` is the array of all controls, shape ``(B, S, ...)``, ``solutions.cost``,
-    ``solutions.success`` and ``solutions.status`` are arrays of length B; ``result``, ``checks`` and ``statistics`` are
-    lists.
+    ``solutions.controls`` has shape ``(B, N s, m)``; ``solutions.cost``, ``solutions.success`` and ``solutions.status``
+    have shape ``(B,)``; ``result``, ``checks`` and ``statistics`` are lists. ``solve_many`` and ``multistart`` return
+    it.
+
+    Parameters
+    ----------
+    fields : dict of str to array
+        The fields with their leading axis.
+    member : callable
+        A function of a number that returns the ``Solution`` of this member.
+    places : sequence of int
+        The numbers of the members.
     """
 
     def __init__(self, fields: dict[str, Any], member: Callable[[int], Solution], places: Sequence[int]) -> None:
@@ -32,7 +41,13 @@ class Solutions(Sequence[Solution]):
 
     @classmethod
     def of(cls, members: Sequence[Solution]) -> Self:
-        """The batch of these solutions."""
+        """The batch of given solutions.
+
+        Parameters
+        ----------
+        members : sequence of Solution
+            Solutions with arrays of the same shapes.
+        """
         values = ({name: value for name, value in vars(member).items() if name not in LISTED} for member in members)
         stacked = vec.stacked(list(values))
         return cls(stacked, members.__getitem__, range(len(members)))
@@ -75,8 +90,13 @@ class Solutions(Sequence[Solution]):
         return vec.taken(self._fields[name], list(self._places))
 
     def save(self, path: str | Path) -> None:
-        """Write all members to one file, which ``load_solutions`` reads; raises ``InvalidInputError`` as
-        ``Solution.save``."""
+        """A file with all members, which ``load_solutions`` reads.
+
+        Parameters
+        ----------
+        path : str or Path
+            The file; ``InvalidInputError`` as for ``Solution.save``.
+        """
         save_batch(self, path)
 
     @property
@@ -86,13 +106,14 @@ class Solutions(Sequence[Solution]):
 
     @property
     def converged(self) -> int:
-        """How many members meet their conditions."""
+        """The number of members whose first-order conditions hold."""
         return int(np.sum(self.success))
 
     @property
     def distinct(self) -> int:
-        """How many different extremals there are among those that converged: states further apart than 1e-6 of their
-        extent."""
+        """The number of different extremals among the converged members: states further apart than 1e-6 of their
+        extent.
+        """
         leaves = [leaf[self.success] for leaf in jax.tree.leaves(self.states)]
         flat = np.concatenate([leaf.reshape(len(leaf), math.prod(leaf.shape[1:])) for leaf in leaves], axis=1)
         found: list[np.ndarray] = []

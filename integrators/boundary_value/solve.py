@@ -89,7 +89,7 @@ def solve(
     Returns
     -------
     Solution
-        The discrete extremal with its costates, and what was checked.
+        The discrete extremal with its costates and checks.
 
     Raises
     ------

@@ -13,11 +13,12 @@ from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import taken
 from ...reading import is_reading, one_reading, reads_once
 from ..evaluator import chosen
-from ..free import is_free
+from ..free import Free, is_free
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
 from ..singular import Classification, SingularIntegrator
+from ..text import brief
 from ..unchanged import Unchanged
 from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
 from .differentiable import INSTEAD, DifferentiableSolution, extremal_of
@@ -55,17 +56,21 @@ class _Kept(NamedTuple):
 
 @final
 class Solver:
-    """An optimal control problem with a method and steps, traced once; ``solve`` is then a matter of milliseconds.
+    """An optimal control problem with a method and steps, traced once, so that each ``solve`` takes milliseconds.
 
-    ``method``: a ``Gauss`` method, or a discretization map. ``steps``: their number, or their lengths, positive numbers
-    that count relative to their sum. ``evaluator``: ``"tape"`` of scalar instructions, ``"xla"``, or ``"automatic"``,
-    the tape where the functions can be traced to one; ``solver.evaluator`` says which it is, and ``solver.reason`` why.
+    Parameters
+    ----------
+    problem, method : OptimalControlProblem, Gauss or DiscretizationMap
+        The problem and its discretization.
+    steps : int or array_like of shape (N,)
+        The number of steps, or their positive lengths relative to their sum.
+    evaluator : {"automatic", "tape", "xla"}
+        The evaluator of the functions; automatically a tape of scalar instructions if the functions can be traced.
 
-    What the functions read when the solver is made stays as it was; a call that needs something traced anew after they
-    have changed raises ``InvalidInputError``. What changes from call to call is an argument:
-    ``parameters``, any pytree of numbers and arrays, reach functions that take one argument more. They are traced at
-    the first call, and again for parameters of another structure. Without Numba XLA is the evaluator, Python solves the
-    linear systems, and one warning says that this takes long.
+    Notes
+    -----
+    A ``Solver`` freezes the values that your functions use when you build it: after a change, a new trace raises
+    ``InvalidInputError``. Pass values that change between solves as ``parameters``.
     """
 
     @known_options
@@ -105,7 +110,13 @@ class Solver:
         return solver
 
     def with_steps(self, steps: Any) -> "Solver":
-        """A solver in other steps that shares with this one what is traced, and whose solutions both know."""
+        """A solver with other steps that shares the traced functions with this one.
+
+        Parameters
+        ----------
+        steps : int or array_like of shape (N,)
+            The number of steps, or their relative lengths.
+        """
         other = copy(self)
         other.fractions = fractions_of(steps)
         other._posing = self._posing.on(other.fractions)
@@ -137,20 +148,18 @@ class Solver:
 
     @property
     def evaluator(self) -> str:
-        """``"tape"`` or ``"xla"``: what evaluates the problem's functions."""
+        """The evaluator of the functions, ``"tape"`` or ``"xla"``."""
         return self._evaluator.name
 
     @property
     def reason(self) -> str:
-        """Why that evaluator was chosen."""
+        """The reason for the choice of the evaluator."""
         return self._evaluator.reason
 
     def compile(self) -> None:
-        """Make machine code of the functions that are traced, now: for who calls the solver at fixed times.
+        """The traced functions become machine code now, for callers with fixed times.
 
-        Another thread does it by itself once they have run often, and takes time of its own for that. Nothing else
-        changes: the numbers stay the same, and what XLA evaluates stays as it is. Raises ``InvalidInputError`` if
-        nothing is traced: parameters, and what is free, are known at the first call.
+        Otherwise a thread compiles them when they have run often. ``InvalidInputError`` if nothing is traced yet.
         """
         if not self._compile():
             raise InvalidInputError(
@@ -174,7 +183,7 @@ class Solver:
         self,
         start: Any,
         end: Any,
-        horizon: float,
+        horizon: float | Free,
         guess: Guess | Solution | None = None,
         parameters: Any = None,
         tolerance: float | None = None,
@@ -185,12 +194,14 @@ class Solver:
         classification: Classification | None = None,
         integrator: SingularIntegrator | None = None,
     ) -> Solution:
-        """The extremal between two boundary conditions over ``[0, horizon]``; see ``solve`` for the arguments they
-        share.
+        """The extremal between two boundary conditions over ``[0, horizon]``, or the best iterate after an interrupt.
 
-        ``callback``: called with an ``Iteration`` after each evaluation; the iteration ends where it returns something
-        true, or an array that is true throughout. ``verbose`` prints a line for each. An interrupt, Ctrl-C, ends it
-        too. Either way the record has the best iterate.
+        Parameters
+        ----------
+        start, end, horizon, guess, parameters, tolerance, max_iterations, callback, verbose
+            As in ``retrax.solve``, with the same errors.
+        throw, classification, integrator
+            As in ``retrax.solve``.
         """
         require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
@@ -205,11 +216,23 @@ class Solver:
         return one_reading() if self._unchanged is None else self._unchanged.required(parameters)
 
     def solved(self, request: Request) -> Solution:
-        """The extremal, examined."""
+        """The extremal of a request, examined.
+
+        Parameters
+        ----------
+        request : Request
+            The checked arguments.
+        """
         return self.examined(self.found(request), request)
 
     def found(self, request: Request) -> Solution:
-        """The extremal, of which the conditions alone are looked at."""
+        """The extremal of a request, with only the first-order conditions evaluated.
+
+        Parameters
+        ----------
+        request : Request
+            The checked arguments.
+        """
         if request.formulated:
             return self._formulated.solve(request)
         regularity = self._regularity
@@ -224,7 +247,13 @@ class Solver:
         return solution if solution.success else explained(request.problem, solution)
 
     def examined(self, solution: Solution, request: Request) -> Solution:
-        """The solution with what its conditions do not tell."""
+        """The solution with the results of all checks.
+
+        Parameters
+        ----------
+        solution, request : Solution, Request
+            The result of ``found``, and the checked arguments.
+        """
         free_horizon = is_free(request.given.horizon)
         if self._examination.is_silent(solution.parameters, free_horizon):
             return solution
@@ -251,12 +280,15 @@ class Solver:
         callback: Callable[[Iteration], Any] | None = None,
         verbose: bool = False,
     ) -> Solutions:
-        """The extremals between many pairs of ends at once.
+        """The extremals between many pairs of ends at once, for regular problems; read ``success`` of the members.
 
-        ``starts``, ``ends``, ``horizons``: as for ``solve``, or with one more leading axis, of the same length B
-        wherever it is; ``parameters``: arrays with this axis. ``guesses``: a ``Guess`` or ``Solution`` for all, or a
-        list of B. The same factors are free for all. Nothing is raised for a member that is not solved: read
-        ``success``. Regular problems only.
+        Parameters
+        ----------
+        starts, ends, horizons, guesses, parameters
+            As for ``solve``, or arrays with one more leading axis of length ``B``, and a list of ``B`` guesses. The
+            same factors are free for all members.
+        tolerance, max_iterations, callback, verbose
+            As in ``retrax.solve``.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
@@ -266,7 +298,13 @@ class Solver:
             return self._all_examined(self.all_found(request), request)
 
     def all_found(self, request: Request) -> Solutions:
-        """The extremals of a batch, of which the conditions alone are looked at."""
+        """The extremals of a batch, with only the first-order conditions evaluated.
+
+        Parameters
+        ----------
+        request : Request
+            The checked arguments.
+        """
         if request.formulated:
             return self._formulated.solve_many(request)
         self._regularity.require_regular(request)
@@ -281,12 +319,14 @@ class Solver:
         return solutions if same else Solutions.of(examined)
 
     def sensitivity(self, solution: Solution) -> Sensitivity:
-        """Derivatives of a solution that this solver found by its ends, horizon and parameters.
+        """The derivatives of a solution with respect to its ends, horizon and parameters, by one more elimination.
 
-        One more elimination of its KKT system, with a right-hand side for each of them. Regular problems only. Raises
-        ``InvalidInputError`` for any other solution, one without success, or if the functions have changed since the
-        solver was made, and ``ConvergenceError`` if the system is singular to rounding: then the extremal is one of a
-        family, or its ends are conjugate, and it has no derivatives.
+        Parameters
+        ----------
+        solution : Solution
+            A successful solution of a regular problem that this solver found; ``InvalidInputError`` for others.
+            ``ConvergenceError`` if its KKT system is singular: the extremal is one of a family, or its ends are
+            conjugate.
         """
         self.problem.require_treated("sensitivity", *ALONG)
         formulated = self._formulated.sensitivity(solution)
@@ -295,7 +335,7 @@ class Solver:
         if not isinstance(solution, Solution) or solution not in self._kept or not solution.success:
             raise InvalidInputError(
                 "sensitivity takes a solution with success of a regular problem that this solver found, got "
-                f"{solution!r:.80}; try solver.sensitivity(solver.solve(...)) with one and the same solver"
+                f"{brief(solution)}; try solver.sensitivity(solver.solve(...)) with one and the same solver"
             )
         kept = self._kept[solution]
         key, place = structure_of(kept.parameters), np.array([kept.place])
@@ -320,13 +360,18 @@ class Solver:
         tolerance: float | None = None,
         max_iterations: int = 100,
     ) -> DifferentiableSolution:
-        """Cost, states, costates and controls of the extremal as JAX arrays, functions of the other arguments but
-        ``guess``.
+        """The cost, states, costates and controls of the extremal as JAX arrays with derivatives.
 
-        ``jax.grad``, ``jax.jacobian``, ``jax.jvp`` and ``jax.vjp`` of functions that call it take its derivatives,
-        those of ``sensitivity``: first ones, outside ``jit`` and ``vmap``. Tangents of ends are projected to the
-        tangent spaces; the derivative of the cost by the start is ``-p_0``, and by the end ``p_N``. Raises what
-        ``solve`` and ``sensitivity`` raise.
+        Parameters
+        ----------
+        start, end, horizon, guess, parameters, tolerance, max_iterations
+            As in ``retrax.solve``; errors as in ``solve`` and ``sensitivity``.
+
+        Notes
+        -----
+        JAX takes first derivatives in all arguments except ``guess``, outside ``jit`` and ``vmap``. Tangents of ends
+        are projected to the tangent spaces. The derivative of the cost is :math:`-p_0` in the start and :math:`p_N` in
+        the end.
         """
 
         def solved(given: Given) -> Solution:

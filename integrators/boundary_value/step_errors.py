@@ -14,6 +14,7 @@ from ...reading import one_reading, reads_once
 from ..evaluated import Evaluated
 from ..evaluator import Automatic
 from ..problem import OptimalControlProblem
+from ..text import brief
 from .arguments import check_parameters
 from .control_curvature import ControlCurvature
 from .propagation import UNRESOLVED, Propagator
@@ -25,17 +26,24 @@ POINTS = 4  # for each stage: where inequalities are looked at between the stage
 
 @final
 class StepErrors(NamedTuple):
-    """What is wrong with each of the N steps, by itself: arrays of length N, relative numbers but for ``violations``.
+    """The relative errors of the N steps of a solution, each by itself.
 
-    ``states``: how far the controls of the step, propagated from its own first state, lead past its last one, relative
-    to the spread of the trajectory, entry by entry. ``controls``: the squared distance of the polynomial of the step
-    from that through the stages of a neighbour too, or half that from the neighbour's, at the ends of the step and
-    relative to the root mean square of the controls, times the share of the step in the horizon. By as much the cost is too large
-    where the Hamiltonian is curved in the controls; for one in which it is linear, times the share once more, which a
-    switch anywhere in the step costs. No less than the squared relative excess over a limit that depends on the
-    controls, times the share, or the square of that where both are linear. ``violations``: of each of the inequalities the largest between the stages, in its own
-    unit. ``inequalities``: the largest violation of those that do not depend on the controls, relative to the largest
-    value, or to what the spread of a state or the size of a control changes one that is held all along.
+    Attributes
+    ----------
+    states : array of shape (N,)
+        Distance from the last state of a step to the state that its controls produce from its first one, relative to
+        the spread of the trajectory.
+    controls : array of shape (N,)
+        Excess of the cost: the squared distance of the control polynomial from the polynomial that includes a stage of
+        a neighbour, or half the squared distance from the polynomial of the neighbour, relative to the root mean
+        square of the controls, times the fraction of the horizon. For a Hamiltonian that is linear in a control, times
+        the fraction once more. At least the squared relative excess over a limit that depends on the controls, times
+        the fraction, or times its square where the limit and the Hamiltonian are linear in them.
+    inequalities : array of shape (N,)
+        Largest violation of the inequalities that do not depend on the controls, relative to their largest value, or
+        to the change by the spread of the states where one is held all along.
+    violations : dict of str to array of shape (N,)
+        Largest violation of each inequality between the stages, in its own unit.
     """
 
     states: np.ndarray
@@ -45,7 +53,7 @@ class StepErrors(NamedTuple):
 
     @property
     def each(self) -> np.ndarray:
-        """The largest of the relative errors of each step."""
+        """The largest relative error of each step, shape ``(N,)``."""
         return np.maximum(np.maximum(self.states, self.controls), self.inequalities)
 
     @property
@@ -56,16 +64,32 @@ class StepErrors(NamedTuple):
 
 @reads_once
 def step_errors(problem: OptimalControlProblem, solution: Solution, parameters: Any = None) -> StepErrors:
-    """The errors of the steps of a solution, each by itself: which steps are too long.
+    """The errors of the steps of a solution, each by itself, which show the steps that are too long.
 
-    What one step errs is not carried into the next, as ``discretization_error`` does. ``parameters``: those of the
-    solution. Raises ``InvalidInputError`` for missing parameters, or a record that is not known between its nodes.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem.
+    solution : Solution
+        A solution of the problem.
+    parameters : pytree, optional
+        The parameters of the solution.
+
+    Returns
+    -------
+    StepErrors
+        One number for each step; unlike in ``discretization_error``, errors are not carried into the next step.
+
+    Raises
+    ------
+    InvalidInputError
+        For missing parameters, and for a solution without polynomials between its nodes.
     """
     check_parameters(problem, parameters)
     if not isinstance(solution, Solution) or solution.interpolant is None or solution.singular is not None:
         raise InvalidInputError(
             "step_errors takes the solution of a regular problem that is known between its nodes, got "
-            f"{solution!r:.80}; try what solve returns, or load_solution(path, retraction)"
+            f"{brief(solution)}; try what solve returns, or load_solution(path, retraction)"
         )
     return Estimator(problem, solution.interpolant.retraction, parameters)(solution, parameters)
 

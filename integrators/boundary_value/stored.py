@@ -12,6 +12,7 @@ import numpy as np
 
 from ... import manifolds, retractions
 from ...manifolds import InvalidInputError
+from ..text import brief
 
 ROOMS = manifolds, retractions
 NUMBERS = bool, int, float, str
@@ -29,7 +30,7 @@ def from_text(text: str) -> list[Any]:
         return [_made(item) for item in json.loads(text)]
     except Exception as error:  # constructors raise about everything for what they do not take
         raise InvalidInputError(
-            f"geometry is {text!r:.60}, expected classes of manifolds and retractions with their numbers ({error})"
+            f"geometry is {brief(text)}, expected classes of manifolds and retractions with their numbers ({error})"
         ) from error
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.tolerances import EPS
 from ..problem import OptimalControlProblem
+from ..text import brief
 from .solution import Solution
 
 CONTROL_AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
@@ -26,9 +27,14 @@ class _Run(NamedTuple):
 
 @final
 class SwitchingStructure(NamedTuple):
-    """K arcs: ``times``, shape (K + 1,), of their ends, and ``sides``, shape (K, m), of the entries of the control.
+    """The K arcs of a solution along which controls stay at bounds.
 
-    A side is -1 where the entry stays at its lower bound, 1 where it stays at its upper one, and 0 elsewhere.
+    Attributes
+    ----------
+    times : array of shape (K + 1,)
+        The ends of the arcs.
+    sides : array of shape (K, m)
+        For each arc and entry of the control -1 at the lower bound, 1 at the upper bound, and 0 otherwise.
     """
 
     times: np.ndarray
@@ -45,7 +51,7 @@ class SwitchingStructure(NamedTuple):
         return self.arcs > 1
 
     def without_vanished(self) -> "SwitchingStructure":
-        """The structure without arcs that have no duration; of neighbours that are then alike one is left."""
+        """The structure without arcs of zero duration; equal neighbours become one arc."""
         lasting = np.diff(self.times) > VANISHED * (self.times[-1] - self.times[0])
         times, sides = self.times[:-1][lasting], self.sides[lasting]
         changes = np.concatenate([[True], np.any(sides[1:] != sides[:-1], axis=1)])
@@ -62,14 +68,27 @@ class SwitchingStructure(NamedTuple):
 
 
 def switching_structure(problem: OptimalControlProblem, solution: Solution) -> SwitchingStructure:
-    """The arcs along which the entries of the control stay at their bounds, as far as the mesh of a solution shows
-    them.
+    """The arcs along which entries of the control stay at their bounds, as far as the mesh shows them.
 
-    Arcs end where an entry leaves a bound by a jump; where it leaves it without, it counts as free on both sides. An
-    arc is longer than one step. Raises ``InvalidInputError`` for a problem without control bounds.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        A problem with control bounds; ``InvalidInputError`` for another one.
+    solution : Solution
+        A solution of the problem.
+
+    Returns
+    -------
+    SwitchingStructure
+        The arcs, each longer than one step.
+
+    Notes
+    -----
+    An arc ends where an entry leaves a bound by a jump. An entry that leaves its bound continuously counts as free on
+    both sides.
     """
     if not isinstance(solution, Solution):
-        raise InvalidInputError(f"switching_structure takes a Solution, got {solution!r:.80}; try what solve returns")
+        raise InvalidInputError(f"switching_structure takes a Solution, got {brief(solution)}; try what solve returns")
     if not any(problem.limits.bounded.values()):
         raise InvalidInputError(
             f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"

@@ -42,7 +42,7 @@ class Vanishing:
     def __call__(self, solution: Solution, tolerance: float) -> bool:
         """Whether it does; not where an inequality holds the trajectory, and perhaps its speed."""
         held = any(getattr(solution.checks, "active", {}).values())
-        if held or not isinstance(self.problem.controls, Euclidean) or not solution.checks.gap <= CLOSE:
+        if held or not isinstance(self.problem.controls, Euclidean) or not solution.checks.defect <= CLOSE:
             return False
         layouts = (self.state, solution.stage_states), (self.control, solution.controls)
         rows = *(layout.rows(points, 1) for layout, points in layouts), solution.stage_times[:, None]

@@ -36,23 +36,35 @@ class _Memory(NamedTuple):
 
 @final
 class DiracIntegrator(LiftedIntegrator):
-    """Integrator of a ``DiracSystem``: Lambda o F_h o Lambda, with impulses Lambda of the constraint forces at both
-    nodes.
+    r"""An integrator of nonholonomic systems, with impulses of the constraint forces at both nodes of a step.
 
-        p0+ = p0 + r0_a mu^a(q0),    (q0, p0+; q1, p1-) = R_d^{T*}(h X_H(x, pi)),    p1 = p1- + r1_a mu^a(q1)
+    Parameters
+    ----------
+    lift : CotangentLift
+        The lift of a discretization map, such as ``CotangentLift(Midpoint(R))``.
 
-    ``r0`` puts the velocity ``v / h`` of the stage in the constraints at its base point ``x``, ``r1`` the one of the
-    end node in those at ``q1``: the discrete Lagrange-d'Alembert equations [Cortés, Martínez, Nonlinearity 14, 2001]
-    with momenta that satisfy the constraints. Constraint forces at the stage instead, ``(X, dH)`` in the Dirac
-    structure at ``(x, pi)``, leave the nodes off the constraints by O(h^2).
+    Notes
+    -----
+    A step is :math:`\Lambda \circ F_h \circ \Lambda` with the impulses :math:`\Lambda`:
 
-    Kept are the constraints, at nodes and stages; the momentum of every symmetry of ``H`` whose generator, for a
-    constant element of the algebra, satisfies the constraints with ``c = 0``, if the discretization map is equivariant;
-    and reversibility, and so order 2, if the discretization map is symmetric, and then order 4 by composition. Not kept
-    are ``omega``, which the flow itself does not preserve, and the energy: its error is O(h^2), bounded where the
-    motion is reversible and integrable, and wanders or drifts where it is not [Modin, Verdier, Numer. Math. 145, 2020].
+    .. math::
+        p_0^+ = p_0 + r_{0a} \mu^a(q_0), \quad (q_0, p_0^+; q_1, p_1^-) = R_d^{T^*}(h X_H(x, \pi)), \quad
+        p_1 = p_1^- + r_{1a} \mu^a(q_1).
+
+    ``r_0`` makes the velocity ``v / h`` of the stage satisfy the constraints at its base point ``x``, and ``r_1`` the
+    velocity of the end node the constraints at ``q_1``. These are the discrete Lagrange-d'Alembert equations.
+    Constraint forces at the stage would leave the nodes off the constraints by :math:`O(h^2)`.
+
+    The method preserves the constraints at nodes and stages. With an equivariant map it preserves the momentum of a
+    symmetry whose generator satisfies the constraints with ``c = 0``. With a symmetric map it is reversible and of
+    order 2, and of order 4 by composition. The energy error is :math:`O(h^2)`: bounded if the motion is reversible and
+    integrable, otherwise it may drift.
 
     The ``controls`` of a trajectory are the multipliers ``lambda``, averaged over each step.
+
+    References
+    ----------
+    Cortés, Martínez, Nonlinearity 14, 2001. Modin, Verdier, Numer. Math. 145, 2020.
     """
 
     lift: CotangentLift

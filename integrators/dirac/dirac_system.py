@@ -24,14 +24,33 @@ Multipliers = Float[Array, " m"]
 
 @final
 class DiracSystem(eqx.Module):
-    """``(X, dH)`` in the Dirac structure that a distribution induces on ``T*Q``; in the words of mechanics,
+    r"""A Hamiltonian system with linear or affine constraints on the velocity: a Dirac structure on ``T*Q``.
 
-        q' = dH/dp,    p' = -dH/dq + lambda_a mu^a(q),    <mu^a(q), q'> = c^a(q),    a = 1, ..., m.
+    Parameters
+    ----------
+    manifold : Manifold
+        The configuration manifold Q.
+    hamiltonian : callable
+        ``H(q, p)``, a number.
+    forms : callable
+        One-forms ``mu^a(q)``: independent covectors as leaves of shape ``(m, *leaf)``.
+    rates : callable, optional
+        The values ``c(q)``, shape ``(m,)``; by default zero.
 
-    [Yoshimura, Marsden, Dirac structures in Lagrangian mechanics, J. Geom. Phys. 57, 2006; with ``c = 0`` there].
-    ``hamiltonian(q, p)`` returns a scalar; ``forms(q)`` the one-forms, independent covectors as a frame of leaves
-    ``(m, *leaf)``; ``rates(q)`` the values ``c``, shape ``(m,)``, by default zero. All are JAX functions of ambient
-    arrays. Its states are the ``(q, p)`` that satisfy the constraints: ``project`` makes one of any covector.
+    Notes
+    -----
+    The equations are
+
+    .. math::
+        \dot q = \partial H / \partial p, \quad \dot p = -\partial H / \partial q + \lambda_a \mu^a(q), \quad
+        \langle \mu^a(q), \dot q \rangle = c^a(q), \quad a = 1, \dots, m.
+
+    All functions are JAX functions of ambient arrays. States are the ``(q, p)`` that satisfy the constraints;
+    ``project`` maps any covector to one of them.
+
+    References
+    ----------
+    Yoshimura, Marsden, Dirac structures in Lagrangian mechanics, J. Geom. Phys. 57, 2006.
     """
 
     manifold: Manifold
@@ -46,11 +65,20 @@ class DiracSystem(eqx.Module):
         forms: Callable[[Any], Frame],
         rates: Callable[[Any], Multipliers] | None = None,
     ) -> Self:
-        """The system of Pontryagin's ``H(q, p, u)`` and ``dH/du = 0``, where that determines ``u`` near the resting
+        """The system of Pontryagin's Hamiltonian with the control eliminated by ``dH/du = 0`` near the resting
         control.
 
-        There ``H(q, p, u(q, p))`` has the differential by ``(q, p)`` that ``H`` has with ``u`` held. It is NaN
-        elsewhere.
+        Parameters
+        ----------
+        problem : OptimalControlProblem
+            The problem.
+        forms, rates
+            As in the class.
+
+        Notes
+        -----
+        ``H(q, p, u(q, p))`` has the differential in ``(q, p)`` of ``H`` with a fixed ``u``. It is NaN where ``dH/du =
+        0`` does not determine ``u``.
         """
         if not isinstance(problem, OptimalControlProblem):
             raise InvalidInputError(
@@ -69,39 +97,68 @@ class DiracSystem(eqx.Module):
                 raise InvalidInputError(f"{name} must be a function of {of}, got {value!r}")
 
     def digest(self) -> bytes | None:
-        """A digest of what the functions compute, with the values that they read now; None where that cannot be
-        told."""
+        """A digest of the results of the functions, with the values that they use now; None if there is none."""
         ambient = self.manifold.ambient
         return digest(lambda q, p: (self.hamiltonian(q, p), self.constraint(q, p)), ambient, ambient)
 
     def velocity(self, q: Ambient, p: Ambient) -> Ambient:
-        """``dH/dp``, a tangent vector at ``q``."""
+        """The velocity ``dH/dp``, a tangent vector at ``q``.
+
+        Parameters
+        ----------
+        q, p : point, covector
+            The state.
+        """
         return self.manifold.projection(
             q, vec.gradient(lambda p: real_number("the Hamiltonian", self.hamiltonian(q, p)), p)
         )
 
     def constraint(self, q: Ambient, v: Ambient) -> Multipliers:
-        """``<mu^a(q), v> - c^a(q)``, zero for a velocity ``v`` that the constraints allow."""
+        r"""The values :math:`\langle \mu^a(q), v \rangle - c^a(q)`, shape ``(m,)``: zero for an admissible velocity.
+
+        Parameters
+        ----------
+        q, v : point, tangent vector
+            A point, and a velocity.
+        """
         along = vec.components(self.forms(q), v)
         return along if self.rates is None else along - self.rates(q)
 
     def kick(self, q: Ambient, p: Ambient, impulse: Multipliers) -> Ambient:
-        """The covector ``p + r_a mu^a(q)`` after an impulse ``r`` of the constraint forces."""
+        r"""The covector :math:`p + r_a \mu^a(q)` after an impulse of the constraint forces.
+
+        Parameters
+        ----------
+        q, p, impulse : point, covector, array of shape (m,)
+            The state, and the impulse ``r``.
+        """
         return self.manifold.projection(q, vec.add(p, vec.combine(self.forms(q), impulse)))
 
     def impulse(
         self, q: Ambient, p: Ambient, first: Multipliers, sizes: Multipliers | None = None
     ) -> tuple[Multipliers, Bool[Array, ""]]:
-        """The impulse near ``first`` after which ``(q, p)`` satisfies the constraints, and whether it was found.
+        """The impulse near ``first`` after which the state satisfies the constraints, and whether it was found.
 
-        ``sizes``: those of impulses, by default ``impulse_sizes(q, p)``.
+        Parameters
+        ----------
+        q, p : point, covector
+            The state.
+        first : array of shape (m,)
+            The first guess.
+        sizes : array of shape (m,), optional
+            Sizes of impulses; by default ``impulse_sizes(q, p)``.
         """
         sizes = self.impulse_sizes(q, p) if sizes is None else sizes
         return find_root(lambda r: self.constraint(q, self.velocity(q, self.kick(q, p, r))), first, sizes)
 
     def impulse_sizes(self, q: Ambient, p: Ambient, h: ArrayLike = 0.0) -> Multipliers:
-        """Sizes of impulses that change ``p`` by its size, or by that of ``h dH/dq``, or lead from rest to the rates
-        ``c``."""
+        """The sizes of impulses that change ``p`` by its size or by ``h dH/dq``, or lead from rest to the rates.
+
+        Parameters
+        ----------
+        q, p, h : point, covector, float
+            The state, and a step.
+        """
         q, p = jax.lax.stop_gradient((q, p))
         pushed = vec.gradient(lambda q: real_number("the Hamiltonian", self.hamiltonian(q, p)), q)
         momentum = jnp.maximum(vec.size(p), jnp.abs(h) * vec.size(pushed))
@@ -114,13 +171,24 @@ class DiracSystem(eqx.Module):
         return jnp.where((sizes > 0) & jnp.isfinite(sizes), sizes, 1.0)
 
     def mobility(self, q: Ambient, p: Ambient, impulse: Multipliers) -> Array:
-        """``<mu^a, H_pp mu^b>``: what impulses change the constraints by, shape ``(m, m)``."""
+        r"""The matrix :math:`\langle \mu^a, H_{pp} \mu^b \rangle`, shape ``(m, m)``: the change of the constraints
+        by impulses.
+
+        Parameters
+        ----------
+        q, p, impulse : point, covector, array of shape (m,)
+            The state, and the impulse.
+        """
         return jax.jacfwd(lambda r: self.constraint(q, self.velocity(q, self.kick(q, p, r))))(impulse)
 
     def project(self, q: Ambient, p: Ambient) -> Ambient:
-        """The covector that satisfies the constraints and differs from ``p`` by one of the ``mu^a(q)`` and their sums.
+        """The covector that satisfies the constraints and differs from ``p`` by a linear combination of the
+        one-forms.
 
-        Raises ``ConvergenceError`` if there is none near.
+        Parameters
+        ----------
+        q, p : point, covector
+            The state; ``ConvergenceError`` if there is none nearby.
         """
         size = jax.tree.leaves(jax.eval_shape(self.forms, q))[0].shape[0]
         r, found = self.impulse(q, p, jnp.zeros(size))

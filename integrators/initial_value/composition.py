@@ -45,12 +45,30 @@ KAHAN_LI_8 = _symmetric(  # order 8 [Kahan, Li 1997]
 
 @final
 class Composition(Integrator):
-    """Substeps ``w_1 h, ..., w_s h`` of one integrator, with weights that sum to 1.
+    r"""A composition of substeps :math:`w_1 h, \dots, w_s h` of one integrator, with weights that sum to 1.
 
-    Of a symmetric integrator of order 2 the weights ``TRIPLE_JUMP`` and ``SUZUKI`` make one of order 4, ``YOSHIDA_6``
-    and ``KAHAN_LI_6`` of order 6, ``KAHAN_LI_8`` of order 8. Whatever every substep preserves, the composition
-    preserves. The orders are those of steps that tend to the identity with ``h``: of a ``StageIntegrator`` compose two
-    halves first.
+    Parameters
+    ----------
+    integrator : Integrator
+        A symmetric integrator of order 2, for the orders below.
+    weights : tuple of float
+        ``TRIPLE_JUMP`` or ``SUZUKI``, the default, for order 4; ``YOSHIDA_6`` or ``KAHAN_LI_6`` for order 6;
+        ``KAHAN_LI_8`` for order 8.
+
+    Notes
+    -----
+    Geometric properties of every substep hold for the composition. The orders hold for steps that tend to the identity
+    with ``h``; of a ``StageIntegrator``, compose two halves first.
+
+    References
+    ----------
+    Hairer, Lubich, Wanner, Geometric Numerical Integration, 2006, II.4 and V.3.2.
+
+    Examples
+    --------
+    >>> method = SymplecticIntegrator(CotangentLift(Midpoint(Addition(Euclidean(1)))))
+    >>> len(Composition(method, TRIPLE_JUMP).weights)
+    3
     """
 
     integrator: Integrator

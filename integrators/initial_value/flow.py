@@ -3,7 +3,7 @@
 from typing import Any, final
 from weakref import finalize
 
-from jaxtyping import ArrayLike
+from jaxtyping import Array, ArrayLike
 
 from ...manifolds.numerics.ambient import Ambient
 from ...reading import Reading, resumed
@@ -17,15 +17,24 @@ from .trajectory import Trajectory, check_call, integrate
 
 @final
 class Flow:
-    """A system with an integrator, traced once; ``integrate`` then takes the time of its steps and a few milliseconds.
+    """A system with an integrator, traced once, so that each ``integrate`` takes little more than its steps.
 
-    ``system``, ``integrator``, ``evaluator``: as in ``retrax.integrators.integrate``, to whose trajectories those of
-    the flow are equal. The first call traces the functions, and what they read then stays as it was: for other values
-    make another flow.
+    Parameters
+    ----------
+    system, integrator, evaluator
+        As in ``retrax.integrators.integrate``, with equal trajectories.
 
-    Raises ``InvalidInputError`` for what cannot be integrated, where JAX transforms the call, and where a call needs
-    something traced anew after the functions have changed.
+    Raises
+    ------
+    InvalidInputError
+        For other arguments, in a call that JAX transforms, and for a new trace after the functions have changed.
 
+    Notes
+    -----
+    The first call traces the functions and freezes the values that they use; for other values build another flow.
+
+    Examples
+    --------
     >>> flow = Flow(lambda q, p: (p @ p + q @ q) / 2, SymplecticIntegrator(Gauss(2, Exponential(Euclidean(1)))))
     >>> [float(flow.integrate((np.ones(1), np.zeros(1)), h, 10).q[-1, 0].round(4)) for h in (0.1, 0.2)]
     [0.5403, -0.4161]
@@ -52,14 +61,21 @@ class Flow:
     def integrate(
         self,
         start: tuple[Ambient, Ambient],
-        step_size: float,
+        step_size: float | Array,
         steps: int,
         save_every: int = 1,
         throw: bool = True,
         verbose: bool = False,
     ) -> Trajectory:
-        """``retrax.integrators.integrate`` from ``start = (q0, p0)``: the same arguments, values and errors.
+        """The trajectory from one start, as ``retrax.integrators.integrate`` returns it.
 
+        Parameters
+        ----------
+        start, step_size, steps, save_every, throw, verbose
+            As in ``retrax.integrators.integrate``.
+
+        Examples
+        --------
         >>> str(Flow(lambda q, p: p @ p / 2, SymplecticIntegrator(Gauss(1, Cayley(SO(3))))))
         'Flow(SymplecticIntegrator on SO(3))'
         """
@@ -77,8 +93,15 @@ class Flow:
         save_every: int = 1,
         verbose: bool = False,
     ) -> Trajectory:
-        """``retrax.integrators.integrate_many`` from starts with a leading axis: the same arguments, values and errors.
+        """The trajectories from many starts, as ``retrax.integrators.integrate_many`` returns them.
 
+        Parameters
+        ----------
+        starts, step_sizes, steps, save_every, verbose
+            As in ``retrax.integrators.integrate_many``.
+
+        Examples
+        --------
         >>> Flow.integrate_many.__name__
         'integrate_many'
         """

@@ -20,17 +20,29 @@ RESTORED = 3  # each time what a point lacks is squared: a tenth of its size bec
 
 @final
 class GeodesicRetraction(Retraction):
-    """End after unit time of the geodesic of a metric from ``x`` with velocity ``v``; entries are NaN where a step is
-    not solved.
+    """The end after unit time of the geodesic of a metric from ``x`` with velocity ``v``.
 
-    Hamilton's equations of the kinetic energy are solved in ``steps`` equal steps. A step depends on ``v`` and on its
-    size through the product alone, so whatever the number of steps the result is a retraction, of second order for the
-    metric; with an integrator of order ``r`` it differs from the exponential map by ``O(|v|^(r+1) / steps^r)``. The
-    inverse is Newton's method.
+    Parameters
+    ----------
+    metric : Metric
+        The metric; the retraction acts on its manifold.
+    steps : int
+        The number of equal steps of the integration.
+    integrator : Integrator, optional
+        By default order 4, composed of lifted midpoint steps.
 
-    By default 8 steps of order 4: on the ellipsoid ``x^2 + 2 y^2 + 3 z^2 = 1`` the error is 7e-5 for ``|v| = 1``, 1e-9
-    for ``|v| = 0.1``.
+    Notes
+    -----
+    The integrator solves Hamilton's equations of the kinetic energy. A step depends only on the product of ``v`` and
+    its size. The result is therefore a retraction of second order for the metric, with any number of steps. With order
+    ``r`` it differs from the exponential map by :math:`O(|v|^{r+1} / n^r)` for ``n`` steps. Newton's method computes
+    the inverse; entries are NaN if a step is not solved.
 
+    With the defaults, on the ellipsoid ``x^2 + 2 y^2 + 3 z^2 = 1``, the error is 7e-5 for ``|v| = 1`` and 1e-9 for
+    ``|v| = 0.1``.
+
+    Examples
+    --------
     >>> GeodesicRetraction(EmbeddedMetric(Sphere(2))).manifold
     Sphere(n=2)
     """
@@ -61,8 +73,15 @@ class GeodesicRetraction(Retraction):
         return nan_unless(end.converged, end.q)
 
     def flow(self, x: Ambient, p: Ambient) -> StepResult:
-        """Point and covector after unit time from the point ``x`` and the covector ``p``, and whether all steps were
-        solved."""
+        """The point and covector after unit time, and whether all steps were solved.
+
+        Parameters
+        ----------
+        x : point
+            The first point.
+        p : covector
+            The first covector.
+        """
         # Off the manifold a step's equations hold in its frame alone, and their derivatives are not those of its
         # values; a step that begins there is not solved.
         for _ in range(RESTORED):

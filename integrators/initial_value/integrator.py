@@ -31,8 +31,10 @@ from .true_hamiltonian import require_true_hamiltonian
 
 
 class Integrator(eqx.Module):
-    """A one-step method on ``T*Q``.
+    """A one-step method on ``T*Q``: a base class with the abstract methods below.
 
+    Examples
+    --------
     >>> isinstance(SymplecticIntegrator(Gauss(2, Cayley(SO(3)))), Integrator)
     True
     """
@@ -45,54 +47,101 @@ class Integrator(eqx.Module):
     @attribute
     @abstractmethod
     def control_times(self) -> np.ndarray:
-        """Where in a step its controls belong, in fractions of the step: an array shaped like the leading axes of
-        ``control``."""
+        """The times of the controls in fractions of the step, shaped like the leading axes of ``control``."""
 
     @abstractmethod
     def check(self, system: Any, q: Ambient, p: Ambient) -> None:
-        """Raise if ``system`` cannot be integrated from ``(q, p)``."""
+        """Raise an error if ``system`` cannot be integrated from ``(q, p)``.
+
+        Parameters
+        ----------
+        system : callable or OptimalControlProblem
+            The system.
+        q, p : point, covector
+            The start.
+        """
 
     @abstractmethod
     def begin(self, system: Any, q: Ambient, p: Ambient) -> Any:
-        """Unknowns from which the first step is predicted."""
+        """The unknowns from which the first step is predicted.
+
+        Parameters
+        ----------
+        system, q, p
+            As in ``check``.
+        """
 
     @abstractmethod
     def step(self, system: Any, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
-        """One step of size ``h`` from ``(q, p)``, predicted from the unknowns of the step before."""
+        """One step of size ``h`` from ``(q, p)``, predicted from the unknowns of the step before.
+
+        Parameters
+        ----------
+        system : callable or OptimalControlProblem
+            The system.
+        h : float
+            The step.
+        q, p : point, covector
+            The state before the step.
+        previous : pytree
+            The unknowns of the step before.
+        """
 
     @abstractmethod
     def control(self, unknowns: Any) -> Any:
-        """The control in the unknowns of a step; None where there is none."""
+        """The control in the unknowns of a step; None if there is none.
+
+        Parameters
+        ----------
+        unknowns : pytree
+            The unknowns of a step.
+        """
 
     def stage(self, system: Any, h: ArrayLike) -> Stage | None:
-        """The stage whose equations are those of a step of size ``h``, and all of it; None where steps are of another
-        form."""
+        """The stage of a whole step; None for steps of another form.
+
+        Parameters
+        ----------
+        system, h
+            As in ``step``.
+        """
         return None
 
     def substeps(self) -> tuple["Integrator", np.ndarray]:
-        """The integrator that does a step, or each part of it, and these parts, shaped like the leading axes of
-        ``control``."""
+        """The integrator of the parts of a step, and these parts, shaped like the leading axes of ``control``."""
         return self, np.ones(())
 
     @property
     def retraction(self) -> Retraction:
-        """A retraction of Q, in whose charts what is between two states is looked at."""
+        """A retraction of Q, whose charts connect two states."""
         return default_retraction(self.manifold)
 
     def energy(self, system: Any, q: Ambient, p: Ambient, control: Any) -> Array | None:
-        """The Hamiltonian of ``system``, with a control where it has one, which must not jump; None where there is
-        none."""
+        """The Hamiltonian of a system, which must not jump; None if there is none.
+
+        Parameters
+        ----------
+        system, q, p, control
+            The system, a state, and a control or None.
+        """
         return None
 
     def hint(self, system: Any, first: tuple[Ambient, Ambient], last: tuple[Ambient, Ambient]) -> str:
-        """What may stop this method at ``last``, on a trajectory from ``first``: words for the error of a step without
-        an end."""
+        """A hint for the error of a step without a solution: a possible reason, in words.
+
+        Parameters
+        ----------
+        system, first, last
+            The system, and the pairs ``(q, p)`` of the start and of the last state.
+        """
         return ""
 
 
 class LiftedIntegrator(Integrator):
-    """A method built on the cotangent lift of a discretization map.
+    """A method on ``T*Q`` built on the cotangent lift of a discretization map.
 
+    Examples
+    --------
     >>> issubclass(SingularIntegrator, LiftedIntegrator)
     True
     """
@@ -176,12 +225,27 @@ class VariationalIntegrator(Integrator):
 
 @final
 class SymplecticIntegrator(VariationalIntegrator):
-    """Hamilton's equations by a lifted discretization map, ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(z))`` for some ``z`` in
-    ``T*Q``.
+    """An integrator of Hamilton's equations by a lifted discretization map or a Gauss method.
 
-    The system is a Hamiltonian ``H(q, p)``, a JAX function of ambient arrays. The step is a symplectic map of ``T*Q``;
-    symmetric, and of order 2, if the discretization map is symmetric. By a Gauss method ``Gauss(s, retraction)``, whose
-    collocation takes the place of the lift, it is symmetric and of order ``2 s``.
+    Parameters
+    ----------
+    method : CotangentLift or Gauss
+        ``CotangentLift(Midpoint(R))``, or ``Gauss(s, R)`` of order ``2 s``.
+
+    Notes
+    -----
+    A step is :math:`(q_0, p_0; q_1, p_1) = R_d^{T^*}(h X_H(z))` for some ``z`` in ``T*Q``. It is a symplectic map of
+    ``T*Q``. It is symmetric, and of order 2, if the discretization map is symmetric. The system is a Hamiltonian ``H(q,
+    p)``, a JAX function of ambient arrays.
+
+    References
+    ----------
+    Barbero-Liñán and Martin de Diego, Retraction maps: a seed of geometric integrators, 2022.
+
+    Examples
+    --------
+    >>> SymplecticIntegrator(Gauss(2, Cayley(SO(3)))).manifold
+    SO(n=3)
     """
 
     def stage(self, system: Hamiltonian, h: ArrayLike) -> HamiltonianStage | GaussStage:
@@ -208,12 +272,27 @@ class SymplecticIntegrator(VariationalIntegrator):
 
 @final
 class PresymplecticIntegrator(VariationalIntegrator):
-    """Extremals of a regular optimal control problem from ``(q0, p0)``.
+    r"""An integrator for the extremals of a regular optimal control problem.
 
-    By a lifted discretization map, ``(1/h) (R_d^{T*})^-1 (q0, p0; q1, p1)`` lies in the Lagrangian submanifold S_H of
-    the problem, over its base point: the equations of Hamilton for Pontryagin's Hamiltonian with ``dH/du = 0`` at the
-    stage. By a Gauss method they hold at its points, each with a control of its own: ``controls`` of a trajectory then
-    have an axis of length ``s`` behind that of the steps, also for ``s = 1``.
+    Parameters
+    ----------
+    method : CotangentLift or Gauss
+        ``CotangentLift(Midpoint(R))``, or ``Gauss(s, R)`` of order ``2 s``.
+
+    Notes
+    -----
+    :math:`\frac1h (R_d^{T^*})^{-1}(q_0, p_0; q_1, p_1)` lies in the Lagrangian submanifold S_H of the problem:
+    Hamilton's equations of Pontryagin's Hamiltonian, with :math:`\partial H / \partial u = 0` at the stage. A Gauss
+    method has a control at each of its points; ``controls`` then have an axis of length ``s``, also for ``s = 1``.
+
+    References
+    ----------
+    Barbero-Liñán and Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, 2023.
+
+    Examples
+    --------
+    >>> PresymplecticIntegrator(CotangentLift(Midpoint(Cayley(SO(3))))).manifold
+    SO(n=3)
     """
 
     def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage | GaussStage:

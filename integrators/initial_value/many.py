@@ -31,16 +31,38 @@ def integrate_many(
     evaluator: str = "automatic",
     verbose: bool = False,
 ) -> Trajectory:
-    """Integrate ``system`` from many starts at once: ``integrate`` for each member of a leading axis.
+    """Integrate a system from many starts at once: ``integrate`` for each member of a leading axis.
 
-    ``starts``: points and covectors with that axis, ``B`` long; ``step_sizes``: one number or ``B``. Every array of the
-    trajectory has the leading axis ``B``, ``result`` and ``failed_step`` too: a trajectory that stops, or passes a jump
-    of the Hamiltonian, is marked there, nothing is raised for it. On the tape, which runs the trajectories side by side
-    on all processors; where it cannot run, XLA compiles one loop for this number of steps, which Ctrl-C does not stop,
-    and whose progress is not known. ``verbose``: as in ``integrate``.
+    Parameters
+    ----------
+    system : callable or OptimalControlProblem
+        As in ``integrate``.
+    integrator : Integrator
+        The method.
+    starts : tuple of points and covectors
+        ``(q0, p0)`` with a leading axis of length ``B``.
+    step_sizes : float or array_like of shape (B,)
+        The step, one for all or one each.
+    steps, save_every : int
+        The number of steps; one state in ``save_every`` is kept.
+    evaluator : {"automatic", "tape", "xla"}
+        The tape runs the members on all processors; XLA compiles one loop, which an interrupt does not stop.
+    verbose : bool
+        Whether to show the progress.
 
-    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, and for calls
-    under ``jit``, ``vmap`` and ``grad``: there take ``jax.vmap`` of ``integrate``. Ctrl-C as in ``integrate``.
+    Returns
+    -------
+    Trajectory
+        The trajectory; every array, also ``result`` and ``failed_step``, has the leading axis ``B``.
+
+    Raises
+    ------
+    InvalidInputError, NotOnManifoldError
+        For other input, and under ``jit``, ``vmap`` and ``grad``: use ``jax.vmap`` of ``integrate`` there.
+
+    Notes
+    -----
+    A member that stops, or passes a jump of the Hamiltonian, is marked and raises nothing.
     """
     check_call(integrator, steps, save_every, evaluator)
     require_concrete("integrate_many", system, integrator, starts, step_sizes)

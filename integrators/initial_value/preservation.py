@@ -18,14 +18,36 @@ Pair = tuple[Ambient, Ambient]
 def symplecticity_defect(
     space: PresymplecticManifold, integrator: Integrator, system: object, z: Pair, h: ArrayLike
 ) -> Array:
-    """Largest entry of ``F_h^* omega - omega`` at ``z``, for one step ``F_h``, in an orthonormal basis of ``T_zP``.
+    r"""The largest entry of :math:`F_h^* \omega - \omega` at ``z``, in an orthonormal basis of :math:`T_zP`.
 
-    ``space``: the manifold ``P`` in ``T*Q``, on which the step starts and ends, with its form, as
-    ``classify(problem).presymplectic``. ``h``: the length of the step, or an array of lengths, of whose shape the
-    result is. Rounding for a presymplectic integrator, of some order in ``h`` for any other. Measure on a ``P`` that is
-    curved and has more than two dimensions: elsewhere other methods may look exact.
+    Parameters
+    ----------
+    space : PresymplecticManifold
+        The manifold ``P`` in ``T*Q`` with its form, such as ``classify(problem).presymplectic``.
+    integrator : Integrator
+        The method, whose step is ``F_h``.
+    system : callable or OptimalControlProblem
+        As in ``integrate``.
+    z : tuple of point and covector
+        A state on ``P``.
+    h : float or array_like
+        The step, or an array of steps, of whose shape the result is.
 
-    Raises ``InvalidInputError`` as ``integrate`` does, and ``ConvergenceError`` if a step cannot be solved.
+    Returns
+    -------
+    Array
+        The defect: rounding for a presymplectic integrator, a power of ``h`` for others.
+
+    Raises
+    ------
+    InvalidInputError
+        As ``integrate``.
+    ConvergenceError
+        If a step cannot be solved.
+
+    Notes
+    -----
+    Measure on a ``P`` that is curved and has more than two dimensions; elsewhere other methods may look exact.
     """
     integrator.check(system, *z)
     sizes = jnp.asarray(h)

@@ -20,6 +20,7 @@ from ..evaluator import check_evaluator
 from ..functions import is_transformed, require_concrete
 from ..records import Along, RecordFile, not_finite, shapes
 from ..results import Result, warn_about_precision
+from ..text import brief
 from .integrator import Integrator
 from .loop import Carry, Nodes, XlaSteps, advance, begin, node
 from .not_finite import not_finite_words
@@ -46,15 +47,26 @@ class Remark(str):
 
 @final
 class Trajectory(eqx.Module):
-    """A discrete trajectory on ``T*Q``: nodes along the leading axis of every leaf.
+    """A discrete trajectory on ``T*Q``, with the nodes along the leading axis of every array.
 
-    ``controls`` are the stage controls of each saved step (None for Hamilton's equations), at ``stage_times``; a
-    composition has one for each of its substeps, a Gauss method one for each of its ``s`` points, along an axis behind
-    that of the steps: shape ``(steps, s, m)``. ``failed_step`` is -1, or the index of the first step whose equations
-    were not solved: the state is constant from there. Where ``result`` is ``Result.jump`` it is that of a step, or of
-    the steps between two nodes, in which the Hamiltonian jumps. Where ``result`` is ``Result.interrupted`` the
-    trajectory ends with the last state that was reached and kept. ``evaluator`` says in words what computed the steps,
-    and why where that was not the tape.
+    Attributes
+    ----------
+    times : array of shape (N + 1,)
+        The times of the nodes.
+    q, p : array, or tuple of arrays
+        Points and covectors at the nodes, shape ``(N + 1, *leaf)``.
+    controls : array or None
+        Stage controls of each saved step, at ``stage_times``; None for Hamilton's equations. A composition has one for
+        each substep and a Gauss method one for each stage: shape ``(N, s, m)``.
+    stage_times : array
+        Times of the controls, shape ``(N,)`` or ``(N, s)``.
+    result : Result
+        The end of the integration: ``Result.successful``, ``step_not_solved``, ``jump`` or ``interrupted``.
+    failed_step : int array
+        The first step whose equations were not solved, else -1; the state is constant from there. With ``Result.jump``,
+        a step in which the Hamiltonian jumps.
+    evaluator : str
+        The evaluator of the steps, and the reason if it is not the tape.
     """
 
     times: Annotated[Float[Array, " nodes"], Along("nodes", ndim=1)]
@@ -78,10 +90,12 @@ class Trajectory(eqx.Module):
         return "\n  ".join(["Trajectory(", span, *arrays, f"result={Result[self.result]!r})"])
 
     def save(self, path: str | Path) -> None:
-        """Write the trajectory to an ``.npz`` file that ``load_trajectory`` reads.
+        """An ``.npz`` file with the trajectory, which ``load_trajectory`` reads.
 
-        Raises ``InvalidInputError`` for a batch of trajectories, under ``jit`` and ``vmap``, and if it could not be
-        read again.
+        Parameters
+        ----------
+        path : str or Path
+            The file; ``InvalidInputError`` for a batch, under ``jit`` and ``vmap``, and if it could not be read again.
         """
         require_concrete("Trajectory.save", self)
         if np.ndim(self.times) != 1:
@@ -102,7 +116,7 @@ def _disagreement(values: dict[str, Any]) -> str:
     """What is wrong with the result of a trajectory, or with its numbers, all of which are finite."""
     result, failed = values["result"], values["failed_step"]
     if result not in _ENDS:
-        return f"the result is {result!r:.60}, expected one of {', '.join(_ENDS)}"
+        return f"the result is {brief(result)}, expected one of {', '.join(_ENDS)}"
     if failed < -1 or (failed >= 0) != (result in ("step_not_solved", "jump")):
         return f"the failed step is {failed} with the result {result}"
     return not_finite(values)
@@ -114,9 +128,12 @@ _FILE = RecordFile("Trajectory", 1, {**_FIELDS, "result": str, "failed_step": in
 
 
 def load_trajectory(path: str | Path) -> Trajectory:
-    """Read a trajectory that ``Trajectory.save`` wrote; nothing in the file is executed.
+    """The trajectory in a file that ``Trajectory.save`` wrote; nothing in the file is executed.
 
-    Raises ``InvalidInputError`` if the file is something else, damaged, incomplete, or of another version.
+    Parameters
+    ----------
+    path : str or Path
+        The file; ``InvalidInputError`` if it is something else, damaged, incomplete, or of another version.
     """
     values = _FILE.read(path)
     result, failed = getattr(Result, values.pop("result")), jnp.asarray(values.pop("failed_step"), int)
@@ -128,33 +145,57 @@ def integrate(
     system: Any,
     integrator: Integrator,
     start: tuple[Ambient, Ambient],
-    step_size: float,
+    step_size: float | Array,
     steps: int,
     save_every: int = 1,
     throw: bool = True,
     evaluator: str = "automatic",
     verbose: bool = False,
 ) -> Trajectory:
-    """Integrate ``system`` from ``start = (q0, p0)`` over ``steps`` steps of size ``step_size`` (negative: backward in
-    time).
+    """Integrate a system from one start over steps of one size.
 
-    ``system`` is a Hamiltonian ``H(q, p)`` for a ``SymplecticIntegrator``, an ``OptimalControlProblem`` for a
-    ``PresymplecticIntegrator``. ``p0`` is any ambient array: it stands for the covector that is its tangent projection.
-    One state in ``save_every`` is kept. Works under ``jit``, ``vmap`` and ``grad``, in the start, the step size and the
-    arrays of ``system`` and ``integrator``. There neither input nor output is checked: a start off the constraint
-    manifold of a singular problem is taken as it is, and a step that cannot be solved shows in ``result`` and
-    ``failed_step`` of the trajectory alone.
+    Parameters
+    ----------
+    system : callable or OptimalControlProblem
+        A Hamiltonian ``H(q, p)`` for a ``SymplecticIntegrator``; a problem for a ``PresymplecticIntegrator``.
+    integrator : Integrator
+        The method.
+    start : tuple of point and covector
+        ``(q0, p0)``. ``p0`` is an ambient array, used by its tangent projection.
+    step_size : float
+        The step ``h`` in the unit of time; negative for backward in time.
+    steps, save_every : int
+        The number of steps; one state in ``save_every`` is kept.
+    throw : bool
+        Whether to raise ``ConvergenceError``; otherwise read ``result`` and ``failed_step``.
+    evaluator : {"automatic", "tape", "xla"}
+        The evaluator of the steps; by default the tape if the functions have a scalar form.
+    verbose : bool
+        Whether to show the progress.
 
-    Elsewhere each call traces the functions anew and runs the steps on the tape, in pieces of a fraction of a second;
-    where an operation has no scalar form, and for integrators without a stage, XLA compiles them.
-    ``Trajectory.evaluator`` says which; ``evaluator``, ``"tape"`` or ``"xla"``, asks for one. ``verbose`` shows the
-    progress: a bar in a terminal where tqdm is installed, else lines of the logger ``retrax``.
+    Returns
+    -------
+    Trajectory
+        The states at the nodes.
 
-    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for input that is not what is described here, also where a
-    step cannot be solved and the Hamiltonian is not finite at the start, and, if ``throw``, ``ConvergenceError`` if a
-    step cannot be solved otherwise, or the Hamiltonian jumps between two nodes: momenta jump there too, by what no
-    derivative tells of. Only in a time that is a coordinate it may jump. Ctrl-C is the usual ``KeyboardInterrupt``; its
-    one argument is the trajectory until then.
+    Raises
+    ------
+    InvalidInputError, NotOnManifoldError
+        For other input, and if the Hamiltonian is not finite at the start.
+    ConvergenceError
+        If a step cannot be solved, or the Hamiltonian jumps between two nodes.
+
+    Notes
+    -----
+    Under ``jit``, ``vmap`` and ``grad`` nothing is checked: read ``result`` and ``failed_step``. Otherwise each call
+    traces the functions anew. An interrupt is a ``KeyboardInterrupt`` whose argument is the trajectory until then.
+
+    Examples
+    --------
+    >>> energy = lambda q, p: (p @ p + q @ q) / 2
+    >>> method = SymplecticIntegrator(Gauss(2, Exponential(Euclidean(1))))
+    >>> float(integrate(energy, method, (np.ones(1), np.zeros(1)), 0.1, 10).q[-1, 0].round(4))
+    0.5403
     """
     check_call(integrator, steps, save_every, evaluator)
     if not is_traced(step_size):

@@ -1,9 +1,16 @@
 """Singular problems: their classification, and integrators on the final constraint manifold."""
 
-from . import integrability, strategies
-from .integrability import *
-from .strategies import *
+from .integrability import L_H, S_H, Classification, MorseTest, Stratum, classify
+from .strategies import Choice, SingularIntegrator, singular_integrator
 
-__all__: list[str] = []
-__all__ += integrability.__all__
-__all__ += strategies.__all__
+__all__ = [
+    "L_H",
+    "S_H",
+    "Choice",
+    "Classification",
+    "MorseTest",
+    "SingularIntegrator",
+    "Stratum",
+    "classify",
+    "singular_integrator",
+]

@@ -17,13 +17,25 @@ Unknowns = tuple[Ambient, Ambient]
 
 @final
 class ControlStage(Stage):
-    """Unknowns ``y = (x, u)``; tangent vector ``h X(x, u)``; cost ``h p_0 F(x, u)``.
+    r"""The stage of an optimal control problem under a discretization map, with unknowns ``y = (x, u)``.
 
-    Its generating function is ``S(x, u; p0, p1) = <p1, R2(x, hX)> - <p0, R1(x, hX)> - h p_0 F``: the control ``u``
-    belongs to the base point, at time ``t_k + theta h``.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem; ``x`` has the shape of a point, ``u`` of a control.
+    discretization : DiscretizationMap
+        The map :math:`R_d = (R_1, R_2)`.
+    step : float
+        The step ``h``.
 
-    ``x`` has the shape of a point, ``u`` that of a control; the value is a scalar.
+    Notes
+    -----
+    The generating function is
+    :math:`S(x, u; p_0, p_1) = \langle p_1, R_2(x, hX) \rangle - \langle p_0, R_1(x, hX) \rangle - h p_0 F`, with the
+    cost :math:`h p_0 F(x, u)`. The control belongs to the base point ``x``, at time :math:`t_k + \theta h`.
 
+    Examples
+    --------
     >>> problem = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, 1)
     >>> method = PresymplecticIntegrator(CotangentLift(Midpoint(Addition(Euclidean(1)))))
     >>> type(method.stage(problem, 0.1)).__name__
@@ -68,14 +80,28 @@ class ControlStage(Stage):
         return y[0]
 
     def tangent(self, y: Unknowns) -> tuple[Ambient, Ambient]:
-        """The tangent vector ``(x, h X(x, u))`` that the discretization map is applied to."""
+        """The tangent vector ``(x, h X(x, u))``, the argument of the discretization map.
+
+        Parameters
+        ----------
+        y : tuple
+            The unknowns.
+        """
         return y[0], vec.scale(self.step, self.problem.velocity(*y))
 
     def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
         return self.discretization(*self.tangent(y))
 
     def covector(self, y: Unknowns, p0: Ambient, p1: Ambient) -> Ambient:
-        """The covector at the base point, from those at the ends: that of the lift of the discretization map."""
+        """The covector at the base point, from the covectors at the ends, by the lift of the discretization map.
+
+        Parameters
+        ----------
+        y : tuple
+            The unknowns.
+        p0, p1 : covector
+            The covectors at the ends.
+        """
         x, v = self.tangent(y)
         pull = vec.pullback(lambda w: self.discretization(x, w), v)[1]
         return self.manifold.projection(x, pull((vec.scale(-1.0, p0), p1))[0])

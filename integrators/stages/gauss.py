@@ -33,20 +33,34 @@ class GaussUnknowns(NamedTuple):
 
 @final
 class GaussStage(Stage):
-    """Unknowns ``y = (x, w_1..w_s, pi_1..pi_s, u_1..u_s)`` of a ``Gauss`` method; ``w_i`` is the step times ``E nu_i``.
+    r"""The stage of a ``Gauss`` method, with unknowns ``y = (x, w_1..w_s, pi_1..pi_s, u_1..u_s)``.
 
-    With the points ``q_i = R_x(sum_j (a_ij - b_j/2) w_j)`` and ``v_i = D R_x[w_i]`` there, the generating function of a
-    step is
+    Parameters
+    ----------
+    hamiltonian : callable
+        ``H(q, p, u)``; all unknowns have the shape of a point, or of a control.
+    controls : Manifold
+        The controls, ``Euclidean(0)`` for a Hamiltonian system.
+    method : Gauss
+        The collocation.
+    step : float
+        The step ``h``.
 
-        S = <p1, R_x(eta/2)> - <p0, R_x(-eta/2)> - sum_i b_i (<pi_i, v_i> - h H(q_i, pi_i, u_i)),    eta = sum_j b_j
-        w_j.
+    Notes
+    -----
+    With the points :math:`q_i = R_x(\sum_j (a_{ij} - b_j/2) w_j)` and :math:`v_i = D R_x[w_i]` there, and
+    :math:`\eta = \sum_j b_j w_j`, the generating function of a step is
 
-    Stationary in ``pi_i`` is the collocation ``v_i = h dH/dp``, in ``u_i`` Pontryagin's ``dH/du = 0``; in ``x`` and
-    ``w_i`` they are the equations of the costates, whose values at the points are the multipliers ``pi_i``. A
-    Hamiltonian system has no controls: U is the point ``Euclidean(0)``.
+    .. math::
+        S = \langle p_1, R_x(\eta/2) \rangle - \langle p_0, R_x(-\eta/2) \rangle
+        - \sum_i b_i (\langle \pi_i, v_i \rangle - h H(q_i, \pi_i, u_i)).
 
-    Points have their own shape, ``w_i`` the shape of a point, ``u_i`` that of a control.
+    It is stationary in :math:`\pi_i` if the collocation :math:`v_i = h\, \partial H / \partial p` holds, and in
+    :math:`u_i` if Pontryagin's :math:`\partial H / \partial u = 0` holds. In ``x`` and :math:`w_i` these are the
+    costate equations; :math:`\pi_i` are the costates at the points.
 
+    Examples
+    --------
     >>> method = SymplecticIntegrator(Gauss(2, Addition(Euclidean(1))))
     >>> type(method.stage(lambda q, p: p @ p / 2, 0.1)).__name__
     'GaussStage'
@@ -59,7 +73,13 @@ class GaussStage(Stage):
 
     @classmethod
     def of_hamiltonian(cls, hamiltonian: Hamiltonian, method: Gauss, step: ArrayLike) -> Self:
-        """The stage of Hamilton's equations for ``H(q, p)``."""
+        """The stage of Hamilton's equations for ``H(q, p)``.
+
+        Parameters
+        ----------
+        hamiltonian, method, step
+            As in the class, with ``H(q, p)``.
+        """
 
         def energy(q: Ambient, p: Ambient, u: Ambient) -> Array:
             return real_number("the Hamiltonian", hamiltonian(q, p))
@@ -68,7 +88,15 @@ class GaussStage(Stage):
 
     @classmethod
     def of_problem(cls, problem: OptimalControlProblem, method: Gauss, step: ArrayLike) -> Self:
-        """The stage of an optimal control problem."""
+        """The stage of an optimal control problem.
+
+        Parameters
+        ----------
+        problem : OptimalControlProblem
+            The problem.
+        method, step
+            As in the class.
+        """
         return cls(hamiltonian=problem.hamiltonian, controls=problem.controls, method=method, step=step)
 
     @property
@@ -91,7 +119,13 @@ class GaussStage(Stage):
         return n + s * (2 * n + m)
 
     def begin(self, q: Ambient, p: Ambient, u: Ambient) -> GaussUnknowns:
-        """Unknowns of a step that stands still."""
+        """The unknowns of a step that stands still.
+
+        Parameters
+        ----------
+        q, p, u : point, covector, control
+            The state and the control.
+        """
         return GaussUnknowns(q, *map(self._at_points, (vec.zeros(q), p, u)))
 
     def frame(self, y: GaussUnknowns) -> tuple[Frame, Any]:

@@ -20,11 +20,26 @@ Unknowns = tuple[Ambient, Ambient, Ambient]
 
 @final
 class HamiltonianStage(Stage):
-    """Unknowns ``y = (x, v, pi)`` with ``v`` tangent and ``pi`` a covector at ``x``; cost ``<pi, v> - h H(x, pi)``.
+    r"""The stage of Hamilton's equations under a discretization map, with unknowns ``y = (x, v, pi)``.
 
-    Stationarity of ``S = <p1, R2(x, v)> - <p0, R1(x, v)> - <pi, v> + h H(x, pi)`` says ``v = h dH/dp``, that ``pi`` is
-    the covector of the lifted map, and ``pdot = -h dH/dq``: one step is ``(q0, p0; q1, p1) = R_d^{T*}(h X_H(x, pi))``.
+    Parameters
+    ----------
+    hamiltonian : callable
+        ``H(q, p)``; all unknowns have the shape of a point.
+    discretization : DiscretizationMap
+        The map :math:`R_d = (R_1, R_2)`.
+    step : float
+        The step ``h``.
 
+    Notes
+    -----
+    The generating function is
+    :math:`S = \langle p_1, R_2(x, v) \rangle - \langle p_0, R_1(x, v) \rangle - \langle \pi, v \rangle + h H(x, \pi)`.
+    If it is stationary, :math:`v = h\, \partial H / \partial p`, ``pi`` is the covector of the lifted map, and the step
+    is :math:`(q_0, p_0; q_1, p_1) = R_d^{T^*}(h X_H(x, \pi))`.
+
+    Examples
+    --------
     >>> method = SymplecticIntegrator(CotangentLift(Midpoint(Addition(Euclidean(1)))))
     >>> type(method.stage(lambda q, p: p @ p / 2, 0.1)).__name__
     'HamiltonianStage'
@@ -35,7 +50,13 @@ class HamiltonianStage(Stage):
     step: ArrayLike
 
     def energy(self, q: Ambient, p: Ambient) -> Array:
-        """``H(q, p)``, a real number."""
+        """The Hamiltonian ``H(q, p)``, a real number.
+
+        Parameters
+        ----------
+        q, p : point, covector
+            The state.
+        """
         return real_number("the Hamiltonian", self.hamiltonian(q, p))
 
     @property

@@ -21,12 +21,17 @@ SMALLEST_SIZE = 0.25  # power of the machine epsilon
 
 
 class Stage(eqx.Module):
-    """One step of a discrete variational problem.
+    r"""One step of a discrete variational problem: a base class with the abstract methods below.
 
-    Its generating function is ``S(y; p0, p1) = <p1, R2> - <p0, R1> - cost(y)`` with ``(R1, R2) = ends(y)``. One step
-    from ``(q0, p0)`` is a stationary point of S in ``y`` with ``R1 = q0``; a whole trajectory is the KKT system of
-    ``min sum cost(y_k)`` subject to matching ends, with the costates as multipliers.
+    Notes
+    -----
+    The generating function is :math:`S(y; p_0, p_1) = \langle p_1, R_2 \rangle - \langle p_0, R_1 \rangle - c(y)` with
+    ``(R1, R2) = ends(y)`` and the cost ``c``. A step from ``(q0, p0)`` is a stationary point of ``S`` in ``y`` with
+    ``R1 = q0``. A trajectory is the KKT system of :math:`\min \sum_k c(y_k)` subject to matching ends, with the
+    costates as multipliers.
 
+    Examples
+    --------
     >>> method = SymplecticIntegrator(Gauss(2, Addition(Euclidean(1))))
     >>> isinstance(method.stage(lambda q, p: p @ p / 2, 0.1), Stage)
     True
@@ -44,39 +49,90 @@ class Stage(eqx.Module):
 
     @abstractmethod
     def frame(self, y: Unknowns) -> Any:
-        """What ``move`` needs of the bases at ``y``: computed once for a chart, because a basis may jump near ``y``."""
+        """The basis data for ``move`` at ``y``, computed once for a chart because a basis may jump near ``y``.
+
+        Parameters
+        ----------
+        y : pytree
+            The unknowns.
+        """
 
     @abstractmethod
     def move(self, y: Unknowns, frame: Any, d: Array) -> Unknowns:
-        """Chart of the unknowns around ``y``: ``move(y, frame(y), 0) = y``, coordinates ``d`` of shape
-        ``(dimension,)``."""
+        """The unknowns with coordinates ``d`` in the chart around ``y``: ``move(y, frame(y), 0) = y``.
+
+        Parameters
+        ----------
+        y : pytree
+            The unknowns.
+        frame : pytree
+            The result of ``frame(y)``.
+        d : array of shape (dimension,)
+            The coordinates.
+        """
 
     @abstractmethod
     def sizes(self, y: Unknowns, p: Ambient) -> Array:
-        """Typical sizes of the coordinates of ``move``, and of those of a costate such as ``p`` in the basis at the
-        base point, shape ``(dimension + n,)``, all positive."""
+        """Typical positive sizes of the coordinates of ``move`` and of a costate, shape ``(dimension + n,)``.
+
+        Parameters
+        ----------
+        y : pytree
+            The unknowns.
+        p : covector
+            A costate at the base point.
+        """
 
     @abstractmethod
     def base(self, y: Unknowns) -> Ambient:
-        """The base point ``x`` of the step, between its ends: costates of the step are unknown in coordinates there."""
+        """The base point ``x`` of the step, in whose basis the costates of the step have coordinates.
+
+        Parameters
+        ----------
+        y : pytree
+            The unknowns.
+        """
 
     @abstractmethod
     def ends(self, y: Unknowns) -> tuple[Ambient, Ambient]:
-        """Both ends ``(R1, R2)`` of the step."""
+        """The two ends ``(R1, R2)`` of the step.
+
+        Parameters
+        ----------
+        y : pytree
+            The unknowns.
+        """
 
     @abstractmethod
     def cost(self, y: Unknowns) -> Array:
-        """Cost of the step."""
+        """The cost of the step.
+
+        Parameters
+        ----------
+        y : pytree
+            The unknowns.
+        """
 
     @abstractmethod
     def predict(self, q0: Ambient, p0: Ambient, previous: Unknowns) -> Unknowns:
-        """First guess of the unknowns for a step from ``(q0, p0)``, given those of the step before."""
+        """The first guess of the unknowns for a step from ``(q0, p0)``.
+
+        Parameters
+        ----------
+        q0, p0 : point, covector
+            The state before the step.
+        previous : pytree
+            The unknowns of the step before.
+        """
 
     @abstractmethod
     def small_step_inverse(self) -> np.ndarray | None:
-        """Inverse Jacobian of the equations of a step as the step tends to zero, where it is known: else None.
+        """The inverse Jacobian of the equations of a step in the limit of a zero step, if it is known; otherwise
+        None.
 
-        Equations ``(R1 - q0, dS/dy)`` in the unknowns ``(y, p1)``, both in coordinates of one frame.
+        Notes
+        -----
+        The equations are ``(R1 - q0, dS/dy)`` in the unknowns ``(y, p1)``, both in coordinates of one frame.
         """
 
 

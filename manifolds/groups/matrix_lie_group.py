@@ -23,14 +23,17 @@ Coordinates = Float[Array, " d"]
 
 
 class MatrixLieGroup(HomogeneousSpace):
-    """A connected Lie group of real or complex matrices; points have shape ``(n, n)``.
+    r"""A connected Lie group of real or complex matrices: a base class; points have shape ``(n, n)``.
 
-    Subclass it with ``algebra``, a basis ``A_i`` of the Lie algebra; everything else follows. Tangent vectors at ``x``
-    are ``x A`` with ``A`` in the algebra (left trivialisation); vectors ``c`` of ``d`` real coordinates stand for ``A =
-    sum_i c_i A_i``. Pairings are real parts, ``<a, b> = Re tr(a^H b)``. The group acts on itself from the left.
+    Notes
+    -----
+    Subclass it with ``algebra``, a basis :math:`A_i` of the Lie algebra; all other methods have defaults. Tangent
+    vectors at ``x`` are :math:`xA` with ``A`` in the algebra (left trivialisation). Vectors ``c`` of ``d`` real
+    coordinates stand for :math:`A = \sum_i c_i A_i`. Pairings are real parts,
+    :math:`\langle a, b \rangle = \mathrm{Re}\, \mathrm{tr}(a^H b)`. The group acts on itself from the left.
 
-    ``algebra_part``, ``inverse``, ``equations``, ``restore``, ``violations`` and ``random_point`` have derived
-    defaults; a class that knows closed forms writes them in their place.
+    ``algebra_part``, ``inverse``, ``equations``, ``restore``, ``violations`` and ``random_point`` are derived; a class
+    with closed forms replaces them.
     """
 
     one_point: ClassVar[dict[str, tuple[str, ...]]] = {
@@ -48,8 +51,7 @@ class MatrixLieGroup(HomogeneousSpace):
     @attribute
     @abstractmethod
     def algebra(self) -> np.ndarray:
-        """Basis ``A_i`` of the Lie algebra, shape ``(d, n, n)``, real or complex: independent, closed under
-        commutators."""
+        """The basis :math:`A_i` of the Lie algebra, shape ``(d, n, n)``: independent and closed under commutators."""
 
     def __check_init__(self) -> None:
         lie_algebra(self.algebra)
@@ -77,22 +79,43 @@ class MatrixLieGroup(HomogeneousSpace):
         return jnp.eye(self.ambient.shape[0], dtype=self.ambient.dtype)
 
     def compose(self, x: Array, y: Array) -> Array:
-        """Product ``x y``."""
+        """The product ``x y``.
+
+        Parameters
+        ----------
+        x, y : array of shape (n, n)
+            Two elements.
+        """
         return x @ y
 
     def inverse(self, x: Array) -> Array:
-        """Inverse ``x^-1``."""
+        """The inverse :math:`x^{-1}`.
+
+        Parameters
+        ----------
+        x : array of shape (n, n)
+            An element.
+        """
         return jnp.linalg.inv(x)
 
     def algebra_part(self, a: Array) -> Array:
-        """Orthogonal projection of a matrix on the Lie algebra."""
+        """The orthogonal projection of a matrix on the Lie algebra.
+
+        Parameters
+        ----------
+        a : array of shape (n, n)
+            A matrix.
+        """
         e = _constant(self.lie_algebra.orthonormal, a)
         return vec.combine(e, vec.components(e, a))
 
     def hat(self, c: Coordinates) -> Array:
-        """Element ``sum_i c_i A_i`` of the algebra with coordinates ``c``, shape ``(d,)``.
+        r"""The element :math:`\sum_i c_i A_i` of the algebra, shape ``(n, n)``.
 
-        Raises ``InvalidInputError`` for another number of them.
+        Parameters
+        ----------
+        c : array of shape (d,)
+            The coordinates; ``InvalidInputError`` for another number of them.
         """
         if np.shape(c)[-1:] != (self.dimension,):
             got = f"an array of shape {np.shape(c)}"
@@ -100,11 +123,25 @@ class MatrixLieGroup(HomogeneousSpace):
         return vec.combine(_constant(self.algebra, c), c)
 
     def vee(self, a: Array) -> Coordinates:
-        """Coordinates ``c``, shape ``(d,)``, of the part of a matrix in the algebra: ``vee(hat(c)) = c``."""
+        """The coordinates, shape ``(d,)``, of the part of a matrix in the algebra: ``vee(hat(c)) = c``.
+
+        Parameters
+        ----------
+        a : array of shape (n, n)
+            A matrix.
+        """
         return vec.components(_constant(self.lie_algebra.dual, a), a)
 
     def left_trivialise(self, x: Array, v: Array) -> Array:
-        """The ``A`` with ``v = x A``, exactly in the algebra for any ambient ``v``."""
+        """The ``A`` with ``v = x A``, exactly in the algebra for any ambient ``v``.
+
+        Parameters
+        ----------
+        x : array of shape (n, n)
+            An element.
+        v : array of shape (n, n)
+            A tangent vector there.
+        """
         return self.algebra_part(self.inverse(x) @ v)
 
     def projection(self, x: Array, a: Array) -> Array:
@@ -129,8 +166,14 @@ class MatrixLieGroup(HomogeneousSpace):
         return jnp.linalg.cholesky(rows @ rows.T)
 
     def equations(self, x: Array) -> Float[Array, " m"]:
-        """Equations of the group as a real vector, zero on it: that ``x`` fixes the tensors that the algebra
-        annihilates."""
+        """The equations of the group, a real vector that is zero on it: ``x`` fixes the tensors that the algebra
+        annihilates.
+
+        Parameters
+        ----------
+        x : array of shape (n, n)
+            A matrix.
+        """
         return invariants.equations(self.lie_algebra.invariants, x)
 
     def restore(self, x: Array) -> Array:
@@ -144,7 +187,7 @@ class MatrixLieGroup(HomogeneousSpace):
         return {"max |equations of the group|": vec.size(self.equations(x))}
 
     def length(self, x: Array, a: Array) -> Array:
-        """``max |x^-1 a|``, which left translations keep."""
+        """The length ``max |x^-1 a|``, invariant under left translations."""
         return vec.size(self.inverse(x) @ a)
 
     def random_point(self, key: Array) -> Array:
@@ -156,16 +199,41 @@ class MatrixLieGroup(HomogeneousSpace):
         return _constant(self.algebra, x) @ x
 
     def body(self, x: Array, p: Array) -> Coordinates:
-        """Body covector ``mu_i = <p, x A_i>``: ``<p, x hat(c)> = mu . c``."""
+        r"""The body covector :math:`\mu_i = \langle p, x A_i \rangle`, shape ``(d,)``:
+        :math:`\langle p, x\,\hat c \rangle = \mu \cdot c`.
+
+        Parameters
+        ----------
+        x : array of shape (n, n)
+            An element.
+        p : array of shape (n, n)
+            A covector there.
+        """
         return vec.components(x @ _constant(self.algebra, x), p)
 
     def spatial(self, x: Array, p: Array) -> Coordinates:
-        """Spatial covector ``<p, A_i x>``: the momentum of left multiplication, ``Ad(x)^-T mu`` for the body covector
-        ``mu``."""
+        r"""The spatial covector :math:`\langle p, A_i x \rangle`, shape ``(d,)``: the momentum of left
+        multiplication, :math:`\mathrm{Ad}(x)^{-T} \mu`.
+
+        Parameters
+        ----------
+        x : array of shape (n, n)
+            An element.
+        p : array of shape (n, n)
+            A covector there.
+        """
         return self.momentum(x, p)
 
     def covector(self, x: Array, mu: Coordinates) -> Array:
-        """Ambient covector at ``x`` whose body covector is ``mu``, shape ``(d,)``."""
+        """The ambient covector at ``x`` with a given body covector.
+
+        Parameters
+        ----------
+        x : array of shape (n, n)
+            An element.
+        mu : array of shape (d,)
+            The body covector.
+        """
         if self.lie_algebra.acts_unitarily:
             return x @ vec.combine(_constant(self.lie_algebra.dual, x), mu)
         # In the translated orthonormal basis E: p = sum_k c_k E_k with sum_k c_k <E_k, x A_i> = mu_i.
@@ -173,12 +241,25 @@ class MatrixLieGroup(HomogeneousSpace):
         return vec.combine(e, jnp.linalg.solve(jax.vmap(lambda a: vec.components(e, a))(frame), mu))
 
     def Ad(self, x: Array) -> Float[Array, "d d"]:
-        """Adjoint action ``A -> x A x^-1`` on coordinates. Body and spatial velocity: ``c_spatial = Ad(x) c_body``."""
+        r"""The adjoint action :math:`A \mapsto x A x^{-1}` on coordinates, shape ``(d, d)``:
+        :math:`c_{spatial} = \mathrm{Ad}(x) c_{body}`.
+
+        Parameters
+        ----------
+        x : array of shape (n, n)
+            An element.
+        """
         moved = x @ _constant(self.algebra, x) @ self.inverse(x)
         return jax.vmap(self.vee, out_axes=1)(moved)
 
     def ad(self, c: Coordinates) -> Float[Array, "d d"]:
-        """Derivative of ``Ad`` at the identity: ``ad(c) b`` are the coordinates of ``[hat(c), hat(b)]``."""
+        """The derivative of ``Ad`` at the identity: ``ad(c) b`` are the coordinates of ``[hat(c), hat(b)]``.
+
+        Parameters
+        ----------
+        c : array of shape (d,)
+            The coordinates.
+        """
         a, basis = self.hat(c), _constant(self.algebra, c)
         return jax.vmap(self.vee, out_axes=1)(a @ basis - basis @ a)
 

@@ -5,7 +5,8 @@ from typing import final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
+from numpy.typing import ArrayLike
 
 from ..metric import Metric
 from ..numerics.ambient import is_traced
@@ -16,11 +17,32 @@ from .matrix_lie_group import MatrixLieGroup
 
 @final
 class LeftInvariantMetric(Metric):
-    """The metric ``g_x(x A, x B) = a . I b`` on a group, ``a``, ``b`` the coordinates of ``A``, ``B`` in its algebra's
-    basis.
+    r"""A left-invariant metric on a group, given by an inner product of the Lie algebra.
 
-    ``inertia`` is the symmetric positive definite matrix ``I``, shape ``(d, d)``, or its diagonal, shape ``(d,)``: for
-    a rigid body on SO(3) the inertia tensor in the body frame. Raises ``InvalidInputError`` for anything else.
+    Parameters
+    ----------
+    manifold : MatrixLieGroup
+        The group.
+    inertia : array_like of shape (d, d) or (d,)
+        The symmetric positive definite matrix ``I``, or its diagonal. For a rigid body on SO(3) it is the inertia
+        tensor in the body frame, kg m^2.
+
+    Raises
+    ------
+    InvalidInputError
+        For another group or matrix.
+
+    Notes
+    -----
+    :math:`g_x(xA, xB) = a \cdot I b`, with the coordinates ``a`` and ``b`` of ``A`` and ``B`` in the basis of the
+    algebra.
+
+    Examples
+    --------
+    >>> metric = LeftInvariantMetric(SO(3), [1.0, 2.0, 3.0])
+    >>> v = hat([1.0, 0.0, 0.0])
+    >>> float(metric.inner_product(jnp.eye(3), v, v))
+    1.0
     """
 
     manifold: MatrixLieGroup

@@ -16,13 +16,28 @@ from .special_orthogonal import nearly_orthogonal, random_rotation, rotation_vio
 
 @final
 class SE(MatrixLieGroup):
-    """Rigid motions ``SE(n)`` of n-space: homogeneous matrices ``[[R, t], [0, 1]]``, ``R`` in SO(n), shape ``(n + 1, n
-    + 1)``.
+    r"""The special Euclidean group: rigid motions of n-space as homogeneous matrices ``[[R, t], [0, 1]]``.
 
-    ``x`` takes body to spatial coordinates: ``y -> R y + t``. Tangent vectors are ``x [[Omega, v], [0, 0]]``.
-    Coordinates are twists ``(omega, v)``, angular part first [Lynch, Park, "Modern Robotics", 3.3]: for n = 3
-    ``hat((omega, v)) = [[hat(omega), v], [0, 0]]`` with angular and linear velocity in body coordinates, for n = 2
-    ``omega`` is one number. Body and spatial covectors are wrenches ``(moment, force)``.
+    Parameters
+    ----------
+    n : int
+        The dimension of the space; points have shape ``(n + 1, n + 1)``.
+
+    Notes
+    -----
+    ``x`` maps body to spatial coordinates, :math:`y \mapsto R y + t`. Tangent vectors are
+    :math:`x [[\Omega, v], [0, 0]]`. Coordinates are twists :math:`(\omega, v)` with the angular part first: for n = 3
+    the angular and linear velocity in body coordinates; for n = 2 :math:`\omega` is one number. Body and spatial
+    covectors are wrenches ``(moment, force)``.
+
+    References
+    ----------
+    Lynch, Park, Modern Robotics, 2017, section 3.3.
+
+    Examples
+    --------
+    >>> SE(3).dimension
+    6
     """
 
     n: int = eqx.field(static=True, converter=plain)
@@ -39,16 +54,38 @@ class SE(MatrixLieGroup):
         return out
 
     def pose(self, rotation: Float[Array, "n n"], translation: Float[Array, " n"]) -> Array:
-        """The motion ``y -> R y + t``."""
+        r"""The motion :math:`y \mapsto R y + t`, shape ``(n + 1, n + 1)``.
+
+        Parameters
+        ----------
+        rotation : array of shape (n, n)
+            The rotation ``R``.
+        translation : array of shape (n,)
+            The translation ``t``.
+        """
         return homogeneous(jnp.asarray(rotation), jnp.asarray(translation), 1.0)
 
     def tangent(self, turn: Float[Array, "n n"], shift: Float[Array, " n"]) -> Array:
-        """``[[turn, shift], [0, 0]]``: the tangent vector ``(R Omega, R v)`` or the element ``(Omega, v)`` of the
-        algebra."""
+        """The matrix ``[[turn, shift], [0, 0]]``: a tangent vector ``(R Omega, R v)``, or an element ``(Omega, v)``
+        of the algebra.
+
+        Parameters
+        ----------
+        turn : array of shape (n, n)
+            The angular part.
+        shift : array of shape (n,)
+            The linear part.
+        """
         return homogeneous(jnp.asarray(turn), jnp.asarray(shift), 0.0)
 
     def parts(self, x: Array) -> tuple[Float[Array, "n n"], Float[Array, " n"]]:
-        """The blocks ``(R, t)`` of a motion, or those of a tangent vector."""
+        """The blocks ``(R, t)`` of a motion, or the blocks of a tangent vector.
+
+        Parameters
+        ----------
+        x : array of shape (n + 1, n + 1)
+            A motion or a tangent vector.
+        """
         return blocks(x)
 
     def algebra_part(self, a: Array) -> Array:

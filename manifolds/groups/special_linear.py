@@ -13,10 +13,19 @@ from .matrix_lie_group import MatrixLieGroup
 
 @final
 class SL(MatrixLieGroup):
-    """Matrices of determinant one, ``SL(n)``, of dimension ``n^2 - 1``; points have shape ``(n, n)``.
+    r"""The special linear group: matrices of determinant one, of dimension ``n^2 - 1``.
 
-    The basis of the algebra is ``E_ij`` with ``i != j``, row by row, then ``E_ii - E_(i+1)(i+1)``.
+    Parameters
+    ----------
+    n : int
+        The size; points have shape ``(n, n)``.
 
+    Notes
+    -----
+    The basis of the algebra is :math:`E_{ij}` with :math:`i \ne j`, row by row, then :math:`E_{ii} - E_{i+1,i+1}`.
+
+    Examples
+    --------
     >>> SL(2).dimension
     3
     """

@@ -28,13 +28,45 @@ def skew_basis(n: int) -> np.ndarray:
 
 
 def hat(w: Float[ArrayLike, "... 3"]) -> Float[Array, "... 3 3"]:
-    """Skew matrix of a vector: ``hat(w) y = w x y``. Raises ``TypeError`` if the last axis is not of length 3."""
+    r"""The skew matrix of a vector, with :math:`\hat w\, y = w \times y`.
+
+    Parameters
+    ----------
+    w : array_like of shape (..., 3)
+        Vectors; ``TypeError`` if the last axis has another length.
+
+    Returns
+    -------
+    Array of shape (..., 3, 3)
+        Skew matrices.
+
+    Examples
+    --------
+    >>> hat([0.0, 0.0, 1.0])[0, 1].item()
+    -1.0
+    """
     w = _real_array("hat", w, (3,))
     return jnp.tensordot(w, jnp.asarray(skew_basis(3), w.dtype), 1)
 
 
 def vee(a: Float[ArrayLike, "... 3 3"]) -> Float[Array, "... 3"]:
-    """Vector of the skew part of a matrix: ``vee(hat(w)) = w``. Raises ``TypeError`` if it is not 3 x 3."""
+    """The vector of the skew part of a matrix: ``vee(hat(w)) = w``.
+
+    Parameters
+    ----------
+    a : array_like of shape (..., 3, 3)
+        Matrices; ``TypeError`` for another shape.
+
+    Returns
+    -------
+    Array of shape (..., 3)
+        Vectors.
+
+    Examples
+    --------
+    >>> vee(hat([1.0, 2.0, 3.0])).tolist()
+    [1.0, 2.0, 3.0]
+    """
     a = _real_array("vee", a, (3, 3))
     return jnp.einsum("kij,...ij->...k", jnp.asarray(skew_basis(3) / 2, a.dtype), a)
 
@@ -49,12 +81,25 @@ def _real_array(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Array:
 
 @final
 class SO(MatrixLieGroup):
-    """Rotations ``SO(n) = {x : x'x = I, det x = 1}``; points have shape ``(n, n)``, tangent vectors are ``x Omega``,
-    Omega skew.
+    r"""The special orthogonal group: rotations :math:`\{x : x^T x = I,\ \det x = 1\}` of n-space.
 
-    The group acts by multiplication from the left. With ``e_i`` the basis of skew matrices (``hat`` of the axes for
-    n = 3), ``body_i = <p, x e_i>`` is the left-trivialised covector, ``spatial_i = <p, e_i x>`` the momentum of the
-    action: for n = 3 the vectors ``mu`` with ``<p, x hat(w)> = mu . w`` and ``x mu``.
+    Parameters
+    ----------
+    n : int
+        The dimension of the space; points have shape ``(n, n)``.
+
+    Notes
+    -----
+    Tangent vectors are :math:`x \Omega` with :math:`\Omega` skew. The group acts by multiplication from the left. With
+    the basis :math:`e_i` of skew matrices (``hat`` of the axes for n = 3), the body covector is
+    :math:`\langle p, x e_i \rangle` and the spatial covector :math:`\langle p, e_i x \rangle`, the momentum of the
+    action. For n = 3 these are the vectors :math:`\mu` with :math:`\langle p, x \hat w \rangle = \mu \cdot w`, and
+    :math:`x \mu`.
+
+    Examples
+    --------
+    >>> SO(3).dimension, bool(SO(3).contains(jnp.eye(3)))
+    (3, True)
     """
 
     n: int = eqx.field(static=True, converter=plain)

@@ -55,10 +55,19 @@ def _without_phase(x: Array) -> Array:
 
 @final
 class U(MatrixLieGroup):
-    """Unitary matrices ``U(n) = {x : x^H x = I}``, of dimension ``n^2``; points are complex, shape ``(n, n)``.
+    r"""The unitary group :math:`\{x : x^H x = I\}`, of dimension ``n^2``; points are complex.
 
-    The basis of the algebra is ``-i sqrt(2/n) I / 2`` followed by that of SU(n).
+    Parameters
+    ----------
+    n : int
+        The size; points have shape ``(n, n)``.
 
+    Notes
+    -----
+    The basis of the algebra is :math:`-i \sqrt{2/n}\, I / 2`, followed by the basis of SU(n).
+
+    Examples
+    --------
     >>> U(2).dimension
     4
     """
@@ -91,12 +100,22 @@ class U(MatrixLieGroup):
 
 @final
 class SU(MatrixLieGroup):
-    """Special unitary matrices ``SU(n) = {x : x^H x = I, det x = 1}``, of dimension ``n^2 - 1``; complex, shape ``(n,
-    n)``.
+    r"""The special unitary group :math:`\{x : x^H x = I,\ \det x = 1\}`, of dimension ``n^2 - 1``; points are
+    complex.
 
-    The basis of the algebra is ``-i lambda_k / 2`` with the generalised Gell-Mann matrices ``lambda_k``. For n = 2, the
-    unit quaternions, coordinates ``w`` are those of SO(3): ``exp(hat(w))`` turns space by the rotation vector ``w``.
+    Parameters
+    ----------
+    n : int
+        The size; points have shape ``(n, n)``.
 
+    Notes
+    -----
+    The basis of the algebra is :math:`-i \lambda_k / 2` with the generalised Gell-Mann matrices :math:`\lambda_k`. For
+    n = 2, the unit quaternions, coordinates ``w`` are the coordinates of SO(3): ``exp(hat(w))`` rotates space by the
+    rotation vector ``w``.
+
+    Examples
+    --------
     >>> SU(2).dimension
     3
     """

@@ -17,12 +17,27 @@ from ..numerics.sizes import are_whole, plain
 
 @final
 class FixedRank(Manifold):
-    """Matrices of shape ``(m, n)`` and rank ``r``; points are the matrices themselves, whatever their factors.
+    r"""The manifold of matrices of shape ``(m, n)`` and rank ``r``; points are the matrices themselves.
 
-    With ``c`` and ``d`` the orthogonal projectors on the spans of a point's columns and of its rows, the normal vectors
-    are the ``(I - c) a (I - d)``. Off the manifold the spans are those of the ``r`` leading singular vectors, so all of
-    this is smooth where the ``r``-th singular value is larger than the next one [Vandereycken 2013].
+    Parameters
+    ----------
+    m, n : int
+        The shape of points.
+    r : int
+        Their rank.
 
+    Notes
+    -----
+    With the orthogonal projectors ``c`` and ``d`` on the spans of the columns and rows of a point, normal vectors are
+    :math:`(I - c)\, a\, (I - d)`. Off the manifold the spans belong to the ``r`` leading singular vectors. All of this
+    is smooth if the ``r``-th singular value is larger than the next one.
+
+    References
+    ----------
+    Vandereycken, Low-rank matrix completion by Riemannian optimization, 2013.
+
+    Examples
+    --------
     >>> FixedRank(5, 4, 2).dimension
     14
     """
@@ -47,7 +62,14 @@ class FixedRank(Manifold):
         return real((self.m, self.n))
 
     def projectors(self, x: Array) -> tuple[Array, Array]:
-        """Orthogonal projectors on the spans of the columns, shape ``(m, m)``, and of the rows, shape ``(n, n)``."""
+        """The orthogonal projectors on the spans of the columns, shape ``(m, m)``, and of the rows, shape ``(n,
+        n)``.
+
+        Parameters
+        ----------
+        x : array of shape (m, n)
+            A point.
+        """
         return leading_projector(x, self.r), leading_projector(x.T, self.r)
 
     def projection(self, x: Array, a: Array) -> Array:

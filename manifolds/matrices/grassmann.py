@@ -19,13 +19,28 @@ from ..numerics.sizes import are_whole, plain
 
 @final
 class Grassmann(HomogeneousSpace):
-    """Grassmann manifold of ``p``-dimensional subspaces of ``R^n``, as ``{x : x' = x, x^2 = x, tr x = p}``.
+    r"""The Grassmann manifold of ``p``-dimensional subspaces of ``R^n``, as
+    :math:`\{x : x^T = x,\ x^2 = x,\ \mathrm{tr}\,x = p\}`.
 
-    A point is the orthogonal projector on the subspace, shape ``(n, n)``: no frame has to be chosen or compared.
-    Tangent vectors are the symmetric ``v`` with ``x v + v x = v``; in the ambient metric a rotation of one direction by
-    a small angle ``t`` has length ``sqrt(2) t``. Rotations act by ``x -> g x g'``, with momentum ``J_i = <p, [e_i,
-    x]>`` [Bendokat, Zimmermann, Absil, "A Grassmann manifold handbook", 2024].
+    Parameters
+    ----------
+    n : int
+        The dimension of the space; points have shape ``(n, n)``.
+    p : int
+        The dimension of the subspaces.
 
+    Notes
+    -----
+    A point is the orthogonal projector on the subspace; no frame is necessary. Tangent vectors are the symmetric ``v``
+    with :math:`x v + v x = v`. A rotation of one direction by a small angle ``t`` has length :math:`\sqrt2\, t` in the
+    ambient metric. Rotations act by :math:`x \mapsto g x g^T` with momentum :math:`J_i = \langle p, [e_i, x] \rangle`.
+
+    References
+    ----------
+    Bendokat, Zimmermann, Absil, A Grassmann manifold handbook, 2024.
+
+    Examples
+    --------
     >>> Grassmann(5, 2).dimension
     6
     """
@@ -49,7 +64,15 @@ class Grassmann(HomogeneousSpace):
         return real((self.n, self.n))
 
     def rotation(self, x: Array, v: Array) -> Array:
-        """Infinitesimal rotation ``[v, x]``, exactly skew, that moves ``x`` along ``v``: ``v = [[v, x], x]``."""
+        """The infinitesimal rotation ``[v, x]``, exactly skew, that moves ``x`` along ``v``: ``v = [[v, x], x]``.
+
+        Parameters
+        ----------
+        x : array of shape (n, n)
+            A point.
+        v : array of shape (n, n)
+            A tangent vector there.
+        """
         s = (v + v.T) @ x / 2
         return s - s.T
 

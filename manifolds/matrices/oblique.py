@@ -17,11 +17,21 @@ from ..vectors import Sphere
 
 @final
 class Oblique(HomogeneousSpace):
-    """Oblique manifold: matrices of shape ``(n, m)`` whose ``m`` columns are unit vectors, each a point of the sphere
-    in ``R^n``.
+    """The oblique manifold: matrices of shape ``(n, m)`` whose ``m`` columns are unit vectors.
 
-    Rotations of each column act on it, as they do on the sphere; momenta are listed column by column.
+    Parameters
+    ----------
+    n : int
+        The number of rows: each column is a point of the sphere in ``R^n``.
+    m : int
+        The number of columns.
 
+    Notes
+    -----
+    Rotations act on each column, as on the sphere; momenta are listed column by column.
+
+    Examples
+    --------
     >>> Oblique(3, 4).dimension, Oblique(3, 4).ambient.shape
     (8, (3, 4))
     """
@@ -68,7 +78,12 @@ class Oblique(HomogeneousSpace):
         return jax.vmap(self.column.random_point, out_axes=1)(jax.random.split(key, self.m))
 
     def place(self, frames: Array) -> Array:
-        """Frames of the columns, shape ``(m, k, n)``, as one of shape ``(m k, n, m)``, each zero in the other
-        columns."""
+        """Frames of the columns as one frame, each vector zero in the other columns, shape ``(m k, n, m)``.
+
+        Parameters
+        ----------
+        frames : array of shape (m, k, n)
+            The frames of the columns.
+        """
         placed = jnp.einsum("jkn,ji->jkni", frames, jnp.eye(self.m, dtype=frames.dtype))
         return placed.reshape(-1, self.n, self.m)

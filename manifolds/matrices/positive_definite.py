@@ -29,11 +29,20 @@ def symmetric_basis(n: int) -> np.ndarray:
 
 @final
 class SPD(HomogeneousSpace):
-    """Symmetric positive definite matrices, an open cone in the symmetric ``n x n`` matrices; points have shape ``(n,
-    n)``.
+    r"""The manifold of symmetric positive definite matrices, an open cone in the symmetric matrices.
 
-    Invertible matrices ``g`` act on it by ``x -> g x g'``; the n^2 generators are ``e_ij x + x e_ij'``.
+    Parameters
+    ----------
+    n : int
+        The size; points have shape ``(n, n)``.
 
+    Notes
+    -----
+    Invertible matrices ``g`` act by :math:`x \mapsto g x g^T`; the ``n^2`` generators are
+    :math:`e_{ij} x + x e_{ij}^T`.
+
+    Examples
+    --------
     >>> SPD(3).dimension
     6
     """
@@ -69,16 +78,25 @@ class SPD(HomogeneousSpace):
         return 2 * jax.vmap(symmetric)(units @ x)
 
     def length(self, x: Array, a: Array) -> Array:
-        """Largest entry of ``l^-1 a l^-T`` with ``x = l l'``: relative to ``x``, as the action leaves it invariant."""
+        """The largest entry of :math:`l^{-1} a l^{-T}` with :math:`x = l l^T`: relative to ``x``, invariant under
+        the action.
+        """
         factor = jnp.linalg.cholesky(x)
         return vec.size(solve_triangular(factor, solve_triangular(factor, a, lower=True).T, lower=True))
 
     def distance(self, x: Array, y: Array) -> Array:
-        """Distance in ``AffineInvariantMetric``, ``|log(x^-1/2 y x^-1/2)|``, as exact as the condition of the points.
+        r"""The distance in ``AffineInvariantMetric``, :math:`|\log(x^{-1/2} y x^{-1/2})|`.
 
-        With ``x = l l'``, ``y = k k'`` it is twice the norm of the logarithms of the singular values of ``l^-1 k``, of
-        which the smallest keeps its digits where the eigenvalues of ``x^-1 y`` would not. Its derivative at ``x = y``
-        is set to 0.
+        Parameters
+        ----------
+        x, y : array of shape (n, n)
+            Two points.
+
+        Notes
+        -----
+        With :math:`x = l l^T` and :math:`y = k k^T` it is twice the norm of the logarithms of the singular values of
+        :math:`l^{-1} k`. The smallest of these keeps its digits, unlike the eigenvalues of :math:`x^{-1} y`. Its
+        derivative at ``x = y`` is set to 0.
         """
         ratio = solve_triangular(jnp.linalg.cholesky(x), jnp.linalg.cholesky(y), lower=True)
         logarithms = 2 * jnp.log(jnp.linalg.svd(ratio, compute_uv=False))
@@ -93,9 +111,16 @@ class SPD(HomogeneousSpace):
 
 @final
 class AffineInvariantMetric(Metric):
-    """The metric ``g_x(v, w) = tr(x^-1 v x^-1 w)`` of the positive definite matrices, which the action leaves
-    invariant.
+    r"""The affine-invariant metric :math:`g_x(v, w) = \mathrm{tr}(x^{-1} v x^{-1} w)` of the positive definite
+    matrices.
 
+    Parameters
+    ----------
+    manifold : SPD
+        The manifold.
+
+    Examples
+    --------
     >>> I = jnp.eye(2)
     >>> float(AffineInvariantMetric(SPD(2)).inner_product(2 * I, I, I))
     0.5

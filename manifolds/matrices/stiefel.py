@@ -21,12 +21,25 @@ from ..numerics.sizes import are_whole, plain
 
 
 class Stiefel(HomogeneousSpace):
-    """Stiefel manifold ``St(n, p) = {x : x'x = I}`` of ``p`` orthonormal columns in ``R^n``; points have shape ``(n,
-    p)``.
+    r"""The Stiefel manifold :math:`\{x : x^T x = I\}` of ``p`` orthonormal columns in ``R^n``.
 
-    Tangent vectors are the ``v`` with ``x'v`` skew. ``St(n, 1)`` is the sphere, ``St(n, n)`` the orthogonal group with
-    both its components. Rotations of ``R^n`` act from the left; their momentum is ``J_i = <p, e_i x>``, ``e_i`` the
-    basis of skew matrices. The metric is that of the ambient space.
+    Parameters
+    ----------
+    n : int
+        The number of rows.
+    p : int
+        The number of columns; points have shape ``(n, p)``.
+
+    Notes
+    -----
+    Tangent vectors are the ``v`` with :math:`x^T v` skew. ``St(n, 1)`` is the sphere; ``St(n, n)`` is the orthogonal
+    group with both components. Rotations of ``R^n`` act from the left with momentum
+    :math:`J_i = \langle p, e_i x \rangle`, :math:`e_i` the basis of skew matrices. The metric is the ambient metric.
+
+    Examples
+    --------
+    >>> Stiefel(3, 2).dimension
+    3
     """
 
     n: int = eqx.field(static=True, converter=plain)
@@ -48,12 +61,26 @@ class Stiefel(HomogeneousSpace):
         return real((self.n, self.p))
 
     def turns(self, k: int) -> np.ndarray:
-        """Orthogonal basis of the skew ``k x k`` matrices, of one length."""
+        """An orthogonal basis of the skew ``k x k`` matrices, all of one length.
+
+        Parameters
+        ----------
+        k : int
+            The size.
+        """
         return skew_basis(k)
 
     def skew(self, x: Array, v: Array) -> Array:
-        """Rotation of the frame in its own span, ``skew(x'v)``, shape ``(p, p)``; exactly skew for any ambient
-        ``v``."""
+        r"""The rotation of the frame in its own span, :math:`\mathrm{skew}(x^T v)`, shape ``(p, p)``; exactly skew
+        for any ``v``.
+
+        Parameters
+        ----------
+        x : array of shape (n, p)
+            A point.
+        v : array of shape (n, p)
+            A tangent vector there.
+        """
         a = x.conj().T @ v
         return (a - a.conj().T) / 2
 
@@ -84,12 +111,23 @@ class Stiefel(HomogeneousSpace):
 
 @final
 class ComplexStiefel(Stiefel):
-    """Complex Stiefel manifold ``{x : x'x = I}`` of ``p`` orthonormal columns in ``C^n``, ``x'`` the conjugate
-    transpose; points are complex, shape ``(n, p)``.
+    r"""The complex Stiefel manifold :math:`\{x : x^H x = I\}` of ``p`` orthonormal columns in ``C^n``.
 
-    Of dimension ``2np - p^2``. ``ComplexStiefel(n, 1)`` is the sphere of dimension ``2n - 1``, the states of a quantum
-    system with their phases; ``ComplexStiefel(n, n)`` is U(n). The basis ``e_i`` of the momentum is that of U(n).
+    Parameters
+    ----------
+    n : int
+        The number of rows.
+    p : int
+        The number of columns; points are complex, shape ``(n, p)``.
 
+    Notes
+    -----
+    The dimension is :math:`2np - p^2`. ``ComplexStiefel(n, 1)`` is the sphere of dimension ``2n - 1``: the states of a
+    quantum system with their phases. ``ComplexStiefel(n, n)`` is U(n). The basis :math:`e_i` of the momentum is the
+    basis of U(n).
+
+    Examples
+    --------
     >>> ComplexStiefel(2, 1).dimension
     3
     """
@@ -108,11 +146,24 @@ class ComplexStiefel(Stiefel):
 
 @final
 class CanonicalMetric(Metric):
-    """The metric ``g_x(v, w) = tr v'(I - xx'/2) w`` of the frames as a quotient of the rotations.
+    r"""The canonical metric :math:`g_x(v, w) = \mathrm{tr}\, v^T (I - x x^T / 2) w` of the frames, as a quotient of
+    the rotations.
 
-    A rotation of the frame in its own span counts half as much as in the ambient metric [Edelman, Arias, Smith 1998,
-    2.4.1].
+    Parameters
+    ----------
+    manifold : Stiefel
+        The manifold.
 
+    Notes
+    -----
+    A rotation of the frame in its own span counts half as much as in the ambient metric.
+
+    References
+    ----------
+    Edelman, Arias, Smith, The geometry of algorithms with orthogonality constraints, 1998, 2.4.1.
+
+    Examples
+    --------
     >>> x = jnp.eye(3)[:, :2]
     >>> v = jnp.array([[0.0, -1.0], [1.0, 0.0], [0.0, 0.0]])
     >>> float(CanonicalMetric(Stiefel(3, 2)).inner_product(x, v, v))

@@ -9,12 +9,14 @@ from ...errors import TRACEABLE, InvalidInputError, RetraxError
 
 
 class NotOnManifoldError(InvalidInputError):
-    """A point is off its manifold, or a vector is not tangent."""
+    """The error of a point off its manifold, or of a vector that is not tangent."""
 
 
 class UnknownRetractionError(RetraxError, TypeError):
-    """No retraction of the requested name is known on a manifold.
+    """The error of a retraction that no manifold of this kind has under the requested name.
 
+    Examples
+    --------
     >>> QR(Sphere(2))
     Traceback (most recent call last):
         ...
@@ -23,8 +25,10 @@ class UnknownRetractionError(RetraxError, TypeError):
 
 
 class DomainError(InvalidInputError):
-    """A point lies outside the image of a retraction or of a discretization map.
+    """The error of a point outside the image of a retraction or of a discretization map.
 
+    Examples
+    --------
     >>> north = jnp.array([0.0, 0.0, 1.0])
     >>> Projection(Sphere(2)).inverse(north, -north)
     Traceback (most recent call last):
@@ -34,10 +38,17 @@ class DomainError(InvalidInputError):
 
 
 class ConvergenceError(RetraxError, RuntimeError):
-    """An iteration ended without meeting the conditions that its result claims.
+    """The error of an iteration that ended before its conditions were met.
 
-    ``solution`` holds what was reached, where ``solve`` raised it: a record whose ``success`` is false, or None.
+    Parameters
+    ----------
+    message : str
+        The message.
+    solution : Solution, optional
+        The best iterate, whose ``success`` is False; None if there is none.
 
+    Examples
+    --------
     >>> issubclass(ConvergenceError, RuntimeError)
     True
     """

@@ -16,12 +16,22 @@ TwoForm = Callable[[Any, Any, Any], Array]
 
 
 def tangent_lift(form: TwoForm) -> TwoForm:
-    """Tangent (complete) lift ``d_T omega``, a two-form on ``TM``.
+    r"""The tangent (complete) lift :math:`d_T \omega` of a two-form, a two-form on ``TM``.
 
-    At ``(x, v)``, on ``(a, adot)`` and ``(b, bdot)``, it is the rate of ``omega(x, a, b)`` along ``(v, adot, bdot)``;
-    for the canonical form, ``omega(adot, b) + omega(a, bdot)``.
+    Parameters
+    ----------
+    form : callable
+        ``omega(x, a, b)``, a scalar function of a point and two vectors of its shape.
 
-    In formulas ``d_T omega(w; a, b) = d/ds omega(x + s v; a + s adot, b + s bdot)`` at ``s = 0``.
+    Returns
+    -------
+    callable
+        The form on ``TM``: a function of a point ``(x, v)`` and two vectors ``(a, adot)`` and ``(b, bdot)``.
+
+    Notes
+    -----
+    :math:`d_T \omega((x, v); (a, \dot a), (b, \dot b)) = \frac{d}{ds} \omega(x + s v; a + s \dot a, b + s \dot b)` at
+    ``s = 0``. For the canonical form it is :math:`\omega(\dot a, b) + \omega(a, \dot b)`.
     """
 
     def lifted(y: Any, a: Any, b: Any) -> Array:
@@ -32,10 +42,22 @@ def tangent_lift(form: TwoForm) -> TwoForm:
 
 
 def difference(first: TwoForm, second: TwoForm) -> TwoForm:
-    """``pr2* second - pr1* first`` on a product of two manifolds; ``Omega_12`` of the canonical form with itself.
+    r"""The form :math:`pr_2^* \omega_2 - pr_1^* \omega_1` on a product of two manifolds.
 
-    ``omega(x; a, b) = second(x_1; a_1, b_1) - first(x_0; a_0, b_0)``: points and vectors are pairs, the value is a
-    scalar.
+    Parameters
+    ----------
+    first, second : callable
+        The forms, scalar functions of a point and two vectors.
+
+    Returns
+    -------
+    callable
+        The form: points and vectors are pairs, the value is a scalar.
+
+    Notes
+    -----
+    :math:`\omega(x; a, b) = \omega_2(x_1; a_1, b_1) - \omega_1(x_0; a_0, b_0)`; :math:`\Omega_{12}` for the canonical
+    form with itself.
     """
 
     def form(x: Any, a: Any, b: Any) -> Array:
@@ -45,11 +67,22 @@ def difference(first: TwoForm, second: TwoForm) -> TwoForm:
 
 
 def pullback_form(function: Callable[[Any], Any], form: TwoForm) -> TwoForm:
-    """Pullback ``f* omega`` by a smooth map: ``omega(f(x); Df(x) a, Df(x) b)``.
+    r"""The pullback :math:`f^* \omega` of a two-form by a smooth map.
 
-    ``(f* omega)_x(a, b) = omega_f(x)(Df a, Df b)``. The value is a form: a function of a point and two vectors of its
-    shape, with a scalar value.
+    Parameters
+    ----------
+    function : callable
+        The map ``f`` of points.
+    form : callable
+        ``omega(x, a, b)``, a scalar.
 
+    Returns
+    -------
+    callable
+        The form :math:`(f^* \omega)_x(a, b) = \omega_{f(x)}(Df\,a, Df\,b)`.
+
+    Examples
+    --------
     >>> area = lambda x, a, b: a[0] * b[1] - a[1] * b[0]
     >>> doubled = pullback_form(lambda x: 2.0 * x, area)
     >>> float(doubled(jnp.zeros(2), jnp.array([1.0, 0.0]), jnp.array([0.0, 1.0])))
@@ -64,10 +97,24 @@ def pullback_form(function: Callable[[Any], Any], form: TwoForm) -> TwoForm:
 
 
 def form_matrix(form: TwoForm, x: Ambient, frame: Frame) -> Float[Array, "k k"]:
-    """Matrix ``omega(E_i, E_j)`` of a two-form at ``x`` on the ``k`` vectors of a frame.
+    r"""The matrix :math:`W_{ij} = \omega_x(E_i, E_j)` of a two-form on the vectors of a frame.
 
-    ``W_ij = omega_x(E_i, E_j)``, of shape ``(k, k)`` and skew; the frame has its vectors along the first axis.
+    Parameters
+    ----------
+    form : callable
+        ``omega(x, a, b)``, a scalar.
+    x : point
+        A point.
+    frame : frame
+        Tangent vectors, leaves of shape ``(k, *leaf)``.
 
+    Returns
+    -------
+    Array of shape (k, k)
+        The skew matrix.
+
+    Examples
+    --------
     >>> area = lambda x, a, b: a[0] * b[1] - a[1] * b[0]
     >>> form_matrix(area, jnp.zeros(2), jnp.eye(2)).tolist()
     [[0.0, 1.0], [-1.0, 0.0]]

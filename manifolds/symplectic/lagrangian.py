@@ -13,6 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
+from ...module import Module
 from ..manifold import Manifold
 from ..numerics import ambient as vec
 from ..numerics.ambient import Ambient, Frame, is_traced
@@ -28,10 +29,22 @@ ISOTROPY = 0.575
 
 
 @final
-class Immersion(eqx.Module):
-    """An immersed submanifold ``i: L -> M`` of a presymplectic manifold: a smooth function on a manifold ``source``.
+class Immersion(Module):
+    r"""An immersed submanifold :math:`i: L \to M` of a presymplectic manifold.
 
-    Raises ``InvalidInputError`` for parts of another kind.
+    Parameters
+    ----------
+    source : Manifold
+        The manifold ``L``.
+    target : PresymplecticManifold
+        The manifold ``M`` with its form.
+    function : callable
+        The immersion ``i``, a smooth function of points of ``L``.
+
+    Raises
+    ------
+    InvalidInputError
+        For arguments of another kind.
     """
 
     source: Manifold
@@ -47,25 +60,52 @@ class Immersion(eqx.Module):
         _require_function(self.function)
 
     def __call__(self, y: Ambient) -> Ambient:
-        """The point ``i(y)`` of ``M``."""
+        """The point ``i(y)`` of ``M``.
+
+        Parameters
+        ----------
+        y : point
+            A point of ``L``.
+        """
         return self.function(y)
 
     def tangents(self, y: Ambient) -> Frame:
-        """Images ``Di(y) e_k`` of a basis of ``T_yL``: a frame of the tangent space of the image."""
+        """The images :math:`Di(y) e_k` of a basis of :math:`T_yL`: a frame of the tangent space of the image.
+
+        Parameters
+        ----------
+        y : point
+            A point of ``L``.
+        """
         _, push = jax.linearize(self.function, y)
         return jax.vmap(push)(self.source.basis(y))
 
 
 @dataclass(frozen=True)
 class LagrangianVerdict:
-    """Whether a submanifold is Lagrangian at a point, with what was measured there.
+    r"""The verdict whether a submanifold ``L`` is Lagrangian at a point, with its measurements.
 
-    ``isotropy``: largest value of the form on two unit tangent vectors of L, relative to its norm (0 if the form is
-    zero). ``dimension`` of L; ``required`` by the dimension formula, ``rank / 2 + shared``, with ``rank`` of the form
-    and ``shared`` the dimension of ``T_xL`` intersected with its kernel.
+    Attributes
+    ----------
+    isotropy : float
+        Largest value of the form on two unit tangent vectors of ``L``, relative to the norm of the form.
+    dimension : int
+        The dimension of ``L``.
+    rank : int
+        The rank of the form.
+    shared : int
+        The dimension of the intersection of :math:`T_xL` with the kernel of the form.
 
-    ``dim L = rank / 2 + shared`` is the formula of Definition 2 of Barbero-Linan and Martin de Diego.
+    Notes
+    -----
+    ``L`` is Lagrangian if it is isotropic and :math:`\dim L = \mathrm{rank}/2 + \mathrm{shared}`.
 
+    References
+    ----------
+    Barbero-Liñán and Martin de Diego, 2023, Definition 2.
+
+    Examples
+    --------
     >>> LagrangianVerdict(isotropy=0.0, dimension=1, rank=2, shared=1).reason
     'isotropic of dimension 1, expected rank / 2 + dim(TL and ker) = 2 / 2 + 1 = 2'
     """
@@ -77,7 +117,7 @@ class LagrangianVerdict:
 
     @property
     def required(self) -> int:
-        """Dimension of a Lagrangian submanifold that meets the kernel as this one does."""
+        """The dimension of a Lagrangian submanifold with the same intersection with the kernel."""
         return self.rank // 2 + self.shared
 
     def __bool__(self) -> bool:
@@ -101,13 +141,30 @@ def _isotropy_tolerance() -> float:
 
 
 def is_lagrangian(submanifold: Immersion, y: Ambient) -> LagrangianVerdict:
-    """Whether ``i(L)`` is Lagrangian at ``i(y)``: ``i* omega = 0`` and ``dim L = (dim M - dim ker)/2 + dim(T_xL and
-    ker)``.
+    r"""Whether ``i(L)`` is Lagrangian at ``i(y)``: :math:`i^* \omega = 0` and the dimension formula.
 
-    Raises ``InvalidInputError`` for anything but an ``Immersion``, and ``NotOnManifoldError`` if ``y`` is not on ``L``,
-    or ``i`` does not map it and its neighbours into ``M``.
+    Parameters
+    ----------
+    submanifold : Immersion
+        The immersion ``i``.
+    y : point
+        A point of the source, of its shape.
 
-    ``y``: a point of the source, of its shape.
+    Returns
+    -------
+    LagrangianVerdict
+        True or false, with the measurements.
+
+    Raises
+    ------
+    InvalidInputError
+        For another kind of submanifold.
+    NotOnManifoldError
+        If ``y`` is not on ``L``, or if ``i`` does not map it and its neighbours into ``M``.
+
+    Notes
+    -----
+    The formula is :math:`\dim L = (\dim M - \dim \ker \omega)/2 + \dim(T_xL \cap \ker \omega)`.
     """
     if not isinstance(submanifold, Immersion):
         raise InvalidInputError(
@@ -137,13 +194,28 @@ def lagrangian_subspace(form: np.ndarray, vectors: np.ndarray) -> LagrangianVerd
 
 
 def graph(function: Callable[[Any], Any], first: PresymplecticManifold, second: PresymplecticManifold) -> Immersion:
-    """``{(x, f(x))}`` in ``(M x N, pr2* omega_N - pr1* omega_M)``: Lagrangian if ``f`` is a presymplectic
-    diffeomorphism.
+    r"""The graph :math:`\{(x, f(x))\}` in :math:`(M \times N, pr_2^* \omega_N - pr_1^* \omega_M)`.
 
-    Raises ``InvalidInputError`` for parts of another kind.
+    Parameters
+    ----------
+    function : callable
+        ``f``, from points of ``M`` to points of ``N``.
+    first, second : PresymplecticManifold
+        ``M`` and ``N`` with their forms.
 
-    The form is zero on it where ``f* omega_N = omega_M``. ``f`` takes a point of ``M`` to one of ``N``, each of its own
-    shape.
+    Returns
+    -------
+    Immersion
+        The graph; Lagrangian if ``f`` is a presymplectic diffeomorphism.
+
+    Raises
+    ------
+    InvalidInputError
+        For arguments of another kind.
+
+    Notes
+    -----
+    The form vanishes on the graph if :math:`f^* \omega_N = \omega_M`.
     """
     _require_function(function)
     for space in (first, second):
@@ -155,11 +227,26 @@ def graph(function: Callable[[Any], Any], first: PresymplecticManifold, second: 
 def preimage(
     submanifold: Immersion, function: Callable[[Any], Any], inverse: Callable[[Any], Any], source: Manifold
 ) -> Immersion:
-    """``f^-1(L)`` in ``(M, f* omega_N)`` for a diffeomorphism ``f: M -> N``; Lagrangian if ``L`` is in ``(N,
-    omega_N)``.
+    r"""The preimage :math:`f^{-1}(L)` in :math:`(M, f^* \omega_N)` under a diffeomorphism ``f: M -> N``.
 
-    Raises ``InvalidInputError`` for parts of another kind, or if ``f`` after ``inverse`` is not the identity at a
-    random point of ``L``.
+    Parameters
+    ----------
+    submanifold : Immersion
+        ``L`` in ``(N, omega_N)``.
+    function, inverse : callable
+        ``f`` and its inverse.
+    source : Manifold
+        ``M``.
+
+    Returns
+    -------
+    Immersion
+        The preimage; Lagrangian if ``L`` is Lagrangian.
+
+    Raises
+    ------
+    InvalidInputError
+        For arguments of another kind, and if ``f`` after ``inverse`` is not the identity at a random point of ``L``.
     """
     if not isinstance(submanifold, Immersion):
         raise InvalidInputError(f"preimage takes an Immersion, got {submanifold!r}")

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...module import Module
 from ..manifold import Manifold
 from ..numerics import ambient as vec
 from ..numerics.ambient import Ambient, Frame
@@ -15,28 +16,53 @@ from .forms import TwoForm, form_matrix
 
 
 @final
-class PresymplecticManifold(eqx.Module):
-    """A manifold ``M`` with a closed two-form ``omega``, a function ``form(x, a, b)`` of a point and two tangent
-    vectors.
+class PresymplecticManifold(Module):
+    r"""A manifold ``M`` with a closed two-form; symplectic if the kernel of the form is zero.
 
-    Symplectic where the kernel ``{v : i_v omega = 0}`` is zero. That the form is closed is the caller's promise.
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+    form : callable
+        ``omega(x, a, b)``, a scalar function of a point and two tangent vectors. You ensure that it is closed.
 
-    ``form`` takes a point and two vectors of its shape, and returns a scalar.
+    Notes
+    -----
+    The kernel is :math:`\{v : i_v \omega = 0\}`.
     """
 
     manifold: Manifold
     form: TwoForm
 
     def matrix(self, x: Ambient) -> Float[Array, "n n"]:
-        """Matrix of ``omega_x`` in the orthonormal basis ``manifold.basis(x)``."""
+        r"""The matrix of :math:`\omega_x` in the orthonormal basis ``manifold.basis(x)``, shape ``(n, n)``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        """
         return form_matrix(self.form, x, self.manifold.basis(x))
 
     def rank(self, x: Ambient) -> int:
-        """Rank of ``omega_x``, an even number."""
+        r"""The rank of :math:`\omega_x`, an even number.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        """
         return numerical_rank(np.asarray(_matrix(self, x))).rank
 
     def kernel(self, x: Ambient) -> Frame:
-        """Orthonormal basis of the kernel of ``omega_x``: leaves of shape ``(dimension of the kernel, *leaf)``."""
+        r"""The orthonormal basis of the kernel of :math:`\omega_x`: leaves of shape ``(dimension of the kernel,
+        *leaf)``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        """
         coefficients = jnp.asarray(null_space(np.asarray(_matrix(self, x))).T)
         return vec.combine_each(self.manifold.basis(x), coefficients)
 

@@ -1,5 +1,6 @@
 """Euclidean space of arrays of any shape."""
 
+from collections.abc import Sequence
 from math import prod
 from typing import final
 
@@ -16,12 +17,27 @@ from ..numerics.sizes import as_shape
 
 @final
 class Euclidean(HomogeneousSpace):
-    """Vector space of real arrays: ``Euclidean(3)``, ``Euclidean((2, 3))``. Translations act on it; momentum is ``p``.
+    """The vector space of real arrays of one shape, on which translations act.
 
-    Its dimension is the number of entries, its projection ``P_x a = a``.
+    Parameters
+    ----------
+    shape : int or tuple of int
+        The shape of points: ``Euclidean(3)``, ``Euclidean((2, 3))``.
+
+    Notes
+    -----
+    The dimension is the number of entries; the projection is :math:`P_x a = a`; the momentum is ``p``.
+
+    Examples
+    --------
+    >>> Euclidean((2, 3)).dimension
+    6
     """
 
-    shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
+    shape: tuple[int, ...] = eqx.field(static=True)
+
+    def __init__(self, shape: int | Sequence[int]) -> None:
+        self.shape = as_shape(shape)
 
     def __str__(self) -> str:
         shape = " x ".join(map(str, self.shape)) or "1"

@@ -23,13 +23,20 @@ def lorentz(v: Vector, w: Vector) -> Array:
 
 @final
 class Hyperbolic(Hypersurface, HomogeneousSpace):
-    """Hyperbolic space ``H^n = {x : <x, x>_L = -1, x_0 > 0}``; points have shape ``(n + 1,)``, the time coordinate
-    first.
+    r"""The hyperbolic space :math:`\{x : \langle x, x \rangle_L = -1,\ x_0 > 0\}`, with the time coordinate first.
 
-    Like all manifolds here it is a subset of a Euclidean space: projection and basis are orthogonal for the sum of
-    products, by which covectors pair with vectors. Its geometry of constant curvature -1 is that of ``LorentzMetric``.
-    The Lorentz group acts on it.
+    Parameters
+    ----------
+    n : int
+        The dimension; points have shape ``(n + 1,)``.
 
+    Notes
+    -----
+    It is a subset of a Euclidean space: projection and basis are orthogonal for the sum of products, which also pairs
+    covectors with vectors. ``LorentzMetric`` is its metric of constant curvature -1. The Lorentz group acts on it.
+
+    Examples
+    --------
     >>> Hyperbolic(2).dimension, Hyperbolic(2).ambient.shape
     (2, (3,))
     """
@@ -60,22 +67,45 @@ class Hyperbolic(Hypersurface, HomogeneousSpace):
         return self.restore(jax.random.normal(key, (self.n + 1,)))
 
     def at_apex(self, x: Array, v: Array) -> Float[Array, " n"]:
-        """Space part of a tangent vector ``v`` at ``x``, boosted to the apex ``(1, 0, ..., 0)``.
+        r"""The space part of a tangent vector ``v`` at ``x``, boosted to the apex ``(1, 0, ..., 0)``, shape
+        ``(n,)``.
 
-        Its Euclidean length is ``|v|_L``, without the cancellation of ``<v, v>_L``.
+        Parameters
+        ----------
+        x : array of shape (n + 1,)
+            A point.
+        v : array of shape (n + 1,)
+            A tangent vector there. The Euclidean length of the result is :math:`|v|_L`, without the cancellation of
+            :math:`\langle v, v \rangle_L`.
         """
         return v[1:] - v[0] / (1 + x[0]) * x[1:]
 
     def from_apex(self, x: Array, u: Float[Array, " n"]) -> Array:
-        """Tangent vector at ``x`` whose boost to the apex has the space part ``u``."""
+        """The tangent vector at ``x`` whose boost to the apex has the space part ``u``.
+
+        Parameters
+        ----------
+        x : array of shape (n + 1,)
+            A point.
+        u : array of shape (n,)
+            The space part.
+        """
         along = x[1:] @ u
         return jnp.concatenate([along[None], u + along / (1 + x[0]) * x[1:]])
 
     def seen_from(self, x: Array, y: Array) -> tuple[Array, Float[Array, " n"]]:
-        """Time and space part of ``y`` boosted so that ``x`` is at the apex: ``cosh d`` and ``sinh d`` times a
-        direction.
+        """The time and space part of ``y``, boosted so that ``x`` is at the apex: ``cosh d``, and ``sinh d`` times
+        a direction.
 
-        Near ``x`` they come from the difference of the points, which keeps its digits, and from their form elsewhere.
+        Parameters
+        ----------
+        x, y : array of shape (n + 1,)
+            Two points.
+
+        Notes
+        -----
+        Near ``x`` the result comes from the difference of the points, which keeps its digits; elsewhere from their
+        form.
         """
         e = y - x
         far = -lorentz(x, y)
@@ -87,9 +117,16 @@ class Hyperbolic(Hypersurface, HomogeneousSpace):
         return vec.size(self.at_apex(x, a))
 
     def distance(self, x: Array, y: Array) -> Array:
-        """Distance ``arcosh(-<x, y>_L)``, as exact as the points, however far apart or far out they are.
+        r"""The distance :math:`\mathrm{arcosh}(-\langle x, y \rangle_L)`, as exact as the points.
 
-        It has no derivative at ``x = y``: there automatic differentiation gives 0, one of its subgradients.
+        Parameters
+        ----------
+        x, y : array of shape (n + 1,)
+            Two points.
+
+        Notes
+        -----
+        It has no derivative at ``x = y``: automatic differentiation gives 0 there, a subgradient.
         """
         return _distance(self, jnp.asarray(x), jnp.asarray(y))
 
@@ -124,8 +161,15 @@ def _distance_jvp(manifold: Hyperbolic, points: tuple, tangents: tuple) -> tuple
 
 @final
 class LorentzMetric(Metric):
-    """The metric ``g_x(v, w) = <v, w>_L`` of hyperbolic space, of constant curvature -1.
+    r"""The Lorentz metric :math:`g_x(v, w) = \langle v, w \rangle_L` of hyperbolic space, of constant curvature -1.
 
+    Parameters
+    ----------
+    manifold : Hyperbolic
+        The manifold.
+
+    Examples
+    --------
     >>> LorentzMetric(Hyperbolic(2)).manifold
     Hyperbolic(n=2)
     """

@@ -11,8 +11,15 @@ from .hypersurface import Hypersurface
 
 @final
 class Simplex(Hypersurface):
-    """Interior of the simplex, ``{x : x_0 + ... + x_n = 1, all x_i > 0}``; points have shape ``(n + 1,)``.
+    r"""The interior of the simplex, :math:`\{x : x_0 + \dots + x_n = 1,\ x_i > 0\}`.
 
+    Parameters
+    ----------
+    n : int
+        The dimension; points have shape ``(n + 1,)``.
+
+    Examples
+    --------
     >>> Simplex(3).dimension, bool(Simplex(3).contains(jnp.full(4, 0.25)))
     (3, True)
     """

@@ -13,7 +13,18 @@ from .hypersurface import Hypersurface
 
 @final
 class Sphere(Hypersurface, HomogeneousSpace):
-    """Unit sphere ``S^n = {x : |x| = 1}``; points are vectors of shape ``(n + 1,)``. Rotations of space act on it."""
+    r"""The unit sphere :math:`\{x : |x| = 1\}`, on which rotations of space act.
+
+    Parameters
+    ----------
+    n : int
+        The dimension; points have shape ``(n + 1,)``.
+
+    Examples
+    --------
+    >>> Sphere(2).dimension, Sphere(2).ambient.shape
+    (2, (3,))
+    """
 
     def projection(self, x: Array, a: Array) -> Array:
         return a - jnp.sum(x * a) * x  # half the time of a product of matrices in large batches

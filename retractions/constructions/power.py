@@ -15,9 +15,23 @@ from ..retraction import Retraction
 
 @final
 class PowerRetraction(DifferentiatedRetraction):
-    """Retraction of ``Power(M, k)`` from one of ``M``, applied to each copy: ``R(x, v)_i = R_M(x_i, v_i)``.
+    """The retraction of ``Power(M, k)`` that applies a retraction of ``M`` to each copy.
 
-    Raises ``InvalidInputError`` for what is not a retraction and for a number below 1.
+    Parameters
+    ----------
+    factor : Retraction
+        The retraction of a copy.
+    k : int
+        The number of copies.
+
+    Raises
+    ------
+    InvalidInputError
+        For another retraction, and for a number below 1.
+
+    Notes
+    -----
+    :math:`R(x, v)_i = R_M(x_i, v_i)`.
     """
 
     factor: Retraction

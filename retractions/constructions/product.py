@@ -13,10 +13,24 @@ from ..retraction import Retraction
 
 @final
 class ProductRetraction(DifferentiatedRetraction):
-    """Retraction of a product from one retraction for each factor: ``R(x, v)_i = R_i(x_i, v_i)``.
+    """The retraction of a product with one retraction for each factor.
 
-    Raises ``InvalidInputError`` for no factors, and for those that are not retractions.
+    Parameters
+    ----------
+    *factors : Retraction
+        The retractions, in the order of the factors.
 
+    Raises
+    ------
+    InvalidInputError
+        Without factors, and for other factors.
+
+    Notes
+    -----
+    :math:`R(x, v)_i = R_i(x_i, v_i)`.
+
+    Examples
+    --------
     >>> isinstance(Cayley(SO(3) * Euclidean(3)), ProductRetraction)
     True
     """

@@ -25,13 +25,29 @@ def metric_on(manifold: Manifold, metric: Metric | None) -> Metric:
 
 
 def acceleration(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> Ambient:
-    """Covariant acceleration ``a(v, v)``, a tangent vector at ``x``, of the curve ``c(t) = R(x, t v)`` at ``t = 0``.
+    r"""The covariant acceleration ``a(v, v)`` of the curve :math:`c(t) = R(x, t v)` at ``t = 0``, a tangent vector
+    at ``x``.
 
-    ``g(a, e) = <d/dt dL/dv - dL/dx, e>`` with the Lagrangian ``L = g_x(v, v)/2`` along the curve; for the embedded
-    metric it is the tangential part of the second derivative. A retraction is of second order for a metric if it
-    vanishes.
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction ``R``.
+    metric : Metric
+        The metric ``g``.
+    x : point
+        A point.
+    v : tangent vector
+        A tangent vector there, of the shape of ``x``.
 
-    ``v`` and the value have the shape of the point ``x``.
+    Returns
+    -------
+    tangent vector
+        The acceleration, of the shape of ``x``; zero for a retraction of second order for the metric.
+
+    Notes
+    -----
+    :math:`g(a, e) = \langle \frac{d}{dt} \frac{\partial L}{\partial v} - \frac{\partial L}{\partial x}, e \rangle` with
+    :math:`L = g_x(v, v)/2` along the curve. For the embedded metric it is the tangential part of the second derivative.
     """
 
     def lagrangian(at: Ambient, velocity: Ambient) -> Array:
@@ -52,13 +68,23 @@ def acceleration(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient)
 
 @final
 class SecondOrder(Retraction):
-    """Second-order correction ``R(x, v - a(v, v)/2)`` of a retraction, ``a`` its ``acceleration`` for a metric.
+    """The second-order correction :math:`R(x, v - a(v, v)/2)` of a retraction, with its ``acceleration`` ``a`` for
+    a metric.
 
-    Its curves agree with the geodesics to second order. The correction is quadratic in ``v``: it is good for short
-    vectors, and the inverse, by Newton's method from the inverse of ``R``, is that near zero.
+    Parameters
+    ----------
+    inner : Retraction
+        The retraction ``R``.
+    metric : Metric, optional
+        The metric; by default the embedded metric.
 
-    A retraction of second order has ``a = 0``.
+    Notes
+    -----
+    Its curves agree with the geodesics to second order. The correction is quadratic in ``v``: it improves short
+    vectors. Newton's method computes the inverse from the inverse of ``R``, near zero.
 
+    Examples
+    --------
     >>> SecondOrder(QR(SO(3))).manifold
     SO(n=3)
     """
@@ -77,7 +103,15 @@ class SecondOrder(Retraction):
         return self.inner(x, self.bent(x, v))
 
     def bent(self, x: Ambient, v: Ambient) -> Ambient:
-        """``v - a(v, v)/2``."""
+        """The corrected vector ``v - a(v, v)/2``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        v : tangent vector
+            A tangent vector there.
+        """
         return vec.subtract(v, vec.scale(0.5, acceleration(self.inner, self.metric, x, v)))
 
     def preimage(self, x: Ambient, y: Ambient) -> Ambient:

@@ -12,14 +12,18 @@ from ..retraction import Retraction
 
 @final
 class RestoredAfter(DifferentiatedRetraction):
-    """``R`` followed by ``Manifold.restore``: the same retraction, whose rounding errors do not add up from step to
-    step.
+    r"""A retraction followed by ``Manifold.restore``, so that rounding errors do not add up from step to step.
 
-    On the manifold ``restore`` is the identity, hence inverse, domain and derivative along the fibres are those of
-    ``R``.
+    Parameters
+    ----------
+    inner : Retraction
+        The retraction ``R``.
 
-    ``S(x, v) = restore(R(x, v))``.
+    Notes ----- :math:`S(x, v) = \mathrm{restore}(R(x, v))`. On the manifold ``restore`` is the identity: inverse,
+    domain and derivative along the fibres are unchanged.
 
+    Examples
+    --------
     >>> RestoredAfter(Cayley(SO(3))).manifold
     SO(n=3)
     """

@@ -18,16 +18,34 @@ Matrix = Shaped[Array, "n n"]
 
 @final
 class FrobeniusExponential(GroupRetraction):
-    """``R(x, x A) = x exp(A^H) exp(A - A^H)``: the geodesics of the left-invariant metric ``<x A, x B> = Re tr(A^H
-    B)``.
+    r"""The exponential map of the left-invariant metric
+    :math:`\langle xA, xB \rangle = \mathrm{Re}\,\mathrm{tr}(A^H B)`.
 
-    The body velocity ``u`` solves the Euler-Poincare equation ``u' = [u^H, u]``, by ``u = exp(-tK) A exp(tK)`` with
-    ``K = A - A^H`` [Andruchow, Larotonda, Recht, Varela, "The left invariant metric in the general linear group",
-    2014]. Raises ``UnknownRetractionError`` on groups whose algebra does not hold ``A^H`` with ``A``, such as SE(n). On
-    SO, U and SU it is ``GroupExponential``, which has a logarithm in closed form. NaN where rounding leads off the
-    group. The inverse is Levenberg-Marquardt's and Newton's method from the logarithms of the polar factors: on SL(2)
-    and SL(3) it comes back for ``|A| < 4``.
+    Parameters
+    ----------
+    manifold : MatrixLieGroup
+        A group whose algebra contains :math:`A^H` with ``A``.
 
+    Raises
+    ------
+    UnknownRetractionError
+        For other groups, such as SE(n).
+
+    Notes
+    -----
+    :math:`R(x, xA) = x \exp(A^H) \exp(A - A^H)`. The body velocity ``u`` solves the Euler-Poincaré equation
+    :math:`\dot u = [u^H, u]` by :math:`u = \exp(-tK) A \exp(tK)` with :math:`K = A - A^H`. On SO, U and SU it equals
+    ``GroupExponential``, which has a logarithm in closed form. Entries are NaN if rounding leads off the group.
+
+    The inverse is by the Levenberg-Marquardt method and Newton's method from the logarithms of the polar factors; on
+    SL(2) and SL(3) it converges for ``|A| < 4``.
+
+    References
+    ----------
+    Andruchow, Larotonda, Recht, Varela, The left invariant metric in the general linear group, 2014.
+
+    Examples
+    --------
     >>> FrobeniusExponential(SL(2)).manifold
     SL(n=2)
     """
@@ -44,7 +62,13 @@ class FrobeniusExponential(GroupRetraction):
 
     @staticmethod
     def applies(group: MatrixLieGroup) -> bool:
-        """Whether the algebra holds the adjoints of its matrices."""
+        """Whether the algebra contains the adjoints of its matrices.
+
+        Parameters
+        ----------
+        group : MatrixLieGroup
+            The group.
+        """
         return group.lie_algebra.closed_under_adjoints
 
     def group_map(self, a: Matrix) -> Matrix:

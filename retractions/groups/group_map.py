@@ -26,13 +26,16 @@ OFF_ZERO = 0.1  # coordinates of the element of the algebra at which a group map
 
 
 class GroupRetraction(Retraction):
-    """A retraction ``R(x, x A) = x g(A)`` by a map ``g`` from the algebra to the group with ``g(0) = I``, ``Dg(0) =
-    Id``.
+    r"""A retraction :math:`R(x, xA) = x\, g(A)` by a map ``g`` from the algebra to the group: a base class.
 
-    It commutes with left translations, so integrators made from it conserve the momenta of left-invariant Hamiltonians.
-    ``A`` is made exactly an element of the algebra before use: a part outside it, lost to rounding, makes long products
-    drift off the group.
+    Notes
+    -----
+    :math:`g(0) = I` and :math:`Dg(0) = \mathrm{Id}`. It commutes with left translations: integrators built on it
+    conserve the momenta of left-invariant Hamiltonians. ``A`` is projected on the algebra first, because rounding
+    outside it would make long products drift off the group.
 
+    Examples
+    --------
     >>> isinstance(Exponential(SE(3)), GroupRetraction)
     True
     """
@@ -44,11 +47,23 @@ class GroupRetraction(Retraction):
 
     @abstractmethod
     def group_map(self, a: Matrix) -> Matrix:
-        """``g(A)``."""
+        """The group element ``g(A)``.
+
+        Parameters
+        ----------
+        a : array of shape (n, n)
+            A matrix of the algebra.
+        """
 
     @abstractmethod
     def group_map_inverse(self, b: Matrix) -> Matrix:
-        """The ``A`` with ``g(A) = b``; entries are NaN where there is none."""
+        """The ``A`` with ``g(A) = b``; entries are NaN if there is none.
+
+        Parameters
+        ----------
+        b : array of shape (n, n)
+            An element of the group.
+        """
 
     def retract(self, x: Array, v: Array) -> Array:
         return x @ self.group_map(self.manifold.left_trivialise(x, v))
@@ -82,15 +97,27 @@ def is_on_group(group: MatrixLieGroup, g: Matrix, share: float = 1.0) -> Bool[Ar
 
 
 class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):
-    """One with ``g(-A) = g(A)^-1``: two points are symmetric about the square root of the group element between them.
+    """A group retraction with :math:`g(-A) = g(A)^{-1}`: a base class with midpoints.
 
+    Notes
+    -----
+    Two points are symmetric about the square root of the group element between them.
+
+    Examples
+    --------
     >>> isinstance(Cayley(SO(3)), SymmetricGroupRetraction)
     True
     """
 
     @abstractmethod
     def square_root(self, b: Matrix) -> Matrix:
-        """The group element near the identity whose square is ``b``."""
+        """The group element near the identity whose square is ``b``.
+
+        Parameters
+        ----------
+        b : array of shape (n, n)
+            An element of the group.
+        """
 
     def both_ways(self, x: Array, v: Array) -> tuple[Array, Array]:
         # Elsewhere the inverse of g(A) has more rounding than g(-A).
@@ -105,13 +132,26 @@ class SymmetricGroupRetraction(GroupRetraction, MidpointRetraction):
 
 @final
 class Translated(Retraction):
-    """Any map ``g`` from the algebra to the group, translated: ``R(x, x A) = x g(A)``, on the right ``R(x, A x) = g(A)
-    x``.
+    r"""The retraction by any map ``g`` from the algebra to the group, translated from the left or right.
 
-    ``group_map`` takes a matrix of the algebra to one of the group, with ``g(0) = I`` and ``Dg(0) = Id``;
-    ``inverse_map``, if given, takes it back, otherwise Newton's method does. Raises ``InvalidInputError`` if ``g``
-    breaks these rules.
+    Parameters
+    ----------
+    manifold : MatrixLieGroup
+        The group.
+    group_map : callable
+        ``g``, from a matrix of the algebra to a matrix of the group, with ``g(0) = I`` and ``Dg(0) = Id``.
+    inverse_map : callable, optional
+        The inverse of ``g``; by default Newton's method.
+    side : {"left", "right"}
+        :math:`R(x, xA) = x\, g(A)`, or :math:`R(x, Ax) = g(A)\, x`.
 
+    Raises
+    ------
+    InvalidInputError
+        If ``g`` breaks these rules.
+
+    Examples
+    --------
     >>> cayley = lambda a: jnp.linalg.solve(jnp.eye(3) - a / 2, jnp.eye(3) + a / 2)
     >>> Translated(SO(3), cayley).manifold
     SO(n=3)

@@ -70,14 +70,23 @@ def _functions(group: MatrixLieGroup) -> _MatrixFunctions:
 
 @final
 class GroupExponential(SymmetricGroupRetraction):
-    """``R(x, x A) = x exp(A)``: translated one-parameter subgroups.
+    r"""The group exponential :math:`R(x, xA) = x \exp(A)`: translated one-parameter subgroups.
 
-    On SO, U and SU they are the geodesics of the bi-invariant metric, on other groups not in general those of a metric.
-    Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain: on SO, SE, U and SU
-    all angles of ``A`` below pi and no two, but those of one plane, within ``8 pi sqrt(eps)`` of a full turn apart;
-    elsewhere where the logarithm comes back to 1e-11, up to about 1e-4 from a half turn. NaN where rounding leads off
-    the group.
+    Parameters
+    ----------
+    manifold : MatrixLieGroup
+        The group.
 
+    Notes ----- On SO, U and SU its curves are geodesics of the bi-invariant metric; on other groups there is in general
+    no such metric. Entries are NaN if rounding leads off the group.
+
+    Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain on SO, SE, U and SU:
+    all angles of ``A`` are below :math:`\pi`, and no two angles, except those of one plane, are within
+    :math:`8\pi\sqrt\epsilon` of a full turn apart. On other groups the domain is where the logarithm comes back to
+    1e-11, up to about 1e-4 from a half turn.
+
+    Examples
+    --------
     >>> Exponential(SO(3))
     GroupExponential(manifold=SO(n=3))
     """
@@ -112,19 +121,32 @@ class GroupExponential(SymmetricGroupRetraction):
 
 @final
 class GroupCayley(SymmetricGroupRetraction):
-    """``R(x, x A) = x (I - A/2)^-1 (I + A/2)``, on groups whose algebra holds ``A^3`` with ``A``, and SU(n).
+    r"""The Cayley transform :math:`R(x, xA) = x (I - A/2)^{-1} (I + A/2)` on groups that it maps to themselves.
 
-    These are the groups that a form cuts out (SO, U, symplectic, SL(2)), SU(2) and SE(n), not SL(n) for n > 2: there it
-    leaves the group, and ``UnknownRetractionError`` is raised. Inverse ``2 (b - I)(b + I)^-1`` with ``b = x^-1 y``; its
-    image is where ``b`` has no eigenvalue -1, its domain where ``A`` has no eigenvalue 2: all of the algebra of SO, SE,
-    U, SU(n) and unitriangular groups, elsewhere all multiples of an ``A`` but a few, as long as half of the digits of
-    ``A`` come back. NaN where rounding leads off the group.
+    Parameters
+    ----------
+    manifold : MatrixLieGroup
+        A group whose algebra contains :math:`A^3` with ``A``, or SU(n): SO, U, symplectic groups, SL(2), SU(n), SE(n).
 
-    On SU(n), n > 2, the transform ``c`` times the phase that makes its determinant one, ``c det(c)^(-1/n) = exp(A +
-    (A^3 - tr(A^3)/n I)/12 + ...)``: of second order and symmetric as without it. It leads to all matrices but those
-    whose angles, chosen with the sum 0, have two a full turn apart; its inverse leaves out those with the
+    Raises
+    ------
+    UnknownRetractionError
+        For other groups, such as SL(n) for n > 2.
+
+    Notes
+    -----
+    Inverse: :math:`2 (b - I)(b + I)^{-1}` with :math:`b = x^{-1} y`. Its image is where ``b`` has no eigenvalue -1: a
+    single step can rotate by less than 180 degrees. Its domain is where ``A`` has no eigenvalue 2. This is all of the
+    algebra of SO, SE, U, SU(n) and unitriangular groups; elsewhere all multiples of an ``A`` except a few, as long as
+    half of the digits of ``A`` come back. Entries are NaN if rounding leads off the group.
+
+    On SU(n), n > 2, the transform ``c`` is multiplied by the phase that makes its determinant one,
+    :math:`c \det(c)^{-1/n} = \exp(A + (A^3 - \mathrm{tr}(A^3)/n\, I)/12 + \dots)`: also symmetric and of second order.
+    Its image leaves out matrices whose angles, with sum 0, have two a full turn apart; its inverse leaves out the
     eigenvalue -1.
 
+    Examples
+    --------
     >>> Cayley(SE(3))
     GroupCayley(manifold=SE(n=3))
     """
@@ -140,7 +162,13 @@ class GroupCayley(SymmetricGroupRetraction):
 
     @staticmethod
     def applies(group: MatrixLieGroup) -> bool:
-        """Whether the Cayley transform takes the algebra to the group."""
+        """Whether the Cayley transform maps the algebra to the group.
+
+        Parameters
+        ----------
+        group : MatrixLieGroup
+            The group.
+        """
         return isinstance(group, SU) or group.lie_algebra.closed_under_cubes
 
     def group_map(self, a: Matrix) -> Matrix:

@@ -12,13 +12,34 @@ from .matrix_group import GroupExponential
 
 @final
 class SEDecoupled(MidpointRetraction):
-    """``((R, t), (R Omega, R v)) -> (rho(R, R Omega), t + R v)`` with a retraction ``rho`` of rotations, by default
-    exponential.
+    r"""The retraction of rigid motions that retracts the rotation and adds the translation.
 
-    With the exponential these are the geodesics of the metric ``|Omega|^2 + |v|^2``, that of the ambient space:
-    straight lines turned at a constant rate [Park, "Distance metrics on the rigid-body motions with applications to
-    mechanism design", 1995]. With ``SOPolar`` it is the nearest motion to ``x + v``. Raises ``InvalidInputError`` for
-    another manifold, and for rotations of another size or by a map that is not symmetric.
+    Parameters
+    ----------
+    manifold : SE
+        The group.
+    rotations : MidpointRetraction, optional
+        The retraction ``rho`` of rotations; by default the exponential.
+
+    Raises
+    ------
+    InvalidInputError
+        For another manifold, rotations of another size, and a map that is not symmetric.
+
+    Notes
+    -----
+    :math:`((R, t), (R\Omega, Rv)) \mapsto (\rho(R, R\Omega), t + Rv)`. With the exponential its curves are the
+    geodesics of the ambient metric :math:`|\Omega|^2 + |v|^2`: straight lines with a constant rate of rotation. With
+    ``SOPolar`` it is the nearest motion to ``x + v``.
+
+    References
+    ----------
+    Park, Distance metrics on the rigid-body motions with applications to mechanism design, 1995.
+
+    Examples
+    --------
+    >>> SEDecoupled(SE(3)).manifold
+    SE(n=3)
     """
 
     manifold: SE

@@ -27,12 +27,22 @@ class _SymmetricRotation(SymmetricGroupRetraction):
 
 @final
 class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
-    """``R(x, x Omega) = x (I - Omega/2)^-1 (I + Omega/2)``.
+    r"""The Cayley transform of rotations, :math:`R(x, x\Omega) = x (I - \Omega/2)^{-1} (I + \Omega/2)`.
 
-    Inverse ``2 (b - I)(b + I)^-1`` with ``b = x'y``, for rotations without the eigenvalue -1; domain: every ``Omega``
-    shorter than ``1 / (4 sqrt(eps))``, than the root of that where n = 2, 3. Differentiated, ``x h A h`` for ``w = x
-    A``, with ``h = (I - Omega/2)^-1``.
+    Parameters
+    ----------
+    manifold : SO
+        The group.
 
+    Notes
+    -----
+    Inverse: :math:`2 (b - I)(b + I)^{-1}` with :math:`b = x^T y`, for rotations without the eigenvalue -1: a single
+    step can rotate by less than 180 degrees. Domain: every :math:`\Omega` shorter than :math:`1/(4\sqrt\epsilon)`, or
+    the root of this bound for n = 2, 3. Derivative: :math:`x h A h` for :math:`w = xA`, with
+    :math:`h = (I - \Omega/2)^{-1}`.
+
+    Examples
+    --------
     >>> Cayley(SO(3))
     SOCayley(manifold=SO(n=3))
     """
@@ -65,12 +75,21 @@ class SOCayley(_SymmetricRotation, DifferentiatedRetraction):
 
 @final
 class SOPolar(_SymmetricRotation, DifferentiatedRetraction):
-    """``R(x, v)`` = orthogonal polar factor of ``x + v``: the nearest rotation.
+    r"""The polar retraction of rotations: the nearest rotation to ``x + v``, its orthogonal polar factor.
 
-    Inverse ``Omega = (b + b')^-1 (b - b')`` with ``b = x'y``, for angles below pi/2; domain: every ``Omega`` shorter
-    than ``1 / (4 sqrt(eps))``. Differentiated, ``y t`` for ``w = x A``, with the skew ``t`` of ``s t + t s = g'A + A
-    g``, where ``I + Omega = g s``.
+    Parameters
+    ----------
+    manifold : SO
+        The group.
 
+    Notes
+    -----
+    Inverse: :math:`\Omega = (b + b^T)^{-1} (b - b^T)` with :math:`b = x^T y`, for angles below :math:`\pi/2`. Domain:
+    every :math:`\Omega` shorter than :math:`1/(4\sqrt\epsilon)`. Derivative: :math:`y t` for :math:`w = xA`, with the
+    skew ``t`` of :math:`s t + t s = g^T A + A g`, where :math:`I + \Omega = g s`.
+
+    Examples
+    --------
     >>> Polar(SO(3))
     SOPolar(manifold=SO(n=3))
     """
@@ -98,11 +117,20 @@ class SOPolar(_SymmetricRotation, DifferentiatedRetraction):
 
 @final
 class SOQR(GroupRetraction):
-    """``R(x, v)`` = orthogonal factor of the QR factorisation of ``x + v`` with positive diagonal: first order.
+    r"""The QR retraction of rotations: the orthogonal factor of ``x + v`` with a positive diagonal. First order.
 
-    Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: every ``Omega``
+    Parameters
+    ----------
+    manifold : SO
+        The group.
+
+    Notes
+    -----
+    Inverse: a triangular recursion, if its triangular factor has a positive diagonal. Domain: every :math:`\Omega`
     short enough for half of its digits to come back.
 
+    Examples
+    --------
     >>> QR(SO(3))
     SOQR(manifold=SO(n=3))
     """

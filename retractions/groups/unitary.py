@@ -17,11 +17,20 @@ from .group_map import GroupRetraction, SymmetricGroupRetraction
 
 @final
 class UPolar(SymmetricGroupRetraction):
-    """``R(x, v)`` = unitary polar factor of ``x + v``: the nearest unitary matrix.
+    r"""The polar retraction of unitary matrices: the nearest unitary matrix to ``x + v``.
 
-    Inverse ``(b + b^H)^-1 (b - b^H)`` with ``b = x^H y``, for angles below pi/2; domain: every tangent vector
-    shorter than ``1 / (4 sqrt(eps))``.
+    Parameters
+    ----------
+    manifold : U
+        The group.
 
+    Notes
+    -----
+    Inverse: :math:`(b + b^H)^{-1} (b - b^H)` with :math:`b = x^H y`, for angles below :math:`\pi/2`. Domain: every
+    tangent vector shorter than :math:`1/(4\sqrt\epsilon)`.
+
+    Examples
+    --------
     >>> Polar(U(2))
     UPolar(manifold=U(n=2))
     """
@@ -43,11 +52,20 @@ class UPolar(SymmetricGroupRetraction):
 
 @final
 class UQR(GroupRetraction):
-    """``R(x, v)`` = unitary factor of the QR factorisation of ``x + v`` with positive diagonal: first order.
+    """The QR retraction of unitary matrices: the unitary factor of ``x + v`` with a positive diagonal. First order.
 
-    Inverse by a triangular recursion, where its triangular factor has a positive diagonal; domain: every tangent vector
+    Parameters
+    ----------
+    manifold : U
+        The group.
+
+    Notes
+    -----
+    Inverse: a triangular recursion, if its triangular factor has a positive diagonal. Domain: every tangent vector
     short enough for half of its digits to come back.
 
+    Examples
+    --------
     >>> QR(U(2))
     UQR(manifold=U(n=2))
     """

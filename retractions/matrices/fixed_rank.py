@@ -14,18 +14,27 @@ from ..rounding import EDGE
 
 @final
 class FixedRankProjection(Retraction):
-    """``R(x, v)`` = nearest matrix of rank ``r`` to ``x + v``: its truncated singular value decomposition. Second
+    """The projection of ``x + v`` on matrices of rank ``r``: its truncated singular value decomposition. Second
     order.
 
-    Inverse ``v = P_x(y - x + n)`` with the normal vector ``n`` at ``y`` that makes ``y - x + n`` tangent at ``x``, a
-    linear equation. It has one solution where the columns of ``y`` span no direction orthogonal to those of ``x``, nor
-    do the rows; the image is where moreover ``n`` is shorter (largest singular value) than the smallest singular value
-    of ``y``.
+    Parameters
+    ----------
+    manifold : FixedRank
+        The manifold.
 
-    Domain: the ``v`` for which the ``r``-th singular value of ``x + v`` is larger than the next one, so that there is
-    one nearest matrix, and columns and rows of that span no direction orthogonal to those of ``x``. By the perturbation
-    bounds of Weyl and Wedin it holds every ``v`` whose largest singular value is below half the smallest one of ``x``.
+    Notes
+    -----
+    Inverse: :math:`v = P_x(y - x + n)` with the normal vector ``n`` at ``y`` for which :math:`y - x + n` is tangent at
+    ``x``, a linear equation. It has one solution if the columns of ``y`` span no direction orthogonal to the columns of
+    ``x``, and likewise the rows. The image is where, in addition, the largest singular value of ``n`` is below the
+    smallest one of ``y``.
 
+    Domain: the ``v`` for which the ``r``-th singular value of ``x + v`` is larger than the next one, and the columns
+    and rows of the nearest matrix span no direction orthogonal to the columns and rows of ``x``. By the bounds of Weyl
+    and Wedin the domain contains every ``v`` whose largest singular value is below half the smallest one of ``x``.
+
+    Examples
+    --------
     >>> Projection(FixedRank(5, 4, 2))
     FixedRankProjection(manifold=FixedRank(m=5, n=4, r=2))
     """
@@ -81,13 +90,24 @@ def _rounding(size: Array) -> Array:
 
 @final
 class FixedRankOrthographic(Retraction):
-    """``R(x, v)`` = the matrix of rank ``r`` that differs from ``x + v`` by a normal vector at ``x``. Second order.
+    """The orthographic retraction: the matrix of rank ``r`` that differs from ``x + v`` by a normal vector at
+    ``x``. Second order.
 
-    With ``u`` and ``w`` any bases of the spans of the columns and rows of ``x``, and ``a = x + v``, it is
-    ``a w (u'a w)^-1 u'a``. Inverse: the tangent projection ``P_x(y - x)``; its image, and its domain, are where ``u'y
-    w``, respectively ``u'a w``, is invertible, up to rounding of the value: every ``v`` whose largest singular value is
-    below the smallest one of ``x`` is in the domain, and every multiple of a ``v`` but ``r`` of them or fewer.
+    Parameters
+    ----------
+    manifold : FixedRank
+        The manifold.
 
+    Notes
+    -----
+    With any bases ``u`` and ``w`` of the spans of the columns and rows of ``x``, and :math:`a = x + v`, it is
+    :math:`a w (u^T a w)^{-1} u^T a`. Inverse: the tangent projection :math:`P_x(y - x)`. Its image and its domain are
+    where :math:`u^T y w`, respectively :math:`u^T a w`, is invertible up to rounding of the value. The domain contains
+    every ``v`` whose largest singular value is below the smallest one of ``x``, and all but at most ``r`` multiples of
+    any ``v``.
+
+    Examples
+    --------
     >>> FixedRankOrthographic(FixedRank(5, 4, 2)).manifold
     FixedRank(m=5, n=4, r=2)
     """

@@ -89,11 +89,21 @@ class _AlignedProjector(_RotatedProjector):
 
 @final
 class GrassmannExponential(_AlignedProjector):
-    """``R(x, v) = q x q'`` with ``q = exp [v, x]``: the geodesics, along which each principal angle grows linearly.
+    r"""The exponential map of subspaces: along its geodesics each principal angle grows linearly.
 
-    Inverse: the logarithm of the direct rotation; its image is where all principal angles are below pi/2, its domain
-    where the largest singular value of ``v``, which is the largest angle, is below pi/2.
+    Parameters
+    ----------
+    manifold : Grassmann
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = q x q^T` with :math:`q = \exp [v, x]`. Inverse: the logarithm of the direct rotation. Its image is
+    where all principal angles are below :math:`\pi/2`; its domain is where the largest singular value of ``v``, the
+    largest angle, is below :math:`\pi/2`.
+
+    Examples
+    --------
     >>> Exponential(Grassmann(4, 2))
     GrassmannExponential(manifold=Grassmann(n=4, p=2))
     """
@@ -112,12 +122,20 @@ class GrassmannExponential(_AlignedProjector):
 
 @final
 class GrassmannCayley(_AlignedProjector):
-    """``R(x, v) = q x q'`` with the Cayley transform ``q`` of ``[v, x]``; an angle ``t`` from a singular value ``2
-    tan(t/2)``.
+    r"""The Cayley retraction of subspaces: a singular value :math:`2 \tan(t/2)` of ``v`` gives an angle ``t``.
 
-    Its image is where all principal angles are below pi/2, its domain where the largest singular value of ``v`` is
-    below 2.
+    Parameters
+    ----------
+    manifold : Grassmann
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = q x q^T` with the Cayley transform ``q`` of :math:`[v, x]`. Its image is where all principal angles
+    are below :math:`\pi/2`, its domain where the largest singular value of ``v`` is below 2.
+
+    Examples
+    --------
     >>> Cayley(Grassmann(4, 2))
     GrassmannCayley(manifold=Grassmann(n=4, p=2))
     """
@@ -136,11 +154,21 @@ class GrassmannCayley(_AlignedProjector):
 
 @final
 class GrassmannPolar(_RotatedProjector):
-    """Projector on the image of ``(x + v) x``: the polar and the QR retraction of frames, which span the same subspace.
+    r"""The polar retraction of subspaces: the projector on the image of ``(x + v) x``.
 
-    It turns by an angle ``t`` from a singular value ``tan t``. Inverse ``(y - x)(x + y - I)^-1 (2x - I)``; its image is
-    where all principal angles are below pi/2, its domain every tangent vector shorter than ``1 / (4 sqrt(eps))``.
+    Parameters
+    ----------
+    manifold : Grassmann
+        The manifold.
 
+    Notes
+    -----
+    It is the polar and the QR retraction of frames, which span the same subspace. A singular value :math:`\tan t` of
+    ``v`` gives an angle ``t``. Inverse: :math:`(y - x)(x + y - I)^{-1} (2x - I)`. Its image is where all principal
+    angles are below :math:`\pi/2`, its domain every tangent vector shorter than :math:`1/(4\sqrt\epsilon)`.
+
+    Examples
+    --------
     >>> Polar(Grassmann(4, 2))
     GrassmannPolar(manifold=Grassmann(n=4, p=2))
     """

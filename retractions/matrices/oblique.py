@@ -13,10 +13,22 @@ from ..retraction import MidpointRetraction
 
 @final
 class Columnwise(MidpointRetraction, DifferentiatedRetraction):
-    """``R(x, v)`` = a retraction of the sphere for each column, with its inverse, domain, derivative and midpoints.
+    """A retraction of the sphere for each column of an oblique manifold.
 
-    ``R(x, v)_j = R_S(x_j, v_j)`` for the columns, arrays of shape ``(n,)``.
+    Parameters
+    ----------
+    manifold : Oblique
+        The manifold.
+    column : MidpointRetraction
+        The retraction :math:`R_S` of the sphere.
 
+    Notes
+    -----
+    :math:`R(x, v)_j = R_S(x_j, v_j)` for the columns, arrays of shape ``(n,)``; likewise inverse, domain, derivative
+    and midpoints.
+
+    Examples
+    --------
     >>> isinstance(Exponential(Oblique(3, 2)), Columnwise)
     True
     """

@@ -40,13 +40,26 @@ def _in_cone(y: Array) -> Array:
 
 @final
 class SPDExponential(MidpointRetraction):
-    """``R(x, v) = l exp(l^-1 v l^-T) l'``, the geodesics of ``AffineInvariantMetric``.
+    r"""The exponential map of ``AffineInvariantMetric`` on positive definite matrices.
 
-    Inverse ``l log(l^-1 y l^-T) l'``; its image is the manifold [Bhatia 2007, chapter 6], its domain every tangent
-    vector short enough for half of its digits to come back: eigenvalues of ``l^-1 v l^-T`` at most about 16 apart, 6 in
-    single precision. Entries are NaN where an eigenvalue of the value is rounding of the largest, from about 34 apart,
-    14 in single precision.
+    Parameters
+    ----------
+    manifold : SPD
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = l \exp(l^{-1} v l^{-T}) l^T` with :math:`x = l l^T`. Inverse: :math:`l \log(l^{-1} y l^{-T}) l^T`.
+    Its image is the manifold. Its domain is every tangent vector short enough for half of its digits to come back:
+    eigenvalues of :math:`l^{-1} v l^{-T}` at most about 16 apart, 6 in single precision. Entries are NaN if an
+    eigenvalue of the value is rounding of the largest one: from about 34 apart, 14 in single precision.
+
+    References
+    ----------
+    Bhatia, Positive Definite Matrices, 2007, chapter 6.
+
+    Examples
+    --------
     >>> Exponential(SPD(3))
     SPDExponential(manifold=SPD(n=3))
     """
@@ -71,14 +84,28 @@ class SPDExponential(MidpointRetraction):
 
 @final
 class SPDSecondOrder(DifferentiatedRetraction):
-    """``R(x, v) = x + v + v x^-1 v / 2``, of second order for ``AffineInvariantMetric`` [Jeuris, Vandebril,
-    Vandereycken 2012].
+    r"""The quadratic retraction :math:`R(x, v) = x + v + v x^{-1} v / 2`, of second order for
+    ``AffineInvariantMetric``.
 
-    It is ``x/2 + (x + v) x^-1 (x + v)/2``, hence positive definite for every ``v``; NaN where an eigenvalue is rounding
-    of the largest. Inverse ``l (sqrt(2 l^-1 y l^-T - I) - I) l'`` for ``y > x/2``; domain ``v > -x``, by ``4
-    sqrt(eps)``. At the edge of the domain the image folds: there a relative change ``e`` of ``y`` changes the inverse
-    by ``sqrt(e)``.
+    Parameters
+    ----------
+    manifold : SPD
+        The manifold.
 
+    Notes
+    -----
+    It equals :math:`x/2 + (x + v) x^{-1} (x + v)/2` and is positive definite for every ``v``; NaN if an eigenvalue is
+    rounding of the largest one. Inverse: :math:`l (\sqrt{2 l^{-1} y l^{-T} - I} - I) l^T` for :math:`y > x/2`. Domain:
+    :math:`v > -x`, by :math:`4\sqrt\epsilon`. At the edge of the domain the image folds: a relative change ``e`` of
+    ``y`` changes the inverse by :math:`\sqrt e`.
+
+    References
+    ----------
+    Jeuris, Vandebril, Vandereycken, A survey and comparison of contemporary algorithms for computing the matrix
+    geometric mean, 2012.
+
+    Examples
+    --------
     >>> I = jnp.eye(2)
     >>> SPDSecondOrder(SPD(2))(I, I).tolist()
     [[2.5, 0.0], [0.0, 2.5]]
@@ -110,13 +137,26 @@ class SPDSecondOrder(DifferentiatedRetraction):
 
 @final
 class SPDLogEuclidean(MidpointRetraction):
-    """``R(x, v) = exp(log x + D log(x)[v])``, the geodesics of the log-Euclidean metric [Arsigny, Fillard, Pennec,
-    Ayache 2007].
+    r"""The exponential map of the log-Euclidean metric on positive definite matrices.
 
-    Inverse ``D exp(log x)[log y - log x]``; its image is the manifold, its domain every tangent vector short
-    enough for half of its digits to come back. Entries are NaN where an eigenvalue of the value is rounding of the
-    largest.
+    Parameters
+    ----------
+    manifold : SPD
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = \exp(\log x + D\log(x)[v])`. Inverse: :math:`D\exp(\log x)[\log y - \log x]`. Its image is the
+    manifold, its domain every tangent vector short enough for half of its digits to come back. Entries are NaN if an
+    eigenvalue of the value is rounding of the largest one.
+
+    References
+    ----------
+    Arsigny, Fillard, Pennec, Ayache, Geometric means in a novel vector space structure on symmetric positive-definite
+    matrices, 2007.
+
+    Examples
+    --------
     >>> SPDLogEuclidean(SPD(3)).manifold
     SPD(n=3)
     """

@@ -39,12 +39,25 @@ def _defect(x: Array, d: Array) -> Array:
 
 @final
 class StiefelPolar(DifferentiatedRetraction):
-    """``R(x, v) = (x + v)(I + v'v)^(-1/2)``, the polar factor of ``x + v``: the nearest frame. Second order.
+    r"""The polar retraction of frames: the nearest frame to ``x + v``. Second order.
 
-    Inverse ``y t - x`` with the symmetric ``t`` of ``a t + t a' = 2I``, ``a = x'y``; its image is where ``t`` is
-    positive definite, that is where all eigenvalues of ``a`` have positive real parts; its domain every tangent vector
-    shorter than ``1 / (4 sqrt(eps))`` [Kaneko, Fiori, Tanaka 2013].
+    Parameters
+    ----------
+    manifold : Stiefel
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = (x + v)(I + v^T v)^{-1/2}`. Inverse: :math:`y t - x` with the symmetric ``t`` of
+    :math:`a t + t a^T = 2I`, :math:`a = x^T y`. Its image is where ``t`` is positive definite: all eigenvalues of ``a``
+    have positive real parts. Its domain is every tangent vector shorter than :math:`1/(4\sqrt\epsilon)`.
+
+    References
+    ----------
+    Kaneko, Fiori, Tanaka, Empirical arithmetic averaging over the compact Stiefel manifold, 2013.
+
+    Examples
+    --------
     >>> Polar(Stiefel(3, 2))
     StiefelPolar(manifold=Stiefel(n=3, p=2))
     """
@@ -80,12 +93,25 @@ class StiefelPolar(DifferentiatedRetraction):
 
 @final
 class StiefelQR(DifferentiatedRetraction):
-    """``R(x, v)`` = orthonormal factor of the QR factorisation of ``x + v`` with positive diagonal. First order.
+    """The QR retraction of frames: the orthonormal factor of ``x + v`` with a positive diagonal. First order.
 
-    Inverse ``y t - x`` with the upper triangular ``t`` of ``a t + t'a' = 2I``, ``a = x'y``; its image is where the
-    diagonal of ``t`` is positive, that is where the leading principal minors of ``a`` are; its domain every tangent
-    vector short enough for half of its digits to come back [Kaneko, Fiori, Tanaka 2013].
+    Parameters
+    ----------
+    manifold : Stiefel
+        The manifold.
 
+    Notes
+    -----
+    Inverse: :math:`y t - x` with the upper triangular ``t`` of :math:`a t + t^T a^T = 2I`, :math:`a = x^T y`. Its image
+    is where the diagonal of ``t`` is positive: the leading principal minors of ``a`` are. Its domain is every tangent
+    vector short enough for half of its digits to come back.
+
+    References
+    ----------
+    Kaneko, Fiori, Tanaka, Empirical arithmetic averaging over the compact Stiefel manifold, 2013.
+
+    Examples
+    --------
     >>> QR(Stiefel(3, 2))
     StiefelQR(manifold=Stiefel(n=3, p=2))
     """
@@ -124,17 +150,34 @@ class StiefelQR(DifferentiatedRetraction):
 
 @final
 class StiefelCayley(DifferentiatedRetraction):
-    """``R(x, v) = (I - W/2)^-1 (I + W/2) x`` with ``W = P v x' - x v' P`` and ``P = I - xx'/2``.
+    r"""The Cayley retraction of frames, of second order for the canonical metric and of first order for the ambient
+    metric.
 
-    Second order for the canonical metric, whose geodesics are ``exp(W) x``; first order for the ambient one.
-    Eliminating the span of ``x`` leaves ``p x p`` matrices: with ``v = x Omega + k`` and ``x'k = 0``,
+    Parameters
+    ----------
+    manifold : Stiefel
+        The manifold.
 
-        R(x, v) = (2x + k) s^-1 - x,    s = I - Omega/2 + k'k/4.
+    Notes
+    -----
+    :math:`R(x, v) = (I - W/2)^{-1} (I + W/2) x` with :math:`W = P v x^T - x v^T P` and :math:`P = I - x x^T/2`; the
+    geodesics of the canonical metric are :math:`\exp(W) x`. Eliminating the span of ``x`` leaves ``p x p`` matrices:
+    with :math:`v = x\Omega + k` and :math:`x^T k = 0`,
 
-    Inverse ``2y (I + x'y)^-1 + 2x (I + y'x)^-1 - 2x``, since ``s = 2 (I + x'y)^-1``; its image is where ``x'y`` has no
-    eigenvalue -1, its domain every tangent vector short enough for half of its digits to come back [Wen, Yin 2013;
-    inverse after Zhu, Sato 2020].
+    .. math::
+        R(x, v) = (2x + k) s^{-1} - x, \quad s = I - \Omega/2 + k^T k/4.
 
+    Inverse: :math:`2y (I + x^T y)^{-1} + 2x (I + y^T x)^{-1} - 2x`, since :math:`s = 2 (I + x^T y)^{-1}`. Its image is
+    where :math:`x^T y` has no eigenvalue -1, its domain every tangent vector short enough for half of its digits to
+    come back.
+
+    References
+    ----------
+    Wen, Yin, A feasible method for optimization with orthogonality constraints, 2013; the inverse after Zhu, Sato,
+    2020.
+
+    Examples
+    --------
     >>> Cayley(Stiefel(3, 2))
     StiefelCayley(manifold=Stiefel(n=3, p=2))
     """

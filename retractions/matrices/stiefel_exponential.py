@@ -22,20 +22,36 @@ _TURNS = 60  # of the second half of the frame in the canonical logarithm
 
 @final
 class StiefelExponential(Retraction):
-    """Geodesics of the embedded metric [Edelman, Arias, Smith 1998, 2.2.2]: with ``a = x'v`` and ``s = v'v``,
+    r"""The exponential map of the embedded metric on frames.
 
-        R(x, v) = [x, v] exp [[a, -s], [I, a]] [I; 0] exp(-a) = exp(vx' - xv') x exp(-a),
+    Parameters
+    ----------
+    manifold : Stiefel
+        The manifold.
 
-    the second where its matrices are not larger, ``n <= 2p`` [Hueper, Markina, Silva Leite 2021, of their family of
-    metrics the one for alpha = -1/2].
+    Notes
+    -----
+    With :math:`a = x^T v` and :math:`s = v^T v`,
 
-    Inverse (logarithm) by shooting [after Zimmermann, Hueper 2022]: from the chord, Levenberg-Marquardt steps, with
-    derivatives of the geodesic in place of an approximate transport, until Newton's method takes over. Its domain is
-    the ball of radius pi in the Frobenius norm, the injectivity radius [Zimmermann, Stoye 2024], but for its last ``4
-    pi sqrt(eps)``; its image the points nearer than pi. For complex frames too: sectional curvatures are at most
-    ``<v'v, w'w> <= 1``, and geodesics, with the curvature ``|v'v| <= 1`` in the ambient space, are not closed below 2
-    pi.
+    .. math::
+        R(x, v) = [x, v] \exp \begin{pmatrix} a & -s \\ I & a \end{pmatrix} \begin{pmatrix} I \\ 0 \end{pmatrix}
+        \exp(-a) = \exp(v x^T - x v^T)\, x \exp(-a),
 
+    the second form if its matrices are not larger, :math:`n \le 2p`. Inverse: shooting from the chord, by
+    Levenberg-Marquardt steps with derivatives of the geodesic, then by Newton's method. Its domain is the ball of
+    radius :math:`\pi` in the Frobenius norm, the injectivity radius, except its last :math:`4\pi\sqrt\epsilon`. Its
+    image is the set of points at a distance below :math:`\pi`.
+
+    For complex frames too: sectional curvatures are at most :math:`\langle v^H v, w^H w \rangle \le 1`, and geodesics,
+    with the curvature :math:`|v^H v| \le 1` in the ambient space, are not closed below :math:`2\pi`.
+
+    References
+    ----------
+    Edelman, Arias, Smith, 1998, 2.2.2. Hüper, Markina, Silva Leite, 2021, for alpha = -1/2. Zimmermann, Hüper, 2022.
+    Zimmermann, Stoye, 2024.
+
+    Examples
+    --------
     >>> Exponential(Stiefel(3, 2))
     StiefelExponential(manifold=Stiefel(n=3, p=2))
     """
@@ -74,14 +90,30 @@ class StiefelExponential(Retraction):
 
 @final
 class StiefelCanonicalExponential(Retraction):
-    """Geodesics of ``CanonicalMetric`` [Edelman, Arias, Smith 1998, 2.4.2]: with ``a = x'v`` and ``k = v - xa``,
+    r"""The exponential map of ``CanonicalMetric`` on frames.
 
-        R(x, v) = [x, k] exp [[a, -k'k], [I, 0]] [I; 0].
+    Parameters
+    ----------
+    manifold : Stiefel
+        The manifold.
 
-    Inverse (logarithm): algorithm 3.1 of [Zimmermann 2017], then Newton's method to rounding. Its domain is the ball of
-    radius ``sqrt(4/5) pi`` in this metric, which the injectivity radius is not below [Rentmeesters 2013]. On frames (6,
-    3) it comes back to 4e-15, up to 1e-8 from the edge of the domain.
+    Notes
+    -----
+    With :math:`a = x^T v` and :math:`k = v - x a`,
 
+    .. math::
+        R(x, v) = [x, k] \exp \begin{pmatrix} a & -k^T k \\ I & 0 \end{pmatrix} \begin{pmatrix} I \\ 0 \end{pmatrix}.
+
+    Inverse: the algorithm of Zimmermann, then Newton's method to rounding. Its domain is the ball of radius
+    :math:`\sqrt{4/5}\,\pi` in this metric, a lower bound of the injectivity radius. On frames (6, 3) the inverse comes
+    back to 4e-15, up to 1e-8 from the edge of the domain.
+
+    References
+    ----------
+    Edelman, Arias, Smith, 1998, 2.4.2. Zimmermann, 2017, algorithm 3.1. Rentmeesters, 2013.
+
+    Examples
+    --------
     >>> StiefelCanonicalExponential(Stiefel(3, 2)).manifold
     Stiefel(n=3, p=2)
     """

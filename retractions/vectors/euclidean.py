@@ -11,7 +11,18 @@ from ..retraction import MidpointRetraction
 
 @final
 class Addition(MidpointRetraction):
-    """``R(x, v) = x + v`` on a Euclidean space, with inverse ``y - x``."""
+    """The retraction of a Euclidean space, ``R(x, v) = x + v``, with inverse ``y - x``.
+
+    Parameters
+    ----------
+    manifold : Euclidean
+        The space.
+
+    Examples
+    --------
+    >>> float(Addition(Euclidean(1))(jnp.ones(1), jnp.ones(1))[0])
+    2.0
+    """
 
     manifold: Euclidean
 

@@ -22,11 +22,22 @@ def _middle(manifold: Hyperbolic, x0: Array, x1: Array) -> Array:
 
 @final
 class HyperbolicExponential(MidpointRetraction):
-    """Geodesics of curvature -1: ``R(x, v) = cosh|v| x + (sinh|v| / |v|) v`` with the Lorentz length ``|v|``.
+    r"""The exponential map of hyperbolic space, of curvature -1.
 
-    Inverse ``(d / sinh d) (y - cosh d x)`` with ``cosh d = -<x, y>_L``; its image is the whole space, its domain every
-    tangent vector short enough for its value, and the square of that, to be a number; outside it entries are NaN.
+    Parameters
+    ----------
+    manifold : Hyperbolic
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = \cosh|v|\, x + (\sinh|v| / |v|)\, v` with the Lorentz length :math:`|v|`. Inverse:
+    :math:`(d / \sinh d)(y - \cosh d\, x)` with :math:`\cosh d = -\langle x, y \rangle_L`. Its image is the whole space.
+    Its domain is every tangent vector short enough for its value, and the square of its value, to be finite; outside it
+    entries are NaN.
+
+    Examples
+    --------
     >>> Exponential(Hyperbolic(2))
     HyperbolicExponential(manifold=Hyperbolic(n=2))
     """
@@ -55,13 +66,21 @@ class HyperbolicExponential(MidpointRetraction):
 
 @final
 class HyperbolicProjection(MidpointRetraction, DifferentiatedRetraction):
-    """Central projection: ``R(x, v) = (x + v) / sqrt(1 - |v|^2)`` with the Lorentz length ``|v|``, which must be below
-    1.
+    r"""The central projection of ``x + v`` on hyperbolic space; ``v`` is a point of Klein's model centred at ``x``.
 
-    It reads ``v`` as a point of Klein's model with ``x`` at its centre.
-    Inverse ``-y / <x, y>_L - x``; its image is the whole space, its domain ``|v| < 1``. Entries are NaN outside the
-    domain. Differentiated, ``(w + <y, w>_L y) / sqrt(1 - |v|^2)`` with ``y = R(x, v)``.
+    Parameters
+    ----------
+    manifold : Hyperbolic
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = (x + v) / \sqrt{1 - |v|^2}` with the Lorentz length :math:`|v| < 1`. Inverse:
+    :math:`-y / \langle x, y \rangle_L - x`. Its image is the whole space, its domain :math:`|v| < 1`; entries are NaN
+    outside the domain. Derivative: :math:`(w + \langle y, w \rangle_L y) / \sqrt{1 - |v|^2}` with :math:`y = R(x, v)`.
+
+    Examples
+    --------
     >>> Projection(Hyperbolic(2))
     HyperbolicProjection(manifold=Hyperbolic(n=2))
     """

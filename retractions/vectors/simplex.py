@@ -12,14 +12,26 @@ from ..retraction import Retraction, nan_unless
 
 @final
 class SimplexExponential(Retraction):
-    """``R(x, v)`` proportional to ``x exp(v/x)``, entry by entry: the exponential families through ``x``, always
-    positive.
+    r"""The exponential families through ``x`` on the simplex: always positive.
 
-    They are the geodesics of the e-connection [Amari 1985], not of a metric: ``SecondOrder`` makes them agree with one
-    to second order. Inverse ``v = x (log(y/x) - sum x log(y/x))``; its image is the manifold, its domain every tangent
-    vector whose value has no entry that underflows or has lost digits there (2e-308 in double precision); NaN outside
-    it.
+    Parameters
+    ----------
+    manifold : Simplex
+        The manifold.
 
+    Notes
+    -----
+    ``R(x, v)`` is proportional to :math:`x \exp(v/x)`, entry by entry. These curves are geodesics of the e-connection,
+    not of a metric: ``SecondOrder`` makes them agree with a metric to second order. Inverse:
+    :math:`v = x (\log(y/x) - \sum x \log(y/x))`. Its image is the manifold. Its domain is every tangent vector whose
+    value has no entry that underflows or has lost digits (2e-308 in double precision); NaN outside it.
+
+    References
+    ----------
+    Amari, Differential-Geometrical Methods in Statistics, 1985.
+
+    Examples
+    --------
     >>> Exponential(Simplex(3))
     SimplexExponential(manifold=Simplex(n=3))
     """

@@ -20,11 +20,21 @@ def _middle(x0: Array, x1: Array) -> Array:
 
 @final
 class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
-    """Great circles: ``R(x, v) = cos|v| x + (sin|v| / |v|) v``.
+    r"""The exponential map of the sphere: great circles.
 
-    Inverse ``(t / sin t) (y - cos t x)`` with ``cos t = <x, y>``; its image is all but the antipode, its domain ``|v| <
-    pi`` but for the last ``4 pi sqrt(eps)``.
+    Parameters
+    ----------
+    manifold : Sphere
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = \cos|v|\, x + (\sin|v| / |v|)\, v`. Inverse: :math:`(t / \sin t)(y - \cos t\, x)` with
+    :math:`\cos t = \langle x, y \rangle`. Its image is all points except the antipode, its domain :math:`|v| < \pi`
+    except the last :math:`4\pi\sqrt\epsilon`.
+
+    Examples
+    --------
     >>> Exponential(Sphere(2))
     SphereExponential(manifold=Sphere(n=2))
     """
@@ -66,11 +76,20 @@ class SphereExponential(MidpointRetraction, DifferentiatedRetraction):
 
 @final
 class SphereProjection(MidpointRetraction, DifferentiatedRetraction):
-    """Nearest point: ``R(x, v) = (x + v) / |x + v|``.
+    r"""The nearest point of the sphere to ``x + v``.
 
-    Inverse ``y / <x, y> - x``; its image is the open hemisphere around ``x``, its domain every tangent vector
-    shorter than ``1 / (4 sqrt(eps))``.
+    Parameters
+    ----------
+    manifold : Sphere
+        The manifold.
 
+    Notes
+    -----
+    :math:`R(x, v) = (x + v) / |x + v|`. Inverse: :math:`y / \langle x, y \rangle - x`. Its image is the open hemisphere
+    around ``x``, its domain every tangent vector shorter than :math:`1/(4\sqrt\epsilon)`.
+
+    Examples
+    --------
     >>> Projection(Sphere(2))
     SphereProjection(manifold=Sphere(n=2))
     """

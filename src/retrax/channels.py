@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from .integrators import OptimalControlProblem, Quantities, Quantity, Solution, Trajectory
 from .integrators.quantities import with_unit
+from .integrators.text import brief
 from .manifolds import Euclidean, InvalidInputError, Manifold
 
 ROTATIONS, POSES, SPHERE = ("SO(2)", "SO(3)"), ("SE(2)", "SE(3)"), "Sphere(2)"
@@ -84,7 +85,7 @@ def view(record: Any, problem: About = None) -> View:
         found = View(times, states, costates, stages.ravel(), controls, quantities, _is_held(times, stages))
     else:
         raise InvalidInputError(
-            f"expected a Solution or a Trajectory, got {record!r:.80}; try one member of a batch, "
+            f"expected a Solution or a Trajectory, got {brief(record)}; try one member of a batch, "
             "record[0], or one of the phases, record.phases[0]"
         )
     found.quantities.require_fits("", tuple(found.states), tuple(found.controls or _nothing(found.quantities)))
@@ -116,7 +117,7 @@ def _quantities(given: Any, states: list[np.ndarray], controls: list[np.ndarray]
     if given is None or isinstance(given, Quantities):
         return given or unnamed
     raise InvalidInputError(
-        f"problem must be an OptimalControlProblem or a Manifold, got {given!r:.80}; try SO(3) * Euclidean(3)"
+        f"problem must be an OptimalControlProblem or a Manifold, got {brief(given)}; try SO(3) * Euclidean(3)"
     )
 
 

@@ -14,16 +14,20 @@ TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp
 
 
 class RetraxError(Exception):
-    """Base of every error that this library raises.
+    """The base of all errors of the library.
 
+    Examples
+    --------
     >>> issubclass(InvalidInputError, RetraxError), issubclass(ConvergenceError, RetraxError)
     (True, True)
     """
 
 
 class InvalidInputError(RetraxError, ValueError):
-    """An argument has the wrong value, shape or structure.
+    """The error of an argument with a wrong value, shape or structure.
 
+    Examples
+    --------
     >>> Stiefel(2, 3)
     Traceback (most recent call last):
         ...
@@ -32,8 +36,10 @@ class InvalidInputError(RetraxError, ValueError):
 
 
 class InvalidCallError(InvalidInputError, TypeError):
-    """A call has an argument that the function does not have, or lacks one.
+    """The error of a call with an argument that the function does not have, or without one that it needs.
 
+    Examples
+    --------
     >>> issubclass(InvalidCallError, TypeError), issubclass(InvalidCallError, InvalidInputError)
     (True, True)
     """
@@ -44,9 +50,10 @@ class CompilingInterrupted(KeyboardInterrupt):
 
 
 class NotDifferentiableError(RetraxError, ValueError):
-    """JAX cannot differentiate a user's function: costates and Newton's method need its derivatives, forward and
-    backward.
+    """The error of a function without derivatives: costates and Newton's method need them, forward and backward.
 
+    Examples
+    --------
     >>> issubclass(NotDifferentiableError, ValueError)
     True
     """

@@ -35,7 +35,7 @@ def require_indices(program: ClosedJaxpr, what: str) -> None:
 
 def _words(within: Equations, what: str, axis: int, index: int, count: int) -> str:
     equation = within[-1]
-    shape, place = equation.invars[0].aval.shape, next(filter(None, map(_place, reversed(within))), "")
+    shape, place = equation.invars[0].aval.shape, next(filter(None, map(place_of, reversed(within))), "")
     given = index - shape[axis] if index < 0 else index  # JAX has added the size of the axis to a negative one
     least = -count if count == shape[axis] else 0  # of a slice from an index
     nothing = equation.primitive.name.startswith("scatter")
@@ -145,7 +145,7 @@ def _set(params: dict[str, Any], indices: np.ndarray, shape: tuple[int, ...]) ->
     return [*found] if dropped else []
 
 
-def _place(equation: Any) -> str:
+def place_of(equation: Any) -> str:
     """The user's function that an equation comes from, its line and file; empty where JAX does not know them."""
     modules = [*sys.modules.items()]
     ours = {getattr(own, "__file__", None) for name, own in modules if name.partition(".")[0] in LIBRARIES}

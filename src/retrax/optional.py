@@ -10,7 +10,7 @@ from .undisturbed import put_off
 
 
 class MissingPackageError(RetraxError, ImportError):
-    """A package that a function needs is not installed."""
+    """The error of a function that needs a package that is not installed."""
 
 
 def needed(name: str, what: str) -> Any:

@@ -102,12 +102,12 @@ def hurried() -> ConvergenceError:
     return raised.value
 
 
-def test_the_error_holds_what_was_reached_with_gap_and_stationarity_in_their_places():
+def test_the_error_holds_what_was_reached_with_defect_and_stationarity_in_their_places():
     reached = hurried().solution
     checks = reached.checks
     assert not reached.success
-    assert checks.gap < 1e-13 < 1e-3 < checks.stationarity
-    assert f"gap {checks.gap:.1e}, stationarity {checks.stationarity:.1e}" in str(reached)
+    assert checks.defect < 1e-13 < 1e-3 < checks.stationarity
+    assert f"defect {checks.defect:.1e}, stationarity {checks.stationarity:.1e}" in str(reached)
     assert np.all(np.diff(reached.states[:, 0]) > 0)
     assert np.isfinite(reached.cost)
 

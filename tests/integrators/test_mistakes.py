@@ -144,6 +144,10 @@ MISTAKES = {
         "integrate(lambda q: q @ q, SymplecticIntegrator(Gauss(1, Cayley(LINE))), (J[:1], J[:1]), 0.1, 2)",
         "q, p",
     ),
+    "size of a group": ("SO(2.5)", "a whole number n of at least 2, got 2.5"),
+    "retraction of a name": ("Cayley('SO(3)')", "takes a manifold, got 'SO"),
+    "method of a manifold": ("Midpoint(SO(3))", r"default_retraction\(manifold\)"),
+    "stages of a method": ("Gauss(0, Cayley(Q))", "stage"),
     "a phase alone": ("solve_phases(Phase(PROBLEM, METHOD, 3, 1.0))", "phase"),
 }
 

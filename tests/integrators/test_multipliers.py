@@ -85,8 +85,8 @@ def test_the_controls_make_the_hamiltonian_stationary_at_the_stage_costates(solv
 def test_the_boundary_points_are_met(solved):
     _, _, solution = solved
     assert solution.success
-    assert solution.checks.gap < 1e-11
-    assert solution.checks.constraint < 1e-13
+    assert solution.checks.defect < 1e-11
+    assert solution.checks.manifold_violation < 1e-13
 
 
 def test_the_cost_is_the_sum_of_the_running_cost_over_the_stages(solved):

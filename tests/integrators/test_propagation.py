@@ -10,7 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, discretization_error, solve
-from retrax.integrators.boundary_value.propagation import DiscretizationError, Propagator, _AtOnce, factor_distances
+from retrax.integrators.boundary_value.distances import factor_distances
+from retrax.integrators.boundary_value.propagation import DiscretizationError, Propagator, _AtOnce
 from retrax.manifolds import SE, SO, DomainError, Euclidean, Power, Product, Sphere, hat
 from retrax.retractions import Cayley, Exponential, Gauss, Projection
 from scipy.integrate import solve_ivp
@@ -290,8 +291,8 @@ def test_distances_of_factors() -> None:
         c, s = np.cos(angle), np.sin(angle)
         plane = np.kron(np.eye(2), np.array([[c, -s], [s, c]]))
         second = pose, circle, np.stack([np.eye(3), turn]), plane, shift
-        found = dict(factor_distances(manifold, first, second))
-        assert list(found) == [
+        found = list(factor_distances(manifold, first, second))
+        assert [name for name, *_ in found] == [
             "factor 0, SE(3), rotation",
             "factor 0, SE(3), translation",
             f"factor 1, {S2}",
@@ -300,7 +301,8 @@ def test_distances_of_factors() -> None:
             "factor 4, R^3",
         ]
         expected = [angle, 5.0, angle, angle, np.sqrt(2) * angle, 5.0]
-        np.testing.assert_allclose(list(found.values()), expected, rtol=1e-6)
+        np.testing.assert_allclose([distance for _, distance, _ in found], expected, rtol=1e-6)
+        assert [is_angle for *_, is_angle in found] == [True, False, True, True, False, False]
 
 
 @pytest.mark.parametrize("stages", [1, pytest.param(3, marks=pytest.mark.slow)])

@@ -237,7 +237,7 @@ def test_what_is_no_record_is_refused(record, kind, tmp_path):
 def test_another_version_is_refused_in_words(record, version, tmp_path):
     path, _ = saved(record[0], tmp_path)
     name = type(record[0]).__name__
-    expected = f"retrax.{name} {'6' if name == 'Solution' else '1'}"
+    expected = f"retrax.{name} {'7' if name == 'Solution' else '1'}"
     np.savez(path, **{**np.load(path), "schema": np.asarray(f"retrax.{name} {version}")})
     with pytest.raises(
         InvalidInputError, match=f"schema retrax.{name} {version}, where this version .* reads '{expected}'"
@@ -300,7 +300,7 @@ def test_a_file_that_is_not_there_is_the_usual_error(record, tmp_path):
         ({"times": TIMES[[0, 2, 1, 3]]}, "times are not finite real numbers in ascending or descending order"),
         ({"controls": [[1.0, 2.0]] * N}, "controls is .*expected an array of numbers"),
         ({"momenta": np.ones((N + 1, 3))}, "momenta is an array .*expected values by their names"),
-        ({"checks": 0.5}, "checks is 0.5, expected the fields gap, stationarity"),
+        ({"checks": 0.5}, "checks is 0.5, expected the fields defect, stationarity"),
         ({"cost": (1.0, 2.0)}, "cost is a tuple of 2, expected a value of type float"),
         ({"parameters": {1: 2.0}}, "parameters has a key that is no word"),
         ({"parameters": {"mass": "heavy"}}, "parameters is 'heavy', expected real numbers and arrays"),

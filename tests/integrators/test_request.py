@@ -9,7 +9,7 @@ from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, class
 from retrax.integrators.boundary_value import request
 from retrax.integrators.boundary_value.arguments import Given, Options
 from retrax.integrators.boundary_value.request import Request
-from retrax.integrators.singular import RattleIntegrator
+from retrax.integrators.singular.strategies import RattleIntegrator
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint, Theta
 

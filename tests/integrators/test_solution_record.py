@@ -71,7 +71,7 @@ def test_the_report_has_the_numbers(solution, capsys):
     checks = solution.checks
     for number in (
         f"{solution.cost:.12g}",
-        f"{checks.gap:.1e}",
+        f"{checks.defect:.1e}",
         f"{checks.stationarity:.1e}",
         f"{checks.hamiltonian:.10g}",
     ):

@@ -157,7 +157,7 @@ def test_a_callback_sees_every_iteration_and_can_stop(bound):
     seen = []
     whole = bound.solve(START, END, HORIZON, callback=lambda i: seen.append(i))
     assert [i.number for i in seen] == list(range(whole.statistics.iterations + 1))
-    assert seen[-1].gap[0] == whole.checks.gap <= DEFAULT
+    assert seen[-1].defect[0] == whole.checks.defect <= DEFAULT
     for last in range(len(seen) - 1):
         stopped = bound.solve(START, END, HORIZON, callback=lambda i, last=last: i.number >= last, throw=False)
         assert not stopped.success
@@ -192,7 +192,7 @@ def test_an_interrupt_returns_the_best_iterate(bound):
     found = bound.solve(START, END, HORIZON, callback=interrupt, throw=False)
     assert not found.success
     assert found.result == Result[Result.stopped]
-    assert found.checks.gap == seen[-1].gap[0] < seen[0].gap[0]
+    assert found.checks.defect == seen[-1].defect[0] < seen[0].defect[0]
     many = bound.solve_many(START, np.stack([END, 2 * END]), HORIZON, callback=interrupt)
     assert not many.success.any()
 
@@ -200,7 +200,7 @@ def test_an_interrupt_returns_the_best_iterate(bound):
 def test_verbose_prints_a_line_for_each_iteration(bound, capsys):
     found = bound.solve(START, END, HORIZON, verbose=True)
     title, *lines = capsys.readouterr().out.splitlines()
-    assert title.split() == ["iteration", "cost", "gap", "stationarity", "shift", "step"]
+    assert title.split() == ["iteration", "cost", "defect", "stationarity", "shift", "step"]
     assert len(lines) == found.statistics.iterations + 1
     assert float(lines[-1].split()[1]) == pytest.approx(found.cost, rel=1e-8)
 
@@ -222,11 +222,11 @@ def test_a_value_that_is_held_and_changes_is_never_ignored(way):
 def test_success_is_decided_by_the_tolerance(bound, factor):
     """One iteration fewer than are needed, and a tolerance about the residual reached by then."""
     seen = []
-    bound.solve(START, END, HORIZON, callback=lambda i: seen.append(max(i.gap[0], i.stationarity[0])))
+    bound.solve(START, END, HORIZON, callback=lambda i: seen.append(max(i.defect[0], i.stationarity[0])))
     steps = len(seen) - 2
     reached = seen[steps]
     found = bound.solve(START, END, HORIZON, tolerance=factor * reached, max_iterations=steps, throw=False)
-    assert max(found.checks.gap, found.checks.stationarity) <= reached * (1 + 1e-12)
+    assert max(found.checks.defect, found.checks.stationarity) <= reached * (1 + 1e-12)
     assert found.success == (factor >= 1)
 
 

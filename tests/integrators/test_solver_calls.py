@@ -56,7 +56,7 @@ def test_a_callback_ends_the_iteration(solver, last):
     assert [iteration.number for iteration in seen] == [*range(last + 1)]
     assert not stopped.success
     assert stopped.result == Result[Result.stopped]
-    assert stopped.checks.gap == pytest.approx(seen[-1].gap[0])
+    assert stopped.checks.defect == pytest.approx(seen[-1].defect[0])
 
 
 def test_an_interrupt_leaves_what_was_reached(solver):

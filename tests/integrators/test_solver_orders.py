@@ -101,5 +101,5 @@ def test_a_terminal_cost_at_a_fixed_end_changes_neither_the_trajectory_nor_the_i
 def test_a_tolerance_between_the_measures_of_a_gap_ends_at_the_point_that_was_asked_for(tolerance):
     """The gap counts defects of the points too, by other units than the nodes: it may exceed the tolerance alone."""
     found = solver_of(3).solve(START, END, 1.0, tolerance=tolerance)
-    assert found.checks.gap <= tolerance
+    assert found.checks.defect <= tolerance
     np.testing.assert_allclose(found.states[0][-1], END[0], atol=1e3 * tolerance)

@@ -175,8 +175,8 @@ def test_the_gap_has_the_defects_of_the_points():
         guess=guess,
         callback=lambda seen_: seen.append(seen_),
     )
-    assert seen[0].gap[0] == pytest.approx(1 / 3)  # of the way, that of each step
-    assert solution.checks.gap < 1e-12
+    assert seen[0].defect[0] == pytest.approx(1 / 3)  # of the way, that of each step
+    assert solution.checks.defect < 1e-12
 
 
 def test_steps_of_a_flat_space_are_followed_whole():

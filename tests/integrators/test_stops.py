@@ -85,7 +85,7 @@ def test_an_interrupt_between_two_meshes_leaves_the_last_solution(monkeypatch):
         assert not found.success
         assert found.statistics.stopped
         assert "stopped" in found.result
-        assert found.checks.gap < 1e-9
+        assert found.checks.defect < 1e-9
     errors = [found.checks.error for found, _ in stopped]
     assert errors[0] is None
     assert errors[1:] == sorted(errors[1:], reverse=True)
@@ -160,5 +160,5 @@ def test_a_callback_of_a_batch_may_tell_of_each_member():
     )
     assert not found.success.any()
     assert solver.solve_many(
-        np.zeros(1), np.array([[1.0], [2.0]]), 1.0, callback=lambda iteration: iteration.gap < 0
+        np.zeros(1), np.array([[1.0], [2.0]]), 1.0, callback=lambda iteration: iteration.defect < 0
     ).success.all()

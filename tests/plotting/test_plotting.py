@@ -290,7 +290,7 @@ def test_convergence_is_that_of_the_member(solved):
     axis = plotting.convergence(iterations)
     gaps = axis.lines[0].get_ydata()
     assert len(gaps) == len(iterations)
-    assert gaps[-1] == max(solution.checks.gap, np.finfo(float).eps)
+    assert gaps[-1] == max(solution.checks.defect, np.finfo(float).eps)
     with pytest.raises(InvalidInputError, match="member 1"):
         plotting.convergence(iterations, member=1)
 

@@ -17,7 +17,7 @@ from retrax.integrators import (
     Trajectory,
     integrate,
 )
-from retrax.integrators.singular import ControlAffineSplitting, RattleIntegrator
+from retrax.integrators.singular.strategies import ControlAffineSplitting, RattleIntegrator
 from retrax.manifolds import CotangentBundle, Euclidean, Submanifold, hat
 from retrax.retractions import Addition, Cayley, CotangentLift, Euler, Midpoint, Projection
 

@@ -4,6 +4,7 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from ....former_names import former_field
 from .kkt_system import Assembled, Iterate, Residuals
 
 
@@ -17,13 +18,14 @@ class Iteration(NamedTuple):
     number: int
     members: np.ndarray  # their places in the batch
     cost: np.ndarray
-    gap: np.ndarray
+    defect: np.ndarray  # relative, as in ``Checks``
     stationarity: np.ndarray
     shift: np.ndarray  # of the Hessian's diagonal, relative to it
     fraction: np.ndarray  # of the step that was tried
     accepted: np.ndarray
     violation: np.ndarray  # of the inequalities, relative
     barrier: np.ndarray  # relative to the unit of the cost rate; zero without inequalities
+    gap = former_field("Iteration", "gap", "defect")
 
 
 @final

@@ -16,7 +16,8 @@ from ....manifolds.numerics.ambient import Ambient, Frame
 from ....retractions import Retraction
 from ...compilation import compiled
 from ...problem import OptimalControlProblem
-from ...singular import Classification, FinalEquations
+from ...singular import Classification
+from ...singular.integrability import FinalEquations
 from ..end_points import NodeCondition, Part
 from .least_squares import least_squares
 from .segments import Pair

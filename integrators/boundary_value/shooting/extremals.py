@@ -19,7 +19,8 @@ from ...initial_value.passed_jumps import Energy, Segments
 from ...layout import Layout
 from ...problem import OptimalControlProblem
 from ...results import Result
-from ...singular import Classification, FinalEquations, SingularIntegrator, singular_integrator
+from ...singular import Classification, SingularIntegrator, singular_integrator
+from ...singular.integrability import FinalEquations
 from ...stages import ControlStage
 from ...text import many
 from ..arguments import copied
@@ -262,7 +263,7 @@ def _record(
         result=result,
         checks=SingularChecks.of(
             diagnostics,
-            gap=max(float(found.at.distance), *arc.conditions.values()),
+            defect=max(float(found.at.distance), *arc.conditions.values()),
             stationarity=float(outcome.residual),
         ),
         statistics=Statistics(found.iterations, *seconds, bool(found.result == Result.stopped)),

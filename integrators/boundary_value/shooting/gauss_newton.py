@@ -26,7 +26,7 @@ STATIONARY, NEARLY_STATIONARY = 1e-8, 1e-4  # largest derivative of the residual
 DECREASE = 1e-6  # of the conditions: what a step takes away at least
 PATIENCE, PROGRESS = 20, 0.1  # iterations in which the conditions have to come nearer by this fraction
 SETTLED = 1e-9  # last change of the gauge controls, relative to 1 + size
-TITLES = f"{'iteration':>9} {'conditions':>10} {'gap':>9} {'damping':>8}"
+TITLES = f"{'iteration':>9} {'conditions':>10} {'defect':>9} {'damping':>8}"
 
 
 class Found(NamedTuple):

@@ -11,7 +11,7 @@ from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ...compilation import compiled
 from ...problem import OptimalControlProblem
-from ...singular import ControlAffineSplitting
+from ...singular.strategies import ControlAffineSplitting
 from ...singular.strategies.affine import brackets, regular_places
 from ...singular.strategies.leaves import ambient_field
 from .segments import Pair

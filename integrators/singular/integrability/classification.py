@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,7 +14,6 @@ from ....manifolds import (
     Euclidean,
     Immersion,
     InvalidInputError,
-    Manifold,
     PresymplecticManifold,
     Submanifold,
 )
@@ -29,13 +29,26 @@ from .points import APPROACHED
 
 @dataclass(frozen=True)
 class MorseTest:
-    """Whether ``H`` is a Morse family and whether the problem is regular, measured at ``count`` points with ``dH/du =
-    0``.
+    r"""A test at points with ``dH/du = 0`` whether ``H`` is a Morse family and whether the problem is regular.
 
-    The points are ``states``, pairs ``(q, p)`` of leaves ``(count, *leaf)``, with ``controls``. ``family``:
-    ``D(dH/du)`` has rank m at all of them. ``regular``: so has ``d2H/du2``. Singular values are those of the point
-    where the smallest is smallest, in units of the problem's own sizes; ``gap`` is the last one counted over the first
-    one not counted.
+    Attributes
+    ----------
+    count : int
+        The number of points.
+    states : pair of points and covectors
+        The points ``(q, p)``, shape ``(count, *leaf)``.
+    controls : array, or tuple of arrays
+        The controls there.
+    family : bool
+        Whether :math:`D(\partial H / \partial u)` has rank m at all points.
+    family_singular_values : array
+        Singular values at the point with the smallest one, in units of the sizes of the problem.
+    regular : bool
+        Whether :math:`\partial^2 H / \partial u^2` has rank m at all points.
+    hessian_singular_values : array
+        Its singular values, likewise.
+    gap : float
+        The last counted singular value over the first one that is not counted.
     """
 
     count: int
@@ -50,14 +63,32 @@ class MorseTest:
 
 @dataclass(frozen=True, eq=False)
 class Stratum:
-    """A piece of ``P_f`` of constant ranks, seen at ``count`` of the points.
+    """A piece of ``P_f`` with constant ranks, found at ``count`` of the points.
 
-    ``signature``: codimension, free controls, rank of the form. ``flat``: its tangent spaces are the same at all its
-    points. ``k_f`` and ``k_f_base``: the levels at which ``S`` and ``P`` stop changing there. ``determined_at``: for
-    each component of the control the level that determines it, None if it is free. ``q``, ``p``, ``u``: a point of it
-    and a control there. ``kernel``: basis of the kernel of ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs
-    ``(dq, dp)``. ``states``: all its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``. ``equations`` may vanish on
-    other pieces too; ``piece``: equations that do not, None where the piece lies in no affine space of its own.
+    Attributes
+    ----------
+    signature : Signature
+        Codimension, free controls, rank of the form.
+    count : int
+        The number of points on it.
+    flat : bool
+        Whether its tangent spaces are the same at all points.
+    k_f, k_f_base : int
+        The levels at which ``S`` and ``P`` stop changing.
+    determined_at : tuple of int or None
+        For each control component the level that determines it; None if it is free.
+    q, p, u : point, covector, control
+        A point of the piece, and a control there.
+    kernel : pair
+        Basis of the kernel of ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs ``(dq, dp)``.
+    states : pair
+        All its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``.
+    equations : FinalEquations
+        Equations, which may vanish on other pieces too.
+    piece : PieceEquations or None
+        Equations of this piece alone; None if it lies in no affine space of its own.
+    feedback : FinalEquations
+        The equations that determine the controls.
     """
 
     signature: Signature
@@ -77,34 +108,50 @@ class Stratum:
 
     @property
     def codimension(self) -> int:
-        """Number of independent equations in ``T*Q``."""
+        """The number of independent equations in ``T*Q``."""
         return self.signature.codimension
 
     @property
     def dimension(self) -> int:
-        """Dimension of the piece: rank of the form and dimension of its kernel."""
+        """The dimension of the piece: rank of the form plus dimension of its kernel."""
         return self.rank + len(jax.tree.leaves(self.kernel)[0])
 
     @property
     def rank(self) -> int:
-        """Rank of ``omega_f``."""
+        """The rank of ``omega_f``."""
         return self.signature.form_rank
 
     @property
     def free_controls(self) -> int:
-        """Number of controls that are left free."""
+        """The number of free controls."""
         return self.signature.free_controls
 
 
 @dataclass(frozen=True, eq=False)
 class Classification(IntegrabilityResult[Stratum]):
-    """What the integrability algorithm found at points of ``T*Q``: ``levels`` holds the evidence, level by level.
+    """The result of the integrability algorithm at points of ``T*Q``, with the evidence of each level.
 
-    ``jump``: words on a jump of the problem's functions between these points, on whose sides ``P_f`` may differ; empty
-    if none was found.
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+        The problem.
+    strata : tuple of Stratum
+        The pieces of ``P_f``, largest dimension first. The properties describe the first one.
+    morse : MorseTest or None
+        The test for a Morse family and for regularity; None if no point was found.
+    levels : tuple of Level
+        The evidence, level by level.
+    excluded : int
+        The number of points that were left out.
+    zero_costate_excluded : bool
+        Whether extremals with ``p = 0`` were left out.
+    digest : bytes or None
+        A digest of the functions of the problem.
+    jump : str
+        Words on a jump of the functions between the points, on whose sides ``P_f`` may differ; empty without one.
     """
 
-    morse: MorseTest | None
+    morse: MorseTest | Any
     levels: tuple[Level, ...]
     excluded: int
     zero_costate_excluded: bool
@@ -142,7 +189,13 @@ class Classification(IntegrabilityResult[Stratum]):
         return self.reliable and not self.empty and any(2 * level.missing >= level.tried for level in self.levels)
 
     def is_of(self, problem: OptimalControlProblem) -> bool:
-        """Whether this is the classification of a problem, whose functions compute what they did when it was made."""
+        """Whether this is the classification of a problem whose functions still compute the same.
+
+        Parameters
+        ----------
+        problem : OptimalControlProblem
+            The problem.
+        """
         unchanged = self.digest is None or self.digest == problem.digest()
         return unchanged and is_same_problem(self.problem, problem)
 
@@ -177,7 +230,7 @@ class Classification(IntegrabilityResult[Stratum]):
         return self.stratum.equations
 
     @cached_property
-    def manifold(self) -> Manifold:
+    def manifold(self) -> Submanifold | Any:
         """``P_f`` as an embedded manifold; ``Projection(P_f)`` is a retraction of it, ``P_f.nearby(z)`` a point of it
         near ``z``.
 
@@ -194,11 +247,18 @@ class Classification(IntegrabilityResult[Stratum]):
         return PresymplecticManifold(self.manifold, CotangentBundle(self.problem.manifold).two_form)
 
     def control(self, q: Ambient, p: Ambient, gauge: ArrayLike | None = None) -> Ambient:
-        """The control at a point of ``P_f``, a JAX function: compiled at its first call, with the values that the
-        problem's functions read then.
+        """The control at a point of ``P_f``, a JAX function that is compiled at its first call.
 
-        ``gauge``, shape ``(gauge controls,)``, gives the components ``gauge_components``; by default those at the point
-        of the stratum. Entries are NaN where the equations cannot be solved for the others.
+        Parameters
+        ----------
+        q, p : point, covector
+            A point of ``P_f``.
+        gauge : array_like of shape (gauge controls,), optional
+            The components ``gauge_components``; by default their values at the point of the stratum.
+
+        Notes
+        -----
+        Entries are NaN if the equations cannot be solved for the other components.
         """
         return self._control((q, p), gauge)
 

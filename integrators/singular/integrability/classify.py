@@ -70,26 +70,57 @@ def classify(
     symbolic: bool = False,
     verbose: bool = False,
 ) -> "Classification | SymbolicClassification":
-    """Run the integrability algorithm on Pontryagin's necessary conditions, with controls in the interior of U.
+    r"""Run the integrability algorithm on Pontryagin's necessary conditions, with controls in the interior of U.
 
-    ``S^0 = S_H``, ``P^k = tau(S^k)``, ``S^{k+1} = T P^k`` intersected with ``S^k``, until nothing changes: pointwise,
-    from the ranks of the derivative array of ``dH/du = 0`` at consistent points found from ``starts`` random ones
-    (drawn with ``seed``). ``exclude_zero_costate``: leave out extremals with ``p = 0``. By default so where
-    Pontryagin's principle excludes them: in abnormal problems, and in those with a free end, no running cost and a
-    terminal cost whose differential vanishes nowhere, because an entry of it is one number everywhere, as that of
-    ``q[2]``. ``near``, a state ``(q, p)``: start from it and from points around it, to see a piece of ``P_f`` too thin
-    for random starts to come to.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        A problem with controls.
+    starts : int
+        The number of random starts.
+    seed : int
+        Their seed.
+    exclude_zero_costate : bool, optional
+        Whether to leave out extremals with ``p = 0``. By default so where Pontryagin's principle excludes them: in
+        abnormal problems, and in problems with a free end, no running cost and a terminal cost with a constant nonzero
+        derivative, such as ``q[2]``.
+    near : tuple of point and covector, optional
+        A state ``(q, p)``: starts are this state and points around it, to find a thin piece of ``P_f``.
+    symbolic : bool
+        Whether to use exact algebra, for problems on R^n. It needs SymPy, takes no ``near`` and ignores ``starts`` and
+        ``seed``.
+    verbose : bool
+        Whether to show the progress.
 
-    A rank is a statement about the points tested; the record holds the gaps between the singular values, how many
-    points agree, and every stratum seen. With ``symbolic`` the algorithm runs in exact algebra instead, for problems on
-    R^n, and gives equations, kernel and controls in closed form; it needs SymPy (``pip install "retrax[symbolic]"``).
-    It starts from no points: ``starts`` and ``seed`` play no part in it, and ``near`` is refused. ``verbose`` shows how
-    many points are through with the algorithm, as in ``integrate``; Ctrl-C is the usual ``KeyboardInterrupt``, whose
-    one argument is the tuple of the levels until then.
+    Returns
+    -------
+    Classification or SymbolicClassification
+        The pieces of ``P_f`` with equations, kernel and controls.
 
-    Raises ``InvalidInputError`` for anything but a problem with controls, functions with a kink in them as ``|u|`` or
-    that are finite at no start, anything but a number of starts, and functions outside the reach of exact algebra, and
-    ``NotOnManifoldError`` if ``near`` is not a state.
+    Raises
+    ------
+    InvalidInputError
+        For other arguments, functions with a kink such as ``|u|``, functions without a finite value at the starts, and
+        functions outside exact algebra.
+    NotOnManifoldError
+        If ``near`` is not a state.
+
+    Notes
+    -----
+    :math:`S^0 = S_H`, :math:`P^k = \tau(S^k)`, :math:`S^{k+1} = TP^k \cap S^k`, until nothing changes. Ranks come from
+    the derivative array of :math:`\partial H / \partial u = 0` at consistent points. A rank is a statement about these
+    points: the record holds the gaps between singular values, the number of points that agree, and every stratum. An
+    interrupt is a ``KeyboardInterrupt`` whose argument is the tuple of the levels until then.
+
+    References
+    ----------
+    Barbero-Liñán and Martin de Diego, Presymplectic integrators for optimal control problems via retraction maps, 2023.
+
+    Examples
+    --------
+    >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> classify(line).regular
+    True
     """
     require_concrete("classify", problem, near)
     _check(problem, starts, near)

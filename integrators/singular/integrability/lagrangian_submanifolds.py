@@ -44,7 +44,19 @@ def critical_set(problem: OptimalControlProblem) -> Submanifold:
 
 
 def L_H(problem: OptimalControlProblem) -> Immersion:
-    """``{(z, dH(z, u)) : dH/du = 0}`` in ``T*T*Q`` with its canonical form."""
+    r"""The Lagrangian submanifold :math:`\{(z, dH(z, u)) : \partial H / \partial u = 0\}` of ``T*T*Q`` with its
+    canonical form.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem, with Pontryagin's Hamiltonian ``H``.
+
+    Returns
+    -------
+    Immersion
+        The submanifold, immersed from states and controls.
+    """
     critical = critical_set(problem)
     phase = CotangentBundle(problem.manifold)
     bundle = CotangentBundle(phase)
@@ -57,7 +69,19 @@ def L_H(problem: OptimalControlProblem) -> Immersion:
 
 
 def S_H(problem: OptimalControlProblem) -> Immersion:
-    """``{(z, X_H(z, u)) : dH/du = 0}`` in ``TT*Q`` with the tangent lift of the canonical form."""
+    r"""The Lagrangian submanifold :math:`\{(z, X_H(z, u)) : \partial H / \partial u = 0\}` of ``TT*Q`` with the
+    tangent lift.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem, with Pontryagin's Hamiltonian ``H``.
+
+    Returns
+    -------
+    Immersion
+        The submanifold, immersed from states and controls.
+    """
     critical = critical_set(problem)
     phase = CotangentBundle(problem.manifold)
     space = PresymplecticManifold(TangentBundle(phase), tangent_lift(phase.two_form))

@@ -23,11 +23,18 @@ class NotApplicableError(InvalidInputError):
 
 
 class SingularIntegrator(LiftedIntegrator):
-    """A method for the extremals of a singular problem on its final constraint manifold ``P_f``.
+    """A method for the extremals of a singular problem on its final constraint manifold ``P_f``: a base class.
 
-    ``presymplectic`` says whether it preserves the form ``omega_f`` of ``P_f``; ``keeps_nodes`` whether its nodes lie
-    on ``P_f``, and not ``O(h^2)`` beside it; ``meets_stages`` whether ``dH/du = 0`` at the stage of each step.
-    ``hull``: the affine space that the piece of ``P_f`` lies in, if there is one; a step that leaves it is not solved.
+    Parameters
+    ----------
+    hull : AffineHull, optional
+        The affine space of the piece of ``P_f``; a step that leaves it is not solved.
+
+    Notes
+    -----
+    ``presymplectic``: whether the method preserves the form ``omega_f`` of ``P_f``. ``keeps_nodes``: whether its nodes
+    lie on ``P_f``, not at a distance :math:`O(h^2)`. ``meets_stages``: whether ``dH/du = 0`` holds at the stage of each
+    step.
     """
 
     hull: AffineHull | None = eqx.field(default=None, kw_only=True)
@@ -42,7 +49,13 @@ class SingularIntegrator(LiftedIntegrator):
     def unchecked_step(
         self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any
     ) -> StepResult:
-        """The step, which may lead to another piece of ``P_f``."""
+        """The step, which may lead to another piece of ``P_f``.
+
+        Parameters
+        ----------
+        system, h, q, p, previous
+            As in ``step``.
+        """
 
     def step(self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
         new = self.unchecked_step(system, h, q, p, previous)
@@ -71,7 +84,15 @@ class SingularIntegrator(LiftedIntegrator):
     @classmethod
     @abstractmethod
     def suited(cls, classification: Classification, lift: CotangentLift, gauge: Gauge | None) -> tuple[Self, str]:
-        """The integrator of this kind for a classified problem, and why it applies.
+        """The integrator of this kind for a classified problem, and the reason; raises ``NotApplicableError``
+        without one.
 
-        Raises ``NotApplicableError`` if there is none.
+        Parameters
+        ----------
+        classification : Classification
+            The classified problem.
+        lift : CotangentLift
+            The lift of a discretization map.
+        gauge : callable or None
+            As in ``singular_integrator``.
         """

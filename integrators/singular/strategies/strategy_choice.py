@@ -33,11 +33,18 @@ STRATEGIES: dict[str, type[SingularIntegrator]] = {
 @final
 @dataclass(frozen=True)
 class Choice:
-    """Which strategy of ``STRATEGIES`` integrates a problem on ``P_f``, and why. Printed, it says so, a line each.
+    """The strategy of an integrator on ``P_f`` with its reason; printed, a line for each statement.
 
-    ``strategy``: its name; ``reason``: why it applies; ``remarks``: which gauge controls are taken, and which piece of
-    ``P_f``, where there are several; ``refusals``: why the strategies that were tried before it do not apply, by their
-    names.
+    Attributes
+    ----------
+    strategy : str
+        Its name in ``STRATEGIES``.
+    reason : str
+        The reason why it applies.
+    remarks : tuple of str
+        The gauge controls in use, and the piece of ``P_f`` if there are several.
+    refusals : dict of str to str
+        The reasons why earlier strategies do not apply.
     """
 
     strategy: str
@@ -56,19 +63,32 @@ def singular_integrator(
     strategy: str | None = None,
     gauge: Gauge | None = None,
 ) -> tuple[SingularIntegrator, Choice]:
-    """An integrator on the final constraint manifold ``P_f`` of a classified problem, through the lift of a
-    discretization map, and the choice of it.
+    """An integrator on the final constraint manifold ``P_f`` of a classified problem, and the choice of it.
 
-    By default the first strategy of ``STRATEGIES`` that applies; ``print(choice)`` says why, and why not those before
-    it.
-    ``gauge(t, q, p)``, shape ``(gauge controls,)``, gives the components ``classification.gauge_components`` of the
-    control, ``t`` from the start of the integration; without it the control of least norm is taken.
+    Parameters
+    ----------
+    classification : Classification
+        The result of ``classify``; ``classification.choose(i)`` selects another piece.
+    discretization : DiscretizationMap
+        The map whose lift is used.
+    strategy : str, optional
+        A name in ``STRATEGIES``; by default the first one that applies.
+    gauge : callable, optional
+        ``gauge(t, q, p)`` returns the components ``classification.gauge_components`` of the control, shape ``(gauge
+        controls,)``, with ``t`` from the start of the integration. By default the control of least norm.
 
-    Where ``P_f`` has several pieces the integrator is for the first; ``classification.choose(i)`` takes another.
+    Returns
+    -------
+    integrator : SingularIntegrator
+        The integrator, for ``integrate`` or ``solve``.
+    choice : Choice
+        The reasons; print it.
 
-    Raises ``InvalidInputError`` if ``P_f`` is empty or its equations are irregular, if the strategy asked for does not
-    apply, or if the gauge, tried at ``t = 0`` and the point of the piece, does not return finite controls of this
-    number.
+    Raises
+    ------
+    InvalidInputError
+        If ``P_f`` is empty or irregular, if the strategy does not apply, or if the gauge does not return finite
+        controls.
     """
     if not isinstance(classification, Classification):
         raise InvalidInputError(f"expected a Classification, got {classification!r}; try classify(problem)")

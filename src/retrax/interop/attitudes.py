@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation, RotationSpline
 
 from ..channels import About, View, rotations, view
 from ..integrators import Solution
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 
 Scalar = Literal["first", "last"]
@@ -26,12 +27,25 @@ REQUIRED = "REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"
 
 
 def to_quaternions(matrices: Any, scalar: Scalar) -> np.ndarray:
-    """Unit quaternions of rotations of shape ``(..., 3, 3)``, shape ``(..., 4)``, with the scalar part ``"first"`` or
-    ``"last"``.
+    """The unit quaternions of rotations.
 
-    The second rotation of a sequence, and each after it, has the sign that is nearer to the one before. The first one
-    has a scalar part that is not negative. Raises ``InvalidInputError`` for other words, and for arrays that are not
-    rotations.
+    Parameters
+    ----------
+    matrices : array_like of shape (..., 3, 3)
+        Rotation matrices.
+    scalar : {"first", "last"}
+        The place of the scalar part.
+
+    Returns
+    -------
+    array of shape (..., 4)
+        Unit quaternions. Each quaternion of a sequence has the sign that is closer to the quaternion before it; the
+        first one has a nonnegative scalar part.
+
+    Raises
+    ------
+    InvalidInputError
+        For another word, and for arrays that are not rotations.
     """
     _require_scalar(scalar)
     given = np.asarray(matrices, float)
@@ -45,11 +59,30 @@ def to_quaternions(matrices: Any, scalar: Scalar) -> np.ndarray:
 
 
 def from_quaternions(quaternions: Any, scalar: Scalar) -> np.ndarray:
-    """Rotations, shape ``(..., 3, 3)``, of unit quaternions of shape ``(..., 4)`` with the scalar part ``"first"`` or
-    ``"last"``.
+    """The rotations of unit quaternions.
 
-    Quaternions are divided by their norms, which may be off by rounding to six digits. Raises ``InvalidInputError`` for
-    others.
+    Parameters
+    ----------
+    quaternions : array_like of shape (..., 4)
+        Unit quaternions; they are divided by their norms, which may be off by rounding to six digits.
+    scalar : {"first", "last"}
+        The place of the scalar part.
+
+    Returns
+    -------
+    array of shape (..., 3, 3)
+        Rotation matrices.
+
+    Raises
+    ------
+    InvalidInputError
+        For another word, and for quaternions of another norm.
+
+    Examples
+    --------
+    >>> from retrax.interop import from_quaternions
+    >>> from_quaternions([1.0, 0.0, 0.0, 0.0], "first").diagonal().tolist()
+    [1.0, 1.0, 1.0]
     """
     _require_scalar(scalar)
     given = np.asarray(quaternions, float)
@@ -66,8 +99,19 @@ def from_quaternions(quaternions: Any, scalar: Scalar) -> np.ndarray:
 def to_rotation_spline(record: Any, array: int | None = None, problem: About = None) -> RotationSpline:
     """The attitudes at the nodes as SciPy's cubic spline of rotations, with continuous rate and acceleration.
 
-    It goes through the nodes; between them ``solution(t)`` is the method's own polynomial. Raises ``InvalidInputError``
-    for a record without an attitude.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        A record with an attitude; ``InvalidInputError`` for another one.
+    array : int, optional
+        The index of the array in a point; by default the first attitude.
+    problem : OptimalControlProblem or Manifold, optional
+        The problem or the manifold of a trajectory.
+
+    Returns
+    -------
+    RotationSpline
+        The spline through the nodes; between them ``solution(t)`` is the polynomial of the method.
     """
     found = view(record, problem)
     return RotationSpline(found.times, Rotation.from_matrix(rotations(found, array)))
@@ -78,7 +122,7 @@ def _sampled(record: Any, found: View, at: Any) -> View:
     if isinstance(at, str) and at == "nodes":
         return found
     if isinstance(at, str) or not isinstance(record, Solution):
-        raise InvalidInputError(f'at must be "nodes", or times if the record is a Solution, got {at!r:.80}')
+        raise InvalidInputError(f'at must be "nodes", or times if the record is a Solution, got {brief(at)}')
     sample = record(np.ravel(at))
     return found._replace(times=sample.times, states=[np.asarray(leaf) for leaf in jax.tree.leaves(sample.states)])
 
@@ -86,10 +130,22 @@ def _sampled(record: Any, found: View, at: Any) -> View:
 @final
 @dataclass(frozen=True)
 class AttitudeEphemeris:
-    """Attitudes of an object: ``times`` in seconds after ``epoch``, in ``time_system``, and ``attitudes``, shape ``(N,
-    3, 3)``.
+    """The attitudes of an object at times after an epoch, from a CCSDS message.
 
-    ``attitudes`` map components in the frame ``body`` to those in the frame ``reference``.
+    Attributes
+    ----------
+    times : array of shape (N,)
+        Seconds after ``epoch``, in ``time_system``.
+    attitudes : array of shape (N, 3, 3)
+        Matrices that map components in the frame ``body`` to components in the frame ``reference``.
+    epoch : datetime
+        The origin of time.
+    object_name, object_id : str
+        The object.
+    reference, body : str
+        The frames.
+    time_system : str
+        The time system, such as ``UTC``.
     """
 
     times: np.ndarray
@@ -117,13 +173,42 @@ def to_aem(
     problem: About = None,
     at: Any = "nodes",
 ) -> None:
-    """Write the attitudes as a CCSDS attitude ephemeris message, keyword-value notation [CCSDS 504.0-B-2, 2024].
+    """Write the attitudes as a CCSDS attitude ephemeris message in keyword-value notation.
 
-    Times are those of the record, in seconds, after ``epoch``, a ``datetime`` in ``time_system``; they are written to
-    the microsecond. ``at``: ``"nodes"``, or, for a solution, times at which it is interpolated. The rotation from
-    ``reference`` to ``body`` takes the frame to the one of the body, so that its quaternion, with the scalar last as
-    that version prescribes, is that of the attitude. Raises ``InvalidInputError`` for a record without an attitude, one
-    that does not go forward in time, words with line breaks, and times where the record is not a solution.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        A record with an attitude that goes forward in time.
+    path : str or Path
+        The file.
+    epoch : datetime
+        The origin of the times of the record, which are in seconds.
+    object_name, object_id : str
+        The object.
+    reference, body : str
+        The frames; attitudes map ``body`` to ``reference``.
+    time_system, originator : str
+        The time system of ``epoch``, and the originator of the message.
+    array : int, optional
+        The index of the array in a point; by default the first attitude.
+    problem : OptimalControlProblem or Manifold, optional
+        The problem or the manifold of a trajectory.
+    at : "nodes" or array_like
+        The nodes, or times at which a solution is interpolated.
+
+    Raises
+    ------
+    InvalidInputError
+        For another record, words with line breaks, and times for a trajectory.
+
+    Notes
+    -----
+    Times are written to the microsecond. The quaternion, with the scalar last, describes the rotation from
+    ``reference`` to ``body``.
+
+    References
+    ----------
+    CCSDS 504.0-B-2, Attitude Data Messages, 2024.
     """
     found = _sampled(record, view(record, problem), at)
     quaternions = to_quaternions(rotations(found, array), "last")
@@ -131,7 +216,7 @@ def to_aem(
     words["TIME_SYSTEM"] = time_system
     for name, word in {**words, "ORIGINATOR": originator}.items():
         if not isinstance(word, str) or not word.strip() or "\n" in word:
-            raise InvalidInputError(f"{name} must be a text on one line, got {word!r:.80}")
+            raise InvalidInputError(f"{name} must be a text on one line, got {brief(word)}")
     stamps = [_stamp(epoch + timedelta(microseconds=round(1e6 * float(t)))) for t in found.times]
     if any(a >= b for a, b in pairwise(stamps)):
         raise InvalidInputError(
@@ -145,9 +230,20 @@ def to_aem(
 def from_aem(path: str | Path) -> AttitudeEphemeris:
     """Read a CCSDS attitude ephemeris message with one segment of quaternions, of version 1.0 or 2.0.
 
-    In version 1.0 ``QUATERNION_TYPE`` says where the scalar part is, and ``ATTITUDE_DIR`` from which frame to which the
-    rotation leads. ``reference`` is the frame from which it does. Raises ``InvalidInputError`` for files that are
-    something else.
+    Parameters
+    ----------
+    path : str or Path
+        The file; ``InvalidInputError`` if it is something else.
+
+    Returns
+    -------
+    AttitudeEphemeris
+        The attitudes.
+
+    Notes
+    -----
+    In version 1.0 ``QUATERNION_TYPE`` gives the place of the scalar part, and ``ATTITUDE_DIR`` the direction of the
+    rotation. ``reference`` is the frame from which the rotation leads.
     """
     lines = [line.strip() for line in Path(path).read_text(encoding="utf-8", errors="replace").splitlines()]
     lines = [line for line in lines if line and not line.startswith("COMMENT")]
@@ -221,7 +317,7 @@ def _are_rotations(given: np.ndarray) -> bool:
 def _require_scalar(scalar: Any) -> None:
     if scalar not in ("first", "last"):
         raise InvalidInputError(
-            f"scalar must be 'first' or 'last', where the scalar part of a quaternion is, got {scalar!r:.80}"
+            f"scalar must be 'first' or 'last', where the scalar part of a quaternion is, got {brief(scalar)}"
         )
 
 

@@ -21,35 +21,80 @@ Theirs = Any
 
 
 class Conventions(eqx.Module):
-    """A parametrisation ``x -> q`` of our manifold by their points, with the coordinates of their tangent vectors."""
+    """The conventions of another library: its points and tangent vectors for a manifold of retrax. A base class."""
 
     @abstractmethod
     def point(self, x: Theirs) -> Ambient:
-        """Our point ``q`` for their point ``x``."""
+        """The point ``q`` of retrax for a point ``x`` of the other library.
+
+        Parameters
+        ----------
+        x : array or list of arrays
+            A point of the other library.
+        """
 
     @abstractmethod
     def push(self, x: Theirs, a: Theirs) -> Ambient:
-        """Derivative of ``point`` at ``x`` along a vector ``a`` of the space around their points."""
+        """The derivative of ``point`` at ``x`` along a vector of the space around the points of the other library.
+
+        Parameters
+        ----------
+        x, a : array or list of arrays
+            A point and a vector.
+        """
 
     @abstractmethod
     def embedding(self, x: Theirs, v: Theirs) -> Theirs:
-        """The vector of the space around their points that is meant by the coordinates ``v`` of a tangent vector."""
+        """The vector of the space around the points with the coordinates ``v`` of a tangent vector.
+
+        Parameters
+        ----------
+        x, v : array or list of arrays
+            A point, and the coordinates of a tangent vector.
+        """
 
     @abstractmethod
     def lift(self, q: Ambient, near: Theirs | None = None) -> Theirs:
-        """Their point for ours; where several stand for it, the one nearest to ``near``."""
+        """The point of the other library for a point of retrax.
+
+        Parameters
+        ----------
+        q : point
+            A point of retrax.
+        near : array or list of arrays, optional
+            If several points represent ``q``, the result is the one closest to ``near``.
+        """
 
     @abstractmethod
     def coordinates(self, x: Theirs, w: Ambient) -> Theirs:
-        """Their coordinates, at ``x``, of our tangent vector ``w``."""
+        """The coordinates, in the other library, of a tangent vector of retrax at ``x``.
+
+        Parameters
+        ----------
+        x : array or list of arrays
+            A point of the other library.
+        w : tangent vector
+            A tangent vector of retrax.
+        """
 
     def tangent(self, x: Theirs, v: Theirs) -> Ambient:
-        """Our tangent vector for theirs."""
+        """The tangent vector of retrax for a tangent vector of the other library.
+
+        Parameters
+        ----------
+        x, v : array or list of arrays
+            A point, and the coordinates of a tangent vector.
+        """
         return self.push(x, self.embedding(x, v))
 
     def elsewhere(self, x: Theirs, y: Theirs, v: Theirs) -> Theirs:
-        """The vector around ``y`` that the coordinates ``v`` of a tangent vector at ``x`` stand for when it is moved
-        there."""
+        """The vector around ``y`` with the coordinates of a tangent vector at ``x`` that is moved to ``y``.
+
+        Parameters
+        ----------
+        x, y, v : array or list of arrays
+            Two points, and the coordinates of a tangent vector at ``x``.
+        """
         return self.embedding(y, v)
 
 

@@ -8,13 +8,18 @@ from .conventions import Conventions
 
 
 class Counterpart(NamedTuple):
-    """Our manifold, retraction and metric for a space of another library, and how that writes points and tangent
-    vectors.
+    """A manifold, retraction and metric of retrax for a space of another library, with its conventions.
 
-    ``metric`` is the embedded one where theirs is not known here.
-
-    ``conventions.point(x)`` and ``conventions.tangent(x, v)`` take theirs to ours, ``conventions.lift(q)`` and
-    ``conventions.coordinates(x, w)`` ours to theirs.
+    Attributes
+    ----------
+    manifold : Manifold
+        The manifold.
+    retraction : Retraction
+        The retraction.
+    metric : Metric
+        The metric; the embedded metric if the metric of the space is not known.
+    conventions : Conventions
+        ``point(x)`` and ``tangent(x, v)`` map to retrax, ``lift(q)`` and ``coordinates(x, w)`` map back.
     """
 
     manifold: Manifold

@@ -4,7 +4,7 @@ solvers."""
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from ..integrators import Guess, OptimalControlProblem
+from ..integrators import Free, Guess, OptimalControlProblem
 from ..manifolds import InvalidInputError, Manifold, Metric
 from ..manifolds.manifold import same_manifold
 from ..retractions import DiscretizationMap, Gauss, Retraction, default_retraction
@@ -24,14 +24,34 @@ def to_pymanopt(
     metric: Metric | None = None,
     conventions: Conventions | None = None,
 ) -> Any:
-    """A manifold with a retraction (default: ``default_retraction``) as a pymanopt manifold, for pymanopt's optimisers.
+    """A manifold with a retraction as a pymanopt manifold, for the optimizers of pymanopt.
 
-    Points, tangent vectors and arguments are pymanopt's: tangent vectors of SO(n) are skew factors, points of a product
-    are lists, flat however the product is nested. Gradients and Hessians are those of ``metric``, by default the usual
-    one: affine-invariant on SPD, Lorentz on hyperbolic space, left-invariant on SL, else that of the ambient space.
-    ``to_pymanopt(*from_pymanopt(space))`` is ``space`` on our code.
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+    retraction : Retraction, optional
+        By default ``default_retraction(manifold)``.
+    metric : Metric, optional
+        The metric of gradients and Hessians. By default affine-invariant on SPD, Lorentz on hyperbolic space,
+        left-invariant on SL, and otherwise the ambient metric.
+    conventions : Conventions, optional
+        The form of points and tangent vectors; by default the form of pymanopt.
 
-    Raises ``InvalidInputError`` if the retraction or the metric belongs to another manifold.
+    Returns
+    -------
+    pymanopt manifold
+        The manifold; ``to_pymanopt(*from_pymanopt(space))`` is ``space`` on the code of retrax.
+
+    Raises
+    ------
+    InvalidInputError
+        If the retraction or the metric belongs to another manifold.
+
+    Notes
+    -----
+    Points, tangent vectors and arguments follow pymanopt: tangent vectors of SO(n) are skew factors, and points
+    of a product are flat lists.
     """
     module = import_peer(".pymanopt")
     geometry = _geometry(manifold, retraction, metric, conventions, module.conventions_of)
@@ -39,12 +59,27 @@ def to_pymanopt(
 
 
 def from_pymanopt(space: Any) -> Counterpart:
-    """A pymanopt manifold as ours: ``manifold, retraction, metric, conventions``.
+    """A pymanopt manifold as a manifold of retrax, with retraction, metric and conventions.
 
-    Manifolds that we have become ours, with the retraction that the given one was made with. Others keep pymanopt's
-    functions, which run on the host: derivatives are differences, right to about 1e-8 or NaN, and slow. Raises
-    ``InvalidInputError`` for any other that is not an embedded manifold of real arrays (a quotient, complex entries,
-    points of several arrays).
+    Parameters
+    ----------
+    space : pymanopt manifold
+        An embedded manifold of real arrays.
+
+    Returns
+    -------
+    Counterpart
+        ``manifold, retraction, metric, conventions``.
+
+    Raises
+    ------
+    InvalidInputError
+        For a quotient, complex entries, or points of several arrays that retrax does not have.
+
+    Notes
+    -----
+    Manifolds that retrax has become its own, with the retraction of the given manifold. Other manifolds use the
+    functions of pymanopt on the host. Their derivatives are differences, accurate to about 1e-8 or NaN, and slow.
     """
     return import_peer(".pymanopt").counterpart(space)
 
@@ -55,23 +90,52 @@ def to_geomstats(
     metric: Metric | None = None,
     conventions: Conventions | None = None,
 ) -> Any:
-    """A manifold as a geomstats space with a metric, for geomstats' learning algorithms.
+    """A manifold as a geomstats space with a metric, for the learning algorithms of geomstats.
 
-    Arguments come in geomstats' order, leading axes are batches, and a point of several arrays is one vector of their
-    entries. ``metric`` is by default the usual one, as in ``to_pymanopt``; where no closed form of its exponential map
-    is known, geodesics are integrated. Raises ``InvalidInputError`` if the retraction or the metric belongs to another
-    manifold.
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+    retraction : Retraction, optional
+        By default ``default_retraction(manifold)``.
+    metric : Metric, optional
+        By default as in ``to_pymanopt``. Geodesics are integrated if there is no closed form of the exponential map.
+    conventions : Conventions, optional
+        The form of points and tangent vectors; by default the form of geomstats.
+
+    Returns
+    -------
+    geomstats space
+        The space. Arguments have the order of geomstats, leading axes are batches, and a point of several arrays is one
+        vector.
+
+    Raises
+    ------
+    InvalidInputError
+        If the retraction or the metric belongs to another manifold.
     """
     module = import_peer(".geomstats")
     return module.RetraxSpace(_geometry(manifold, retraction, metric, conventions, module.conventions_of))
 
 
 def from_geomstats(space: Any) -> Counterpart:
-    """A geomstats space as ours: ``manifold, retraction, metric, conventions``.
+    """A geomstats space as a manifold of retrax, with retraction, metric and conventions.
 
-    Spaces that we have become ours, with the default retraction. Others keep geomstats' tangent projection and
-    exponential map, which run on the host: derivatives are differences, right to about 1e-8 or NaN, and slow. Raises
-    ``InvalidInputError`` for one that is not an embedded manifold of real arrays.
+    Parameters
+    ----------
+    space : geomstats space
+        An embedded manifold of real arrays; ``InvalidInputError`` for another one.
+
+    Returns
+    -------
+    Counterpart
+        ``manifold, retraction, metric, conventions``.
+
+    Notes
+    -----
+    Spaces that retrax has become its own, with the default retraction. Other spaces use the tangent projection and the
+    exponential map of geomstats on the host. Their derivatives are differences, accurate to about 1e-8 or NaN, and
+    slow.
     """
     return import_peer(".geomstats").counterpart(space)
 
@@ -81,25 +145,38 @@ def to_casadi(
     method: DiscretizationMap | Gauss,
     start: Any,
     end: Any,
-    horizon: float,
+    horizon: float | Free,
     steps: Any,
     guess: Guess | None = None,
     parameters: Any = None,
 ) -> "DiscreteProblem":
-    """The discrete problem that ``solve`` with these arguments solves, as a nonlinear program for ``casadi.nlpsol``.
+    """The discrete problem of ``solve`` as a nonlinear program for ``casadi.nlpsol``.
 
-    The functions are the same, written in the coordinates of the ambient space: points have the equations of their
-    manifold as constraints, and nodes are where ends meet. So it has no chart that could be left, and no two unknowns
-    for one attitude. What is returned has the program in ``nlp``, its guess and bounds in ``arguments``, and
-    ``guess(found)`` for the way back::
+    Parameters
+    ----------
+    problem, method, start, end, horizon, steps, guess, parameters
+        As in ``solve``, in this order.
+
+    Returns
+    -------
+    DiscreteProblem
+        The program ``nlp``, its guess and bounds ``arguments``, and ``guess(found)`` for the way back.
+
+    Raises
+    ------
+    InvalidInputError, NotOnManifoldError
+        For arguments that ``solve`` does not accept, and for a manifold without known independent equations.
+    NotTraceableError
+        If a function has no scalar operations.
+
+    Notes
+    -----
+    The functions are the same, in the coordinates of the ambient space. Points have the equations of their manifold as
+    constraints, and nodes are where ends meet. A program without charts has one unknown for each attitude::
 
         discrete = to_casadi(problem, method, start, end, horizon, steps)
         found = casadi.nlpsol("solver", "ipopt", discrete.nlp)(**discrete.arguments)
-        solution = solve(problem, method, start, end, horizon, steps, guess=discrete.guess(found))
-
-    Raises ``InvalidInputError`` or ``NotOnManifoldError`` for arguments that ``solve`` would not take, and
-    ``InvalidInputError`` for a manifold of which no independent equations are known; ``NotTraceableError`` where a
-    function has no scalar operations.
+        solution = solve(problem, start, end, horizon, method=method, steps=steps, guess=discrete.guess(found))
     """
     from .discrete_problem import posed
 

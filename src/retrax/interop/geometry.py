@@ -24,7 +24,19 @@ _RESTORATIONS = 8
 
 @final
 class Geometry(eqx.Module):
-    """A manifold with a retraction and a metric, seen through conventions: ``x``, ``y``, ``v`` below are all theirs."""
+    """A manifold with a retraction and a metric in the conventions of another library.
+
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+    retraction : Retraction
+        The retraction.
+    metric : Metric
+        The metric.
+    conventions : Conventions
+        The conventions: ``x``, ``y``, ``v`` below are points and tangent vectors of the other library.
+    """
 
     manifold: Manifold
     retraction: Retraction
@@ -42,81 +54,187 @@ class Geometry(eqx.Module):
         return is_symmetric(self.metric)
 
     def random_point(self, key: Array) -> Theirs:
-        """A random point, and of the arrays that stand for it, where there are several, a random one."""
+        """A random point; if several arrays represent the point, a random one of them.
+
+        Parameters
+        ----------
+        key : JAX key
+            The key.
+        """
         first, second = jax.random.split(key)
         q = self.manifold.random_point(first)
         x = self.conventions.lift(q)
         return self.conventions.lift(q, near=vec.normal(second, x))
 
     def random_tangent(self, key: Array, x: Theirs) -> Theirs:
-        """A random tangent vector of length 1 at ``x``."""
+        """A random tangent vector of length 1 at ``x``.
+
+        Parameters
+        ----------
+        key : JAX key
+            The key.
+        x : point
+            A point.
+        """
         v = self.conventions.coordinates(x, self.manifold.random_tangent(key, self.conventions.point(x)))
         return vec.scale(1 / jnp.sqrt(self.inner_product(x, v, v)), v)
 
     def violation(self, x: Theirs) -> Array:
-        """How far ``x`` is from the manifold: the largest violation of its equations."""
+        """The largest violation of the equations of the manifold.
+
+        Parameters
+        ----------
+        x : point
+            A point near the manifold.
+        """
         values = jax.tree.leaves(self.manifold.violations(self.conventions.point(x)))
         return jnp.max(jnp.stack([jnp.asarray(value, float) for value in values])) if values else jnp.zeros(())
 
     def restore(self, x: Theirs) -> Theirs:
-        """The point of the manifold for one near it, by a few Newton steps."""
+        """The point of the manifold for a point near it, by a few Newton steps.
+
+        Parameters
+        ----------
+        x : point
+            A point near the manifold.
+        """
         q = jax.lax.fori_loop(0, _RESTORATIONS, lambda _, q: self.manifold.restore(q), self.conventions.point(x))
         return self.conventions.lift(q, near=x)
 
     def project(self, x: Theirs, a: Theirs) -> Theirs:
-        """The tangent vector at ``x`` nearest to a vector ``a`` of the space around their points."""
+        """The tangent vector at ``x`` closest to a vector of the space around the points.
+
+        Parameters
+        ----------
+        x, a : point, vector
+            A point, and a vector of the space around the points.
+        """
         w = self.manifold.projection(self.conventions.point(x), self.conventions.push(x, a))
         return self.conventions.coordinates(x, w)
 
     def tangential(self, x: Theirs, v: Theirs) -> Theirs:
-        """The tangent vector at ``x`` nearest to given coordinates ``v``."""
+        """The tangent vector at ``x`` closest to given coordinates.
+
+        Parameters
+        ----------
+        x, v : point, coordinates
+            A point, and coordinates of a vector.
+        """
         return self.project(x, self.conventions.embedding(x, v))
 
     def carry(self, x: Theirs, y: Theirs, v: Theirs) -> Theirs:
-        """A tangent vector at ``x`` as the nearest one at ``y``."""
+        """The closest tangent vector at ``y`` to a tangent vector at ``x``.
+
+        Parameters
+        ----------
+        x, y, v : points, tangent vector
+            Two points, and a tangent vector at ``x``.
+        """
         return self._known(self.project(y, self.conventions.elsewhere(x, y, v)), x, y)
 
     def embed(self, x: Theirs, v: Theirs) -> Theirs:
-        """The vector of the space around their points that the coordinates ``v`` of a tangent vector stand for."""
+        """The vector of the space around the points with the coordinates of a tangent vector.
+
+        Parameters
+        ----------
+        x, v : point, tangent vector
+            A point, and a tangent vector there.
+        """
         return self.conventions.embedding(x, v)
 
     def normal_part(self, x: Theirs, a: Theirs) -> Array:
-        """Largest entry of the normal part of a vector of the space around their points."""
+        """The largest entry of the normal part of a vector.
+
+        Parameters
+        ----------
+        x, a : point, vector
+            A point, and a vector of the space around the points.
+        """
         return vec.size(vec.subtract(a, self.embed(x, self.project(x, a))))
 
     def inner_product(self, x: Theirs, v: Theirs, w: Theirs) -> Array:
-        """Riemannian inner product of two tangent vectors at ``x``."""
+        """The Riemannian inner product of two tangent vectors.
+
+        Parameters
+        ----------
+        x, v, w : point, tangent vectors
+            A point, and two tangent vectors there.
+        """
         ours = self.conventions.tangent(x, v), self.conventions.tangent(x, w)
         return self.metric.inner_product(self.conventions.point(x), *ours)
 
     def move(self, x: Theirs, v: Theirs) -> Theirs:
-        """The retraction."""
+        """The retraction.
+
+        Parameters
+        ----------
+        x, v : point, tangent vector
+            A point, and a tangent vector there.
+        """
         return self._along(self.retraction, x, v)
 
     def back(self, x: Theirs, y: Theirs) -> Theirs:
-        """Inverse of the retraction: the tangent vector at ``x`` that leads to ``y``; NaN outside its image."""
+        """The inverse of the retraction: the tangent vector at ``x`` that leads to ``y``; NaN outside its image.
+
+        Parameters
+        ----------
+        x, y : points
+            Two points.
+        """
         return self._between(self.retraction, x, y)
 
     def exp(self, x: Theirs, v: Theirs) -> Theirs:
-        """The exponential map."""
+        """The exponential map.
+
+        Parameters
+        ----------
+        x, v : point, tangent vector
+            A point, and a tangent vector there.
+        """
         return self._along(self.exponential, x, v)
 
     def log(self, x: Theirs, y: Theirs) -> Theirs:
-        """Inverse of the exponential map: the tangent vector at ``x`` that leads to ``y``; NaN outside its image."""
+        """The inverse of the exponential map: the tangent vector at ``x`` that leads to ``y``; NaN outside its
+        image.
+
+        Parameters
+        ----------
+        x, y : points
+            Two points.
+        """
         return self._between(self.exponential, x, y)
 
     def dist(self, x: Theirs, y: Theirs) -> Array:
-        """Geodesic distance, also on the cut locus where it is known in closed form."""
+        """The geodesic distance, also on the cut locus if it is known in closed form.
+
+        Parameters
+        ----------
+        x, y : points
+            Two points.
+        """
         value = distance(self.metric, self.exponential, self.conventions.point(x), self.conventions.point(y))
         return self._known(value, x, y)
 
     def middle(self, x: Theirs, y: Theirs) -> Theirs:
-        """The point midway on the geodesic between two points."""
+        """The point midway on the geodesic between two points.
+
+        Parameters
+        ----------
+        x, y : points
+            Two points.
+        """
         return self.exp(x, vec.scale(0.5, self.log(x, y)))
 
     def transport(self, x: Theirs, y: Theirs, v: Theirs) -> Theirs:
-        """Parallel transport of ``v`` along the geodesic from ``x`` to ``y``, on a symmetric space.
+        """The parallel transport of ``v`` along the geodesic from ``x`` to ``y``, on a symmetric space.
 
+        Parameters
+        ----------
+        x, y, v : points, tangent vector
+            Two points, and a tangent vector at ``x``.
+
+        Notes
+        -----
         It is minus the differential at ``x`` of the reflection in the midpoint, an isometry that reverses the geodesic.
         """
         way = self.log(x, y)
@@ -129,13 +247,22 @@ class Geometry(eqx.Module):
         return nan_unless(vec.size(way) >= 0, moved)
 
     def gradient(self, x: Theirs, g: Theirs) -> Theirs:
-        """Riemannian gradient from the Euclidean one: partial derivatives in the entries of ``x``."""
+        """The Riemannian gradient for a Euclidean gradient.
+
+        Parameters
+        ----------
+        x, g : point, vector
+            A point, and the partial derivatives in the entries of ``x``.
+        """
         return self._sharp(x, self._slope(x, g, self.zero(x)))
 
     def hessian(self, x: Theirs, g: Theirs, h: Theirs, v: Theirs) -> Theirs:
-        """Riemannian Hessian along ``v`` from the Euclidean gradient ``g`` and the Euclidean Hessian ``h`` along ``v``.
+        """The Riemannian Hessian along ``v``: the second derivative of the function along geodesics.
 
-        The Hessian is the second derivative of the function along geodesics.
+        Parameters
+        ----------
+        x, g, h, v : point, vectors, tangent vector
+            A point, the Euclidean gradient, the Euclidean Hessian along ``v``, and a tangent vector.
         """
         zero = self.zero(x)
         bend = jax.jvp(lambda u: self._slope(x, g, u), (zero,), (v,))[1]
@@ -146,7 +273,13 @@ class Geometry(eqx.Module):
         return vec.gradient(lambda u: vec.pairing(g, self._geodesic(x, u)), v)
 
     def zero(self, x: Theirs) -> Theirs:
-        """The zero tangent vector at ``x``."""
+        """The zero tangent vector at ``x``.
+
+        Parameters
+        ----------
+        x : point
+            A point.
+        """
         return self.conventions.coordinates(x, vec.zeros(self.manifold.ambient))
 
     def _along(self, retraction: Retraction, x: Theirs, v: Theirs) -> Theirs:
@@ -186,9 +319,21 @@ class Geometry(eqx.Module):
         return coordinates(self.metric.vector(q, covector))
 
     def require_values(self, method: str, values: Theirs, points: Iterable[Theirs]) -> None:
-        """Raise if a method that has no value for some pairs of points has none for these.
+        """Raise an error if a method without a value for some pairs of points has none for given pairs.
 
-        ``NotOnManifoldError`` if one of ``points`` is none, else ``DomainError``.
+        Parameters
+        ----------
+        method : str
+            The name of the method.
+        values : array or list of arrays
+            Its values.
+        points : iterable of points
+            The points.
+
+        Raises
+        ------
+        NotOnManifoldError, DomainError
+            If one of the points is off the manifold; otherwise.
         """
         if method not in _UNDEFINED or not any(np.any(np.isnan(leaf)) for leaf in jax.tree.leaves(values)):
             return

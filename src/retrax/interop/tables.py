@@ -10,20 +10,39 @@ import numpy as np
 from ..channels import About, View, raw, view
 from ..integrators import Quantity, Solution, Solutions
 from ..integrators.quantities import with_unit
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..optional import needed
 
 
 def to_xarray(record: Any, problem: About = None) -> Any:
-    """A ``Solution``, ``Solutions`` or ``Trajectory`` as an ``xarray.Dataset`` with named dimensions and units.
+    """A solution, a batch of solutions or a trajectory as an ``xarray.Dataset`` with named dimensions and units.
 
-    States, costates (``costate of NAME``) and multipliers of node constraints are along ``time``, the nodes; controls,
-    other multipliers and the Hamiltonian along ``stage_time``; a batch has the dimension ``member`` first, then
-    ``node`` or ``stage``, of which each has its times. Axes of an array are ``NAME_0``, ``NAME_1``, and multipliers of
-    boundary constraints have no other; entries with names of their own are coordinates. ``units`` is an attribute of
-    each variable that has one for all entries. ``problem`` has the names and units of a trajectory, or is its manifold.
+    Parameters
+    ----------
+    record : Solution, Solutions or Trajectory
+        The record.
+    problem : OptimalControlProblem or Manifold, optional
+        The names and units of a trajectory, or its manifold.
 
-    Raises ``InvalidInputError`` for other records, ``MissingPackageError`` without xarray.
+    Returns
+    -------
+    xarray.Dataset
+        Variables by the names of the quantities.
+
+    Raises
+    ------
+    InvalidInputError
+        For another record.
+    MissingPackageError
+        Without xarray.
+
+    Notes
+    -----
+    States, costates (``costate of NAME``) and multipliers of node constraints have the dimension ``time`` of the nodes.
+    Controls, other multipliers and the Hamiltonian have the dimension ``stage_time``. A batch has ``member`` first,
+    then ``node`` or ``stage``, with times for each member. Axes of an array are ``NAME_0``, ``NAME_1``; named entries
+    are coordinates. A variable has the attribute ``units`` if all its entries have one unit.
     """
     xarray = needed("xarray", "to_xarray")
     if isinstance(record, Solutions):
@@ -84,15 +103,31 @@ def _groups(found: View) -> Iterator[tuple[str, list[np.ndarray], Sequence[Quant
 
 
 def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
-    """A record as a ``pandas.DataFrame`` with a row for each time, and a column for each entry, as ``body rate[1]``.
+    """A record as a ``pandas.DataFrame`` with a row for each time and a column for each entry, such as ``body
+    rate[1]``.
 
-    ``at``: ``"nodes"``, with states, costates and multipliers of node constraints; ``"stages"``, with the controls, and
-    of a solution with the states, costates, other multipliers and the Hamiltonian there; or, for a solution, times, at
-    which it is interpolated.
-    ``Solutions`` have the ``member`` as the first level of their index. ``frame.attrs["units"]`` has the units by
-    column.
+    Parameters
+    ----------
+    record : Solution, Solutions or Trajectory
+        The record.
+    at : {"nodes", "stages"} or array_like
+        ``"nodes"``: states, costates and multipliers of node constraints. ``"stages"``: controls, and for a solution
+        states, costates, other multipliers and the Hamiltonian. Times: a solution is interpolated there.
+    problem : OptimalControlProblem or Manifold, optional
+        The names and units of a trajectory, or its manifold.
 
-    Raises ``InvalidInputError`` for other records and places, ``MissingPackageError`` without pandas.
+    Returns
+    -------
+    pandas.DataFrame
+        The table; ``frame.attrs["units"]`` has the units by column. ``Solutions`` have the ``member`` as the first
+        level of the index.
+
+    Raises
+    ------
+    InvalidInputError
+        For another record or place.
+    MissingPackageError
+        Without pandas.
     """
     pandas = needed("pandas", "to_pandas")
     if isinstance(record, Solutions):
@@ -109,11 +144,21 @@ def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
 
 
 def to_csv(record: Any, path: str | Path, at: Any = "nodes", problem: About = None) -> None:
-    """Write the table of ``to_pandas`` to a CSV file: a head with names and units, as ``body rate[1] [rad/s]``, and a
-    row a time.
+    """Write the table of ``to_pandas`` to a CSV file, with names and units such as ``body rate[1] [rad/s]`` in its
+    head.
 
-    Numbers are written with 17 digits, so that they are read back as they were. Raises ``InvalidInputError`` as
-    ``to_pandas``.
+    Parameters
+    ----------
+    record : Solution, Solutions or Trajectory
+        The record; ``InvalidInputError`` as ``to_pandas``.
+    path : str or Path
+        The file.
+    at, problem
+        As in ``to_pandas``.
+
+    Notes
+    -----
+    Numbers have 17 digits, so that a reader gets the same numbers.
     """
     members = list(record) if isinstance(record, Solutions) else [record]
     tables = [_columns(member, at, problem) for member in members]
@@ -159,7 +204,7 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
         return found.stage_times, _named("", controls, found.controls)
     if not isinstance(record, Solution) or (words and at != "stages"):
         expected = '"nodes", "stages"' + (" or times" if isinstance(record, Solution) else "")
-        raise InvalidInputError(f"at must be {expected}, got {at!r:.80}")
+        raise InvalidInputError(f"at must be {expected}, got {brief(at)}")
     if words:
         times, parts, more = (
             found.stage_times,

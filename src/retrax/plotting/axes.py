@@ -6,6 +6,7 @@ import numpy as np
 
 from ..channels import Channel, View
 from ..integrators.quantities import with_unit
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 
 PANEL = 4.6, 3.2  # inches
@@ -23,7 +24,7 @@ def one(ax: Any, projection: str | None = None) -> Any:
     if not hasattr(ax, "plot") or (projection == "3d") != hasattr(ax, "get_zlim"):
         kind = "axes of matplotlib in three dimensions" if projection else "flat axes of matplotlib"
         hint = 'figure.add_subplot(projection="3d")' if projection else "figure.add_subplot()"
-        raise InvalidInputError(f"ax must be {kind}, got {ax!r:.80}; try {hint}")
+        raise InvalidInputError(f"ax must be {kind}, got {brief(ax)}; try {hint}")
     return ax
 
 

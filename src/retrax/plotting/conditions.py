@@ -8,6 +8,7 @@ import numpy as np
 from ..channels import Channel, control_channels, raw, view
 from ..integrators import OptimalControlProblem, Quantity, Solution
 from ..integrators.functions import require_concrete
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.tolerances import ACTIVE, EPS
 from ..reading import reads_once
@@ -16,13 +17,26 @@ from .drawn import drawn
 
 
 def conserved(solution: Solution, ax: Any = None) -> Any:
-    """Errors of what the continuous extremal keeps: its Hamiltonian, its momenta and the equations of its manifold.
+    """Errors of the conserved quantities of an extremal: its Hamiltonian, momenta and the equations of its
+    manifold.
 
-    The Hamiltonian is compared with its mean, relative to the largest of its parts; a momentum whose components are all
-    constant along the extremal with that at the start, relative to the largest; the equations are those of
-    ``manifold.violations`` at the nodes, as they are. Errors of zero are drawn at the rounding of 1. The Hamiltonian of
-    a problem with an explicit time is not constant. Returns the axes; raises ``InvalidInputError`` for anything but a
-    ``Solution``.
+    Parameters
+    ----------
+    solution : Solution
+        The solution; ``InvalidInputError`` for another object.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
+
+    Notes
+    -----
+    The Hamiltonian is compared with its mean, relative to the largest of its parts. A momentum with constant components
+    is compared with its first value, relative to the largest. Violations of the manifold are absolute, at the nodes.
+    Errors of zero are drawn at the rounding of 1. With an explicit time the Hamiltonian is not constant.
     """
     found, axis, checks = view(_checked(solution)), one(ax), solution.checks
     size = checks.hamiltonian_size or 1.0
@@ -52,12 +66,24 @@ def _violations(solution: Solution) -> dict[str, np.ndarray]:
 
 
 def multipliers(solution: Solution, ax: Any = None) -> Any:
-    """The multipliers of the inequalities at the stages, ``nu >= 0`` per unit of time, against time; and as points
-    those at the nodes, by which costates jump.
+    """The multipliers of the inequalities against time: at the stages per unit of time, and as points at the nodes.
 
-    The legend names those that hold the trajectory somewhere, each relative to the largest of its name: multipliers of
-    inequalities in different units cannot be compared. Returns the axes; raises ``InvalidInputError`` for a solution of
-    a problem without inequalities.
+    Parameters
+    ----------
+    solution : Solution
+        A solution with inequalities; ``InvalidInputError`` for another one.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
+
+    Notes
+    -----
+    The legend has the names that are active somewhere. Each curve is relative to the largest multiplier of its name,
+    because units differ.
     """
     at_stages, at_nodes = _checked(solution).stage_multipliers, solution.node_multipliers
     if not (at_stages or at_nodes):
@@ -94,11 +120,30 @@ def switching_functions(problem: OptimalControlProblem, solution: Solution) -> l
 
 
 def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None) -> Any:
-    """The switching functions ``dH/du``, derivatives of ``<p, X> - F`` by the controls at the stages, against time.
+    r"""The switching functions :math:`\partial H / \partial u` at the stages against time.
 
-    Where a control is at its upper bound its switching function is positive, where it is at its lower one negative,
-    between the bounds and other constraints zero (Pontryagin et al. 1962). Returns the axes; raises
-    ``InvalidInputError`` if the problem is not that of the solution.
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        The problem of the solution; ``InvalidInputError`` for another one.
+    solution : Solution
+        The solution.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
+
+    Notes
+    -----
+    A switching function, of :math:`\langle p, X \rangle - F`, is positive where its control is at the upper bound, and
+    negative where it is at the lower bound. It is zero between the bounds and other constraints.
+
+    References
+    ----------
+    Pontryagin et al., The Mathematical Theory of Optimal Processes, 1962.
     """
     found, axis = view(_checked(solution), problem), one(ax)
     for quantity, values in zip(found.quantities.controls, switching_functions(problem, solution), strict=True):
@@ -109,10 +154,21 @@ def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None
 
 
 def optimality(solution: Solution, problem: OptimalControlProblem | None = None, ax: Any = None) -> np.ndarray:
-    """The controls, under them their switching functions if ``problem`` is given, and the multipliers if there are any.
+    """The controls, their switching functions and the multipliers, in panels.
 
-    Bounds of the problem are dashed. ``ax``: as many axes as there are panels, in this order. Returns them, shape
-    ``(panels,)``.
+    Parameters
+    ----------
+    solution : Solution
+        The solution.
+    problem : OptimalControlProblem, optional
+        The problem, for switching functions and dashed bounds.
+    ax : array of matplotlib Axes, optional
+        As many axes as panels; by default new axes.
+
+    Returns
+    -------
+    array of shape (panels,)
+        The axes.
     """
     _, found = drawn(_checked(solution), problem)
     has_multipliers = bool(solution.stage_multipliers or solution.node_multipliers)
@@ -138,5 +194,5 @@ def _bounds(axis: Any, problem: OptimalControlProblem | None, channel: Channel) 
 
 def _checked(solution: Any) -> Solution:
     if not isinstance(solution, Solution):
-        raise InvalidInputError(f"expected a Solution, got {solution!r:.80}; try one that solve returns")
+        raise InvalidInputError(f"expected a Solution, got {brief(solution)}; try one that solve returns")
     return solution

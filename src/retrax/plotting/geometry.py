@@ -21,10 +21,23 @@ OPEN, FULL = (7, 3.0), (4.5, 3.1)  # sizes and layers of dots: a full one is see
 
 
 def body_axes(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
-    """The three body axes, columns of the attitude, as curves on the sphere of directions of the inertial frame.
+    """The three body axes as curves on the sphere of directions of the inertial frame, from an open to a full dot.
 
-    Each leads from an open to a full dot. Returns the axes, in three dimensions; raises ``InvalidInputError`` for a
-    record without an attitude.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        A record with an attitude; ``InvalidInputError`` for another one.
+    array : int, optional
+        The index of the array in a point; by default the first attitude.
+    problem : OptimalControlProblem or Manifold, optional
+        The names and units of a trajectory, or its manifold.
+    ax : matplotlib Axes3D, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes3D
+        The axes.
     """
     attitudes, axis = rotations(drawn(record, problem)[0], array), one(ax, "3d")
     sphere(axis)
@@ -36,10 +49,25 @@ def body_axes(record: Any, array: int | None = None, problem: About = None, ax: 
 
 
 def path(record: Any, array: int | None = None, problem: About = None, frames: int = FRAMES, ax: Any = None) -> Any:
-    """The path of a point on S^2, of a position in R^2 or R^3, or of a pose with ``frames`` of its body axes along it.
+    """The path of a point on S^2, of a position in R^2 or R^3, or of a pose with some of its body axes.
 
-    Of the array at a place, or of the first that has such a path. Returns the axes; raises ``InvalidInputError`` for a
-    record without one.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        A record with a path; ``InvalidInputError`` for another one.
+    array : int, optional
+        The index of the array in a point; by default the first array with a path.
+    problem : OptimalControlProblem or Manifold, optional
+        The names and units of a trajectory, or its manifold.
+    frames : int
+        The number of body axes of a pose along its path.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
     """
     found, _ = drawn(record, problem)
     place = _place([q.space for q in found.quantities.states], found.states, array)

@@ -11,13 +11,26 @@ from .drawn import drawn
 
 
 def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:
-    """States and controls of a solution or a trajectory against time, one panel for each.
+    """The states and controls of a record against time, one panel for each.
 
-    Rotations are shown as rotation vectors, poses as rotation vectors and positions; controls as steps where each step
-    has one, which holds along it. A solution is drawn between its nodes by its polynomials. Three entries with one unit
-    and without names are x, y, z. ``problem`` has the names and units of a trajectory, a manifold its spaces; a
-    solution has its own. ``ax``: as many axes as there are panels. Returns the array of axes. Raises
-    ``InvalidInputError`` for another record or number of axes.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        The record; ``InvalidInputError`` for another one.
+    problem : OptimalControlProblem or Manifold, optional
+        The names and units of a trajectory, or its manifold; a solution has its own.
+    ax : array of matplotlib Axes, optional
+        As many axes as panels; by default new axes.
+
+    Returns
+    -------
+    array of matplotlib Axes of shape (panels,)
+        The axes.
+
+    Notes
+    -----
+    Rotations are rotation vectors; poses are rotation vectors and positions. Controls are steps if each step has one
+    control. A solution is drawn between its nodes by its polynomials. Three unnamed entries with one unit are x, y, z.
     """
     found, of_controls = drawn(record, problem)
     states, own = state_channels(found), control_channels(of_controls)
@@ -30,9 +43,21 @@ def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:
 
 
 def state(record: Any, array: int = 0, problem: About = None, ax: Any = None) -> Any:
-    """The history of one of the arrays of a state, at its place ``array``; of a pose its attitude and position, dashed.
+    """The history of one array of a state; a pose is drawn as attitude and, dashed, position.
 
-    Returns the axes; raises ``InvalidInputError`` for a place that no array has.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        The record.
+    array : int
+        The index of the array in a point; ``InvalidInputError`` for another one.
+    problem, ax
+        As in ``histories``, with one ``Axes``.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
     """
     found, _ = drawn(record, problem)
     if array not in range(len(found.states)):
@@ -48,10 +73,20 @@ def state(record: Any, array: int = 0, problem: About = None, ax: Any = None) ->
 
 
 def controls(record: Any, problem: About = None, ax: Any = None) -> Any:
-    """The controls against time: the polynomials of each step, or steps where each step has one; of a trajectory lines
-    through those of the stages.
+    """The controls against time: the polynomials of each step, or steps if each step has one control.
 
-    Returns the axes; raises ``InvalidInputError`` where there are none.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        A record with controls; ``InvalidInputError`` for another one. Of a trajectory, lines through the controls of
+        the stages.
+    problem, ax
+        As in ``histories``, with one ``Axes``.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
     """
     _, found = drawn(record, problem)
     channels = control_channels(found)
@@ -63,10 +98,21 @@ def controls(record: Any, problem: About = None, ax: Any = None) -> Any:
 
 
 def attitude(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
-    """The attitude as a rotation vector in rad, without a jump at half a turn; of the array at a place, or of the
-    first.
+    """The attitude as a rotation vector in rad, without a jump at half a turn.
 
-    Returns the axes; raises ``InvalidInputError`` for a record without an attitude.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        A record with an attitude; ``InvalidInputError`` for another one.
+    array : int, optional
+        The index of the array in a point; by default the first attitude.
+    problem, ax
+        As in ``histories``, with one ``Axes``.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
     """
     found, _ = drawn(record, problem)
     vectors = rotation_vectors(rotations(found, array))

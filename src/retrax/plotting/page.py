@@ -13,6 +13,7 @@ import numpy as np
 from ..channels import BODY, SPHERE, About, Channel, View, control_channels, state_channels, view
 from ..integrators import Solution
 from ..integrators.quantities import with_unit
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..optional import needed
 
@@ -43,16 +44,33 @@ Mesh = tuple[Any, Any]
 def to_html(record: Any, path: str | Path, mesh: Mesh | None = None, title: str = "", problem: About = None) -> None:
     """Write a page that shows a solution or a trajectory in motion, in one file that needs no network.
 
-    An attitude is shown as a body that turns, with its axes and their traces on the sphere of directions; a pose as a
-    body that moves; a point on S^2, or in R^2 or R^3, on its path; beside it are the histories under a cursor, and
-    below the report. Time is played, or dragged with the slider; a click on a history goes to its time. A solution is
-    drawn between its nodes by its polynomials.
+    Parameters
+    ----------
+    record : Solution or Trajectory
+        The record.
+    path : str or Path
+        The file, of at least 4.8 MB: it contains the library Plotly.
+    mesh : tuple of arrays, optional
+        Vertices in the body frame, shape ``(V, 3)``, and triangles of their indices, shape ``(F, 3)``; by default a
+        box. For poses the vertices are in the unit of the position; otherwise their scale has no effect.
+    title : str
+        The title of the page.
+    problem : OptimalControlProblem or Manifold, optional
+        The names and units of a trajectory, or its manifold.
 
-    ``mesh``: a pair of vertices in the body frame, shape ``(V, 3)``, and triangles of their numbers, shape ``(F, 3)``,
-    by default a box; for poses in the unit of the position, else its size plays no part. ``problem`` has the names and
-    units of a trajectory, or is its manifold. The library that draws is Plotly's, 4.8 MB of the file.
+    Raises
+    ------
+    InvalidInputError
+        For another record or mesh.
+    MissingPackageError
+        Without plotly.
 
-    Raises ``InvalidInputError`` for another record or mesh, ``MissingPackageError`` without plotly.
+    Notes
+    -----
+    An attitude is a body that rotates, with the traces of its axes on the sphere of directions. A pose is a body that
+    moves. A point on S^2, or in R^2 or R^3, moves on its path. Beside it are the histories with a cursor, below it the
+    report. Play the time, drag the slider, or click on a history. A solution is drawn between its nodes by its
+    polynomials.
     """
     found = view(record, problem)
     body = _checked(mesh)
@@ -84,7 +102,7 @@ def _checked(mesh: Any) -> _Body:
     if mesh is None:
         return _Body(BOX, np.array(SIDES), given=False)
     if not isinstance(mesh, Sequence) or len(mesh) != 2:
-        raise InvalidInputError(f"mesh must be a pair (vertices, triangles), got {mesh!r:.80}")
+        raise InvalidInputError(f"mesh must be a pair (vertices, triangles), got {brief(mesh)}")
     vertices, faces = np.asarray(mesh[0], float), np.asarray(mesh[1])
     fit = vertices.ndim == 2 and vertices.shape[1:] == (3,) and vertices.size > 0 and np.all(np.isfinite(vertices))
     whole = faces.ndim == 2 and faces.shape[1:] == (3,) and faces.dtype.kind in "iu"

@@ -14,12 +14,26 @@ from .axes import one
 
 
 def slopes(retraction: Retraction, seeds: Iterable[int] = SEEDS, ax: Any = None) -> Any:
-    """The errors ``|R(x, t u) - x - t u|`` against ``t`` for unit tangent vectors ``u``, as the conformance kit
+    """The errors :math:`|R(x, tu) - x - tu|` against ``t`` for unit tangent vectors ``u``, as the conformance kit
     measures them.
 
-    One line for each sample, its slope in the legend; dotted a line of slope 2, which a retraction has or exceeds, and
-    shaded what the kit takes for rounding. Drawn as ``check_retraction`` of ManifoldsBase.jl does. Returns the axes;
-    raises ``InvalidInputError`` for anything but a retraction.
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction; ``InvalidInputError`` for another object.
+    seeds : iterable of int
+        One random sample for each seed.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes: a line for each sample with its slope, a dotted line of slope 2, and the rounding shaded.
+
+    Notes
+    -----
+    A retraction has a slope of at least 2. ``check_retraction`` of ManifoldsBase.jl draws the same picture.
     """
     facts = RetractionFacts(retraction, seeds=seeds)
     errors, floors = short_errors(facts)

@@ -14,11 +14,21 @@ if TYPE_CHECKING:
 
 
 def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> Any:
-    """Gap, stationarity and, with inequalities, violation and barrier of each iteration of a solve.
+    """Defect, stationarity and, with inequalities, violation and barrier parameter of each iteration of a solve.
 
-    ``iterations``: what its ``callback`` was given, ``solve(..., callback=iterations.append)``; ``member`` of a batch.
-    Zeros are drawn at the rounding of 1. Returns the axes; raises ``InvalidInputError`` where there is no iteration of
-    the member.
+    Parameters
+    ----------
+    iterations : sequence of Iteration
+        The arguments of a ``callback``: ``solve(..., callback=iterations.append)``; ``InvalidInputError`` without one.
+    member : int
+        The number of a member of a batch.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes. Zeros are drawn at the rounding of 1.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
     """
     kept = [(it.number, int(np.flatnonzero(it.members == member)[0]), it) for it in iterations if member in it.members]
     if not kept:
@@ -27,9 +37,9 @@ def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> A
             "solve(..., callback=iterations.append)"
         )
     axis, numbers = one(ax), [number for number, _, _ in kept]
-    for name in ("gap", "stationarity", "violation", "barrier"):
+    for name in ("defect", "stationarity", "violation", "barrier"):
         values = np.array([getattr(it, name)[place] for _, place, it in kept])
-        if name in ("gap", "stationarity") or np.any(values > 0):
+        if name in ("defect", "stationarity") or np.any(values > 0):
             axis.semilogy(numbers, np.maximum(values, EPS), "o-", label=name, markersize=4)
     axis.set_xlabel("iteration")
     axis.set_ylabel("relative residual")
@@ -39,10 +49,20 @@ def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> A
 
 
 def sparsity(discrete: "DiscreteProblem", ax: Any = None) -> Any:
-    """Where the KKT matrix of a discrete problem has entries: the Hessian of its Lagrangian, and the Jacobian of its
+    """The nonzero entries of the KKT matrix of a discrete problem: Hessian of the Lagrangian and Jacobian of the
     equations.
 
-    ``discrete``: from ``retrax.interop.to_casadi``. The unknowns come first, then the equations. Returns the axes.
+    Parameters
+    ----------
+    discrete : DiscreteProblem
+        The result of ``retrax.interop.to_casadi``.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes: first the unknowns, then the equations.
     """
     import casadi as ca
     from scipy.sparse import bmat, coo_matrix

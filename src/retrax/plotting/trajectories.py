@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ..integrators import Trajectory
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..reading import reads_once
 from .axes import one
@@ -26,10 +27,23 @@ def _along(function: Callable[[Any, Any], Any], trajectory: Trajectory) -> np.nd
 def energy(
     trajectory: Trajectory, hamiltonian: Callable[[Any, Any], Any], label: str | None = None, ax: Any = None
 ) -> Any:
-    """The energy error ``H(q, p) - H(q_0, p_0)`` along a trajectory against time.
+    """The energy error :math:`H(q, p) - H(q_0, p_0)` along a trajectory against time.
 
-    ``hamiltonian(q, p)`` is the Hamiltonian that was integrated; of a singular problem, one with the control of
-    ``classification.control(q, p)``. Returns the axes; raises ``InvalidInputError`` for anything but one trajectory.
+    Parameters
+    ----------
+    trajectory : Trajectory
+        One trajectory; ``InvalidInputError`` for another object.
+    hamiltonian : callable
+        ``H(q, p)``; for a singular problem with the control ``classification.control(q, p)``.
+    label : str, optional
+        The label in the legend.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
     """
     values = _along(hamiltonian, _checked(trajectory))
     axis = one(ax)
@@ -48,12 +62,23 @@ def phase_portrait(
     names: tuple[str, str] = ("", ""),
     ax: Any = None,
 ) -> Any:
-    """Trajectories in two coordinates of ``T*Q``, or of ``P_f`` for those of a ``singular_integrator``; a dot is a
-    start.
+    """Trajectories in two coordinates of ``T*Q``, or of ``P_f``; a dot marks a start.
 
-    ``coordinates``: two JAX functions of ``(q, p)`` that return a number, ``names`` those of the axes. A start may have
-    been moved to ``P_f`` by ``classification.manifold.nearby``. Returns the axes; raises ``InvalidInputError`` for
-    other trajectories or functions.
+    Parameters
+    ----------
+    trajectories : Trajectory or sequence of Trajectory
+        The trajectories; ``InvalidInputError`` for other objects.
+    coordinates : tuple of two callables
+        Two JAX functions of ``(q, p)`` that return a number.
+    names : tuple of two str
+        The labels of the axes.
+    ax : matplotlib Axes, optional
+        The axes; by default new axes.
+
+    Returns
+    -------
+    matplotlib Axes
+        The axes.
     """
     axis = one(ax)
     for trajectory in [trajectories] if isinstance(trajectories, Trajectory) else trajectories:
@@ -67,5 +92,5 @@ def phase_portrait(
 
 def _checked(trajectory: Any) -> Trajectory:
     if not isinstance(trajectory, Trajectory) or np.ndim(trajectory.times) != 1:
-        raise InvalidInputError(f"expected a Trajectory, got {trajectory!r:.80}; try one that integrate returns")
+        raise InvalidInputError(f"expected a Trajectory, got {brief(trajectory)}; try one that integrate returns")
     return trajectory

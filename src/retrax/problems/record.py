@@ -18,18 +18,39 @@ Path = Callable[[np.ndarray], tuple[Any, Any]]
 @final
 @dataclass(frozen=True, eq=False, kw_only=True)
 class KnownProblem:
-    """An optimal control problem with its data, where it comes from, and what is known of its optimum.
+    """An optimal control problem with its data, its source and its known optimum.
 
-    ``start``, ``end``, ``horizon`` and ``steps`` are those of ``solve``; ``method`` is ``Gauss(3,
-    default_retraction(manifold))`` where it is None. ``path`` makes the default guess: states and controls, with the
-    points along the leading axis, at an array of fractions of the horizon; None where that of ``solve`` does.
-    ``states`` and ``controls`` say by symbol what the entries are, with units and frames; ``time`` and ``cost`` are
-    units.
-
-    ``optimum`` is the least cost known, ``digits`` the number of its significant digits that are verified, and
-    ``origin`` says how. ``formula``: the optimum in closed form. ``accuracy``: what is asked of ``solve``, where its
-    steps do not fit the problem from the beginning. ``error``: how near to the optimum the method comes with these
-    steps, relative to it, or absolutely where it is zero.
+    Attributes
+    ----------
+    name, title : str
+        The name in ``get``, and a title.
+    problem : OptimalControlProblem
+        The problem.
+    start, end, horizon
+        The arguments of ``solve``.
+    states, controls : dict of str to str
+        The entries by symbol, with units and frames.
+    source : str
+        The publication.
+    optimum : float
+        The lowest known cost.
+    digits : int
+        The number of verified significant digits of the optimum.
+    origin : str
+        The method of the verification.
+    formula : str
+        The optimum in closed form, if there is one.
+    time, cost : str
+        The units of time and cost.
+    steps, method
+        The arguments of ``solve``; ``method`` is None for ``Gauss(3, default_retraction(manifold))``.
+    path : callable or None
+        States and controls of the default guess at an array of fractions of the horizon, with points along the leading
+        axis; None for the guess of ``solve``.
+    accuracy : float or None
+        The accuracy for ``solve``, if the steps have to be refined.
+    error : float
+        Relative distance from the optimum with these steps, absolute if the optimum is zero.
     """
 
     name: str
@@ -55,27 +76,38 @@ class KnownProblem:
 
     @property
     def discretization(self) -> Method:
-        """The method: that of the record, or Gauss's of order 6 in the default retraction of the manifold."""
+        """The method of the record, or ``Gauss`` of order 6 in the default retraction."""
         return self.method or Gauss(3, default_retraction(self.problem.manifold))
 
     @property
     def guess(self) -> Guess | None:
-        """The default guess at the stages of the steps, None where it is that of ``solve``."""
+        """The default guess at the stages of the steps; None for the guess of ``solve``."""
         if self.path is None:
             return None
         return Guess(*self.path(stage_places(self.discretization, fractions_of(self.steps))))
 
     def solve(self, steps: Any = None, method: Method | None = None, **options: Any) -> Solution:
-        """Solve the problem from its default guess; the arguments are those of ``solve``, and take the place of the
-        record's."""
+        """The solution from the default guess.
+
+        Parameters
+        ----------
+        steps, method, options
+            Arguments of ``retrax.solve``, which replace the arguments of the record.
+        """
         posed = replace(self, steps=self.steps if steps is None else steps, method=method or self.method)
         given = {"guess": posed.guess, "accuracy": self.accuracy, **options}
         given = {"method": posed.discretization, "steps": posed.steps, **given}
         return solve(self.problem, self.start, self.end, self.horizon, **given)
 
     def distance(self, cost: float) -> float:
-        """How far a cost is from the optimum, relative to it; absolutely where it is zero. Negative for a better
-        one."""
+        """The relative distance of a cost from the optimum, absolute if the optimum is zero; negative for a lower
+        cost.
+
+        Parameters
+        ----------
+        cost : float
+            The cost.
+        """
         return (cost - self.optimum) / (abs(self.optimum) or 1.0)
 
     def __repr__(self) -> str:
@@ -92,17 +124,40 @@ def known(make: Callable[[], KnownProblem]) -> Callable[[], KnownProblem]:
 
 
 def get(name: str) -> KnownProblem:
-    """The problem of a name. Raises ``InvalidInputError`` for a name that no problem has."""
+    """The problem with a name.
+
+    Parameters
+    ----------
+    name : str
+        One of ``names()``; ``InvalidInputError`` for another name.
+
+    Returns
+    -------
+    KnownProblem
+        The problem.
+    """
     if name not in _LIBRARY:
         raise InvalidInputError(f"no problem has the name {name!r}; the names are {', '.join(sorted(_LIBRARY))}")
     return _LIBRARY[name]()
 
 
 def names() -> tuple[str, ...]:
-    """The names of all problems, by subject."""
+    """The names of all problems, by subject.
+
+    Returns
+    -------
+    tuple of str
+        The names.
+    """
     return tuple(_LIBRARY)
 
 
 def all() -> tuple[KnownProblem, ...]:
-    """All problems, by subject."""
+    """The problems of the library, by subject.
+
+    Returns
+    -------
+    tuple of KnownProblem
+        The problems.
+    """
     return tuple(make() for make in _LIBRARY.values())

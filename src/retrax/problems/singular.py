@@ -34,11 +34,22 @@ OWN = "this library"
 
 @dataclass(frozen=True)
 class KnownClassification:
-    """A problem, where it comes from, and what is known of its final manifold ``P_f``.
+    """A problem with its source and the known facts about its final manifold ``P_f``.
 
-    ``levels``: where ``S`` and where ``P`` stop changing; ``dimension`` of ``P_f`` and ``rank`` of its form; ``gauge``
-    controls. Where ``P_f`` is empty these are zero and ``empty_at`` is the level that shows it. ``regular_equations``
-    is False where the equations' differentials vanish on their zero set.
+    Attributes
+    ----------
+    problem : OptimalControlProblem
+        The problem.
+    source : str
+        The publication.
+    levels : tuple of int
+        The levels at which ``S`` and ``P`` stop changing.
+    dimension, rank, gauge : int
+        The dimension of ``P_f``, the rank of its form, the number of gauge controls; zero if it is empty.
+    empty_at : int or None
+        The level that shows that ``P_f`` is empty.
+    regular_equations : bool
+        Whether the differentials of the equations are independent on their zero set.
     """
 
     problem: OptimalControlProblem

@@ -21,12 +21,19 @@ class Work(NamedTuple):
 
 @final
 class Sweep:
-    """The finished members of a sweep, read from its folder when they are asked for.
+    """The finished members of a sweep, read from its folder on demand; ``sweep`` and ``load_sweep`` return it.
 
-    All arrays have the M finished members along the leading axis, in the order of their numbers: ``members``, shape
-    ``(M,)``, are these numbers; ``cost`` and ``success`` are arrays of shape ``(M,)``, ``result`` a list, as of
-    ``Solutions``; ``kept`` has what ``keep`` of the study returned, by name, shape ``(M, ...)``. A member that the
-    solver refused has NaN as its cost and as what is kept, no success, and the reason as its result.
+    Parameters
+    ----------
+    store : Store
+        The files of the sweep.
+    parts : sequence of int, optional
+        The chunks; by default all finished chunks.
+
+    Notes
+    -----
+    Arrays have the M finished members along the leading axis, in the order of their numbers. A member that the solver
+    rejects has NaN as its cost and as its kept values, no success, and the reason as its result.
     """
 
     def __init__(self, store: Store, parts: Sequence[int] | None = None) -> None:
@@ -34,12 +41,12 @@ class Sweep:
 
     @property
     def folder(self) -> Path:
-        """Where it lies."""
+        """The folder of the sweep."""
         return self._store.folder
 
     @property
     def count(self) -> int:
-        """How many members there are, finished or not."""
+        """The number of all members, finished or not."""
         return self._store.count
 
     def __len__(self) -> int:
@@ -52,7 +59,7 @@ class Sweep:
         return len(self._parts) == self._store.parts
 
     def chunks(self) -> Iterator["Sweep"]:
-        """The same, chunk by chunk, for sweeps that do not fit into memory."""
+        """The same record chunk by chunk, for sweeps that do not fit into memory."""
         for part in self._parts:
             yield Sweep(self._store, [part])
 
@@ -70,23 +77,22 @@ class Sweep:
 
     @cached_property
     def cost(self) -> np.ndarray:
-        """The costs, shape ``(M,)``; those without success are of the best iterate."""
+        """The costs, shape ``(M,)``; without success, the cost of the best iterate."""
         return self._joined("cost", float)
 
     @cached_property
     def success(self) -> np.ndarray:
-        """Which members meet their conditions, shape ``(M,)``."""
+        """Whether the first-order conditions of each member hold, shape ``(M,)``."""
         return self._joined("success", bool)
 
     @cached_property
     def result(self) -> list[str]:
-        """How each of them ended, in words."""
+        """A sentence on the end of each member."""
         return [str(words) for found in self._read for words in found["result"]]
 
     @cached_property
     def kept(self) -> dict[str, np.ndarray]:
-        """What the study keeps, by name, shape ``(M, ...)``; raises ``InvalidInputError`` where chunks keep different
-        things."""
+        """The arrays that the study keeps, by name, shape ``(M, ...)``; ``InvalidInputError`` if chunks differ."""
         known: dict[str, Any] | None = None
         for found in self._read:
             if not found["has"].any():
@@ -105,7 +111,7 @@ class Sweep:
 
     @property
     def converged(self) -> int:
-        """How many members meet their conditions."""
+        """The number of members whose first-order conditions hold."""
         return int(np.sum(self.success))
 
     @property
@@ -116,7 +122,7 @@ class Sweep:
 
     @property
     def workers(self) -> dict[str, Work]:
-        """What each worker did, by its name, ``host:process``."""
+        """The work of each worker, by its name ``host:process``."""
         found: dict[str, Work] = {}
         for part in self._read:
             name, (seconds, cpu_seconds) = str(part["worker"]), part["seconds"].tolist()
@@ -144,9 +150,22 @@ def _rows(found: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarra
 
 
 def load_sweep(folder: str | Path) -> Sweep:
-    """The finished members of a sweep in a folder, also while it goes on; nothing in its files is executed.
+    """The finished members of a sweep in a folder, also during the sweep; nothing in its files is executed.
 
-    Raises ``InvalidInputError`` if there is no sweep in the folder, and when its arrays are read if one of its files is
-    something else, damaged, or incomplete.
+    Parameters
+    ----------
+    folder : str or Path
+        The folder.
+
+    Returns
+    -------
+    Sweep
+        The members.
+
+    Raises
+    ------
+    InvalidInputError
+        If there is no sweep in the folder. If a file is something else, damaged or incomplete, when its arrays are
+        read.
     """
     return Sweep(existing(Path(folder).absolute()))

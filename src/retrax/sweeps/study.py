@@ -10,6 +10,7 @@ import numpy as np
 
 from ..integrators import Solutions, Solver
 from ..integrators.free import is_free
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError, RetraxError
 
 # Members that are solved at once: more need more memory than is near to the processor, and take longer each.
@@ -20,15 +21,24 @@ ASKED = "starts", "ends", "horizons", "guesses", "parameters", "tolerance", "max
 @final
 @dataclass(frozen=True)
 class Study:
-    """What a sweep solves: a solver, its cases, and what is kept of each solution. Each worker makes its own.
+    """The contents of a sweep: a solver, its cases, and the values to keep of each solution.
 
-    ``cases``: a function of the numbers of B members, an array of shape ``(B,)``, that returns arguments of
-    ``solver.solve_many`` for them in a dictionary: ``starts``, ``ends``, ``horizons``, ``guesses``, ``parameters``,
-    ``tolerance``, ``max_iterations``. A member's case may depend on its number alone, not on the others: draw it with
-    ``np.random.default_rng([seed, number])``. ``keep``: a function of the ``Solutions`` of B members that returns
-    arrays of real numbers, of shape ``(B, ...)``, by their names; they are stored beside cost, success and result.
+    Parameters
+    ----------
+    solver : Solver
+        The solver; each worker builds its own.
+    cases : callable
+        A function of the numbers of ``B`` members, shape ``(B,)``. It returns arguments of ``solver.solve_many`` in a
+        dictionary: ``starts``, ``ends``, ``horizons``, ``guesses``, ``parameters``, ``tolerance``, ``max_iterations``.
+        A case depends on its number alone: draw it with ``np.random.default_rng([seed, number])``.
+    keep : callable, optional
+        A function of the ``Solutions`` of ``B`` members. It returns real arrays of shape ``(B, ...)`` by name, which
+        are stored with cost, success and result.
 
-    Raises ``InvalidInputError`` for anything else.
+    Raises
+    ------
+    InvalidInputError
+        For other arguments.
     """
 
     solver: Solver
@@ -41,7 +51,7 @@ class Study:
         ):
             raise InvalidInputError(
                 "Study takes a Solver, a function of the numbers of members, and a function of Solutions or None, got "
-                f"{self.solver!r:.60}, {self.cases!r:.60} and {self.keep!r:.60}; try Study(Solver(...), cases)"
+                f"{brief(self.solver)}, {brief(self.cases)} and {brief(self.keep)}; try Study(Solver(...), cases)"
             )
 
 
@@ -50,7 +60,7 @@ def made(build: Callable[[], Any]) -> Study:
     study = build()
     if not isinstance(study, Study):
         raise InvalidInputError(
-            f"build returned {study!r:.80}, expected a Study(solver, cases); try: return Study(...)"
+            f"build returned {brief(study)}, expected a Study(solver, cases); try: return Study(...)"
         )
     return study
 
@@ -59,7 +69,7 @@ def asked(study: Study, members: np.ndarray) -> dict[str, Any]:
     """The arguments of ``solve_many`` for some members; raises unless these are arguments of it."""
     given = study.cases(members)
     if not isinstance(given, dict) or not {"starts", "ends", "horizons"} <= set(given) <= set(ASKED):
-        came = sorted(map(str, given)) if isinstance(given, dict) else f"{given!r:.60}"
+        came = sorted(map(str, given)) if isinstance(given, dict) else f"{brief(given)}"
         raise InvalidInputError(
             f"cases returned {came}, expected a dictionary with starts, ends and horizons, and what else solve_many "
             f"takes: {', '.join(ASKED[3:])}"
@@ -118,7 +128,7 @@ def _checked(kept: Any, count: int) -> dict[str, np.ndarray]:
     if not isinstance(kept, dict) or not all(
         isinstance(name, str) and a.shape[:1] == (count,) and a.dtype.kind in "biuf" for name, a in arrays.items()
     ):
-        came = {name: f"{a.dtype}{a.shape}" for name, a in arrays.items()} or f"{kept!r:.60}"
+        came = {name: f"{a.dtype}{a.shape}" for name, a in arrays.items()} or f"{brief(kept)}"
         raise TypeError(
             f"keep returned {came}, expected a dictionary of arrays of real numbers with {count} rows, by names"
         )
@@ -157,7 +167,7 @@ def _first(leaf: Any) -> Any:
         return leaf.member(0).guess
     if not np.ndim(leaf):
         raise InvalidInputError(
-            f"cases returned {leaf!r:.60} among the parameters, expected an array with an entry for each member; try "
+            f"cases returned {brief(leaf)} among the parameters, expected an array with an entry for each member; try "
             "np.full(len(members), value)"
         )
     return np.asarray(leaf)[0]

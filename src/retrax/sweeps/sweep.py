@@ -11,6 +11,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from ..integrators.options import known_options
+from ..integrators.text import brief
 from ..manifolds import InvalidInputError, RetraxError
 from ..manifolds.numerics.ambient import is_count
 from ..manifolds.numerics.precision import working_precision
@@ -33,24 +34,44 @@ def sweep(
     chunk: int = 100,
     verbose: bool = False,
 ) -> Sweep:
-    """Solve ``count`` cases of a problem in chunks, on any executor, into a folder; go on where an earlier call ended.
+    """Solve many cases of a problem in chunks, on any executor, into a folder; continue where an earlier call
+    ended.
 
-    ``build``: a function without arguments that returns a ``Study``. It is called here, to look at the problem, and
-    once in each worker (in each thread, if workers are threads); only its name travels to them, so it stands at the top
-    level of a module. ``executor``: any ``concurrent.futures.Executor``, such as a ``ProcessPoolExecutor`` that spawns,
-    ``client.get_executor()`` of ``dask.distributed``, or ``mpi4py.futures.MPIPoolExecutor``; None solves here, on all
-    processors. Workers of an executor use one processor each for problems on the tape; functions that XLA compiled use
-    threads of its own. ``folder``: where the results are written, by the workers themselves: all must see it.
-    ``chunk``: members that are written together; ``solver.solve_many`` solves at most 100 at once. ``verbose`` shows
-    the progress: a bar in a terminal where tqdm is installed, else lines of the logger ``retrax``.
+    Parameters
+    ----------
+    build : callable
+        A function without arguments at the top level of a module that returns a ``Study``. It is called here and once
+        in each worker, or in each thread if workers are threads.
+    count : int
+        The number of members.
+    folder : str or Path
+        The folder of the results; all workers must have access to it.
+    executor : concurrent.futures.Executor, optional
+        Such as a ``ProcessPoolExecutor`` that spawns, ``client.get_executor()`` of ``dask.distributed``, or
+        ``mpi4py.futures.MPIPoolExecutor``. By default this process solves, on all processors.
+    chunk : int
+        The number of members that are written together; ``solve_many`` gets at most 100 at once.
+    verbose : bool
+        Whether to show the progress: a bar with tqdm in a terminal, otherwise lines of the logger ``retrax``.
 
-    A chunk is in the folder whole or not at all, and one that is there is not solved again: after a crash, or Ctrl-C,
-    call ``sweep`` with the same arguments. A member that is not solved, or is refused by the solver, has its reason as
-    its ``result``, and the others do not suffer. Any other error in a function of the study ends the sweep, and is
-    raised, as is the end of an executor: what is finished is kept.
+    Returns
+    -------
+    Sweep
+        The finished members.
 
-    Raises ``InvalidInputError`` for other arguments, a folder of another sweep, and workers in another precision;
-    Ctrl-C is the usual ``KeyboardInterrupt``, whose one argument is the ``Sweep`` until then.
+    Raises
+    ------
+    InvalidInputError
+        For other arguments, a folder of another sweep, and workers in another precision.
+
+    Notes
+    -----
+    A chunk is in the folder completely or not at all, and a finished chunk is not solved again. After a crash or an
+    interrupt, call ``sweep`` with the same arguments. A member without a solution has the reason as its ``result``. Any
+    other error in a function of the study, and the end of an executor, ends the sweep and is raised; finished chunks
+    stay. An interrupt is a ``KeyboardInterrupt`` whose argument is the ``Sweep`` until then.
+
+    Workers use one processor each for problems on the tape; functions that XLA compiled use threads of XLA.
     """
     _check(build, count, executor, chunk)
     study, where = made(build), Path(folder).absolute()
@@ -86,15 +107,15 @@ def sweep(
 def _check(build: Any, count: Any, executor: Any, chunk: Any) -> None:
     if not callable(build):
         raise InvalidInputError(
-            f"build must be a function that returns a Study, got {build!r:.80}; try a function of a module"
+            f"build must be a function that returns a Study, got {brief(build)}; try a function of a module"
         )
     for name, value in (("count", count), ("chunk", chunk)):
         if not is_count(value):
-            raise InvalidInputError(f"{name} must be a whole number of at least 1, got {value!r:.80}")
+            raise InvalidInputError(f"{name} must be a whole number of at least 1, got {brief(value)}")
     if not (executor is None or callable(getattr(executor, "submit", None))):
         raise InvalidInputError(
-            f"executor must be a concurrent.futures.Executor or None, got {executor!r:.80}; try ProcessPoolExecutor(), "
-            "and client.get_executor() for a client of Dask"
+            f"executor must be a concurrent.futures.Executor or None, got {brief(executor)}; try "
+            "ProcessPoolExecutor(), and client.get_executor() for a client of Dask"
         )
 
 

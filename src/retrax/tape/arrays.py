@@ -16,7 +16,15 @@ from ..errors import RetraxError
 
 
 class NotTraceableError(RetraxError, TypeError):
-    """A function cannot be traced to scalars; ``primitive`` names the operation of JAX that decided."""
+    """The error of a function that cannot be traced to scalars.
+
+    Parameters
+    ----------
+    primitive : str
+        The operation of JAX without a scalar form.
+    reason : str
+        The reason.
+    """
 
     def __init__(self, primitive: str, reason: str) -> None:
         super().__init__(

@@ -44,12 +44,18 @@ class Leaf:
 
 @final
 class Tape(Often):
-    """A function of arrays as a list of scalar instructions, with exact derivatives.
+    """A function of arrays as a list of scalar instructions, with exact derivatives; ``Tape.trace`` makes one.
 
-    ``Tape.trace(f, *examples)`` reads a JAX function; the shapes of the examples count, their values do not, and all
-    numbers are double precision. A tape is called with the arrays of many points, the axis of the points last. Nothing
-    is compiled for it: a new function runs some milliseconds after it was written. One that has run at very many points
-    is made machine code meanwhile, and gives the same numbers.
+    Parameters
+    ----------
+    graph, values, arguments, structure
+        The scalar operations; the entries of the values; the arrays and the structure of the arguments; the structure
+        of the values.
+
+    Notes
+    -----
+    A tape takes arrays of many points, with the axis of the points last, in double precision. A new function runs some
+    milliseconds after the trace. A function that has run at many points becomes machine code, with the same results.
     """
 
     def __init__(self, graph: Graph, values: list[Entries], arguments: tuple[list[Leaf], Any], structure: Any) -> None:
@@ -64,8 +70,17 @@ class Tape(Often):
     def trace(cls, function: Callable[..., Any], *examples: Any) -> Self:
         """The tape of a JAX function of pytrees of arrays, whose result is a pytree of arrays.
 
-        Raises ``NotTraceableError`` where the function calls what cannot be written as scalar operations, as LAPACK's
-        decompositions or a loop whose length depends on the input, and ``InvalidInputError`` where JAX cannot trace it.
+        Parameters
+        ----------
+        function : callable
+            The function.
+        *examples : pytree of arrays
+            Arguments, of which only the shapes count.
+
+        Raises
+        ------
+        NotTraceableError, InvalidInputError
+            If it calls an operation without scalar form, such as LAPACK; if JAX cannot trace it.
         """
         if not callable(function):
             raise InvalidInputError(f"a tape is of a function, got {function!r}")
@@ -94,7 +109,7 @@ class Tape(Often):
 
     @property
     def instructions(self) -> int:
-        """Number of instructions."""
+        """The number of instructions."""
         return len(self.program.codes)
 
     @property
@@ -161,14 +176,12 @@ class Tape(Often):
         return {**vars(self), "_native": None, "_points": 0, "_asked": False}
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
-        """The matrix of the derivatives of all values by arguments, by default by all, both flat in order, as a
-        tape."""
+        """The derivatives of all values with respect to arguments, by default all, as a tape of a matrix."""
         matrix = self.graph.jacobian(self.outputs, self._by(argnums))
         return self._of((matrix, matrix.shape))
 
     def push(self, argnum: int) -> "Tape":
-        """Derivatives of all values by one argument along a direction, flat; the direction is one more argument, the
-        last."""
+        """The derivatives of all values along a direction in one argument; the direction is the last argument."""
         by, places = self._by(argnum), self._places(argnum)
         leaves = [leaf for leaf in self._leaves if leaf.argument in places]
         if len(leaves) != 1 or leaves[0].complex:
@@ -184,7 +197,7 @@ class Tape(Often):
         return Tape(graph, [scalars(column, column.shape[:1])], (kinds, structure), jax.tree.structure(0))
 
     def gradient(self, argnums: Argnums = None) -> "Tape":
-        """The derivatives of the one value of a function by arguments, as a tape with one flat array."""
+        """The derivatives of a function with one value with respect to arguments, as a tape of a flat array."""
         column = self.graph.gradient(self._only(), self._by(argnums))
         return self._of((column, column.shape[:1]))
 
@@ -194,8 +207,7 @@ class Tape(Often):
         return self._of((matrix, matrix.shape))
 
     def second_order(self, argnums: Argnums = None) -> "Tape":
-        """The one value of a function, its gradient and its Hessian by arguments, as one tape: they share what they
-        compute."""
+        """The value of a function, its gradient and its Hessian by arguments, as one tape with shared operations."""
         value, by = self._only(), self._by(argnums)
         slope, curvature = self.graph.gradient(value, by), self.graph.hessian(value, by)
         return self._of((value, ()), (slope, slope.shape[:1]), (curvature, curvature.shape))

@@ -28,7 +28,13 @@ Hint = Callable[[int], str]  # words on one sample: what it looks like, what to 
 
 
 class ConformanceError(RetraxError):
-    """Facts that an object must satisfy do not hold; the message names them, ``report`` has all that was measured."""
+    """The error of an object with facts that do not hold; the message names them.
+
+    Parameters
+    ----------
+    report : Report
+        The measurements.
+    """
 
     def __init__(self, report: "Report") -> None:
         super().__init__(report.describe(report.failures))
@@ -86,7 +92,15 @@ class Inapplicable:
 
 @dataclass(frozen=True)
 class Check:
-    """A fact with a name and the measurement that tells whether it holds."""
+    """A fact with a name and the measurement that decides whether it holds.
+
+    Attributes
+    ----------
+    name, fact : str
+        A name, and the fact in words.
+    measure : callable
+        A function of the facts of an object that returns a comparison.
+    """
 
     name: str
     fact: str
@@ -103,7 +117,21 @@ def fact(measure: Callable[[Any], Comparison | Inapplicable]) -> Check:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one check: ``status`` is holds, fails, not decided, skipped or not applicable; ``words`` say why."""
+    """The outcome of one check.
+
+    Attributes
+    ----------
+    check : Check
+        The check.
+    status : str
+        ``"holds"``, ``"fails"``, ``"not decided"``, ``"skipped"`` or ``"not applicable"``.
+    words : str
+        The reason.
+    where : str
+        The place of a failure.
+    same_as : str
+        The check that met the same error first.
+    """
 
     check: Check
     status: str
@@ -114,8 +142,17 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Report:
-    """Outcomes of the checks of one object; printing it shows them as a table. ``reason``: one for several that
-    fail."""
+    """The outcomes of the checks of one object; printed, a table.
+
+    Attributes
+    ----------
+    subject : str
+        The object.
+    outcomes : tuple of Outcome
+        The outcomes.
+    reason : str
+        One reason for several failures.
+    """
 
     subject: str
     outcomes: tuple[Outcome, ...]
@@ -123,11 +160,17 @@ class Report:
 
     @property
     def failures(self) -> tuple[Outcome, ...]:
-        """Outcomes of the facts that do not hold."""
+        """The outcomes of facts that do not hold."""
         return tuple(outcome for outcome in self.outcomes if outcome.status == "fails")
 
     def describe(self, outcomes: tuple[Outcome, ...]) -> str:
-        """Some of the outcomes in words, under a line that counts all of them."""
+        """Some of the outcomes in words, below a line that counts all of them.
+
+        Parameters
+        ----------
+        outcomes : tuple of Outcome
+            The outcomes.
+        """
         counts = {
             status: sum(o.status == status for o in self.outcomes)
             for status in ("fails", "holds", "not decided", "skipped", "not applicable")

@@ -38,21 +38,45 @@ def suite_for(subject: Any) -> Suite:
 
 
 def list_checks(subject: Any) -> tuple[Check, ...]:
-    """The checks for an object, in the order in which they run; each has a ``name`` and a ``fact``, and prints as
-    both."""
+    """The checks for an object in the order in which they run, each with a ``name`` and a ``fact``.
+
+    Parameters
+    ----------
+    subject : Manifold, Metric, Retraction or DiscretizationMap
+        The object.
+
+    Returns
+    -------
+    tuple of Check
+        The checks.
+    """
     return suite_for(subject).checks
 
 
 def parametrize_with_checks(subjects: dict[str, Any], skip: dict[str, str] | None = None, **options: Any) -> Any:
-    """Pytest decorator: one test for each check of each named object, which it passes as the argument ``check``.
+    """A pytest decorator: one test for each check of each named object, as the argument ``check``.
+
+    Parameters
+    ----------
+    subjects : dict of str to object
+        The objects by name.
+    skip : dict of str to str, optional
+        Names of checks to skip, with reasons.
+    **options
+        Options of ``check_manifold``, ``check_retraction`` and the others.
+
+    Returns
+    -------
+    decorator
+        The decorator; ``check()`` raises ``ConformanceError`` if the fact does not hold.
+
+    Notes
+    -----
+    The checks of one object share their measurements::
 
         @parametrize_with_checks({"mine": MyRetraction(MyManifold())}, order=2)
         def test_conforms(check):
             check()
-
-    Calling ``check`` raises ``ConformanceError`` if the fact does not hold, and skips the test if ``skip`` has a reason
-    for that. ``options`` are those of ``check_manifold``, ``check_retraction``, ... The checks of one object share what
-    was measured.
     """
     import pytest
 

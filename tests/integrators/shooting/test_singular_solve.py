@@ -19,7 +19,8 @@ from retrax.integrators import (
     solve,
 )
 from retrax.integrators.boundary_value.shooting.legendre import second_order
-from retrax.integrators.singular import Classification, RattleIntegrator, singular_integrator
+from retrax.integrators.singular import Classification, singular_integrator
+from retrax.integrators.singular.strategies import RattleIntegrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, Theta
@@ -75,7 +76,7 @@ def test_aly_chan_turns_in_the_plane_of_the_midpoint_rule():
     assert norm(solution.costates[1]) < 1e-13
     assert norm(solution.costates[0] - solution.states[1]) < 1e-13
     assert norm(solution.controls + solution.stage_states[0]) < 1e-13
-    assert solution.checks.gap < 1e-13
+    assert solution.checks.defect < 1e-13
     assert solution.checks.stationarity < 1e-14
 
 
@@ -331,7 +332,7 @@ def test_a_rigid_body_with_a_cost_free_torque_is_turned():
     assert arc.presymplectic
     assert "strict generalised Legendre-Clebsch condition met" in arc.second_order
     assert vector @ vector < solution.cost < vector @ vector + torque[:2] @ torque[:2] / 2
-    assert max(solution.checks.gap, solution.checks.stationarity) < 1e-13
+    assert max(solution.checks.defect, solution.checks.stationarity) < 1e-13
     assert norm(solution.states[0][-1] - rotation(vector)) < 1e-12
     assert norm(solution.costates[1][[0, -1]]) < 1e-12
     assert norm(solution.costates[1][:, 2]) < 1e-12  # phi = p_w3 / J_3
@@ -422,7 +423,7 @@ def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last, inter
     known = {"classification": classified(ALY_CHAN), "throw": False}
     found = solve(ALY_CHAN, *given, method=MIDPOINT, steps=8, callback=stop, **known)
     assert [iteration.number for iteration in seen] == list(range(len(seen)))
-    assert all(np.isfinite(iteration.gap).all() and np.isnan(iteration.cost).all() for iteration in seen)
+    assert all(np.isfinite(iteration.defect).all() and np.isnan(iteration.cost).all() for iteration in seen)
     assert found.success == (last == 100)
     assert len(seen) == (found.statistics.iterations + 1 if found.success else last + 1)
     if not found.success:

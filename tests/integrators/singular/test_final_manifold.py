@@ -5,7 +5,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import L_H, S_H, OptimalControlProblem, classify
+from retrax.integrators import OptimalControlProblem, classify
+from retrax.integrators.singular import L_H, S_H
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, is_lagrangian
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Projection

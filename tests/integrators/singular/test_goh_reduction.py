@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem
-from retrax.integrators.singular import GohReduction
+from retrax.integrators.singular.strategies import GohReduction
 from retrax.manifolds import Euclidean, InvalidInputError
 
 

@@ -11,7 +11,12 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, OptimalControlProblem, integrate
-from retrax.integrators.singular import ControlAffineSplitting, NotApplicableError, RattleIntegrator, leaf_flow
+from retrax.integrators.singular.strategies import (
+    ControlAffineSplitting,
+    NotApplicableError,
+    RattleIntegrator,
+    leaf_flow,
+)
 from retrax.integrators.singular.strategies.affine import affine_tolerance
 from retrax.manifolds import (
     ConvergenceError,

@@ -11,7 +11,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, Integrator, OptimalControlProblem, integrate, singular_integrator
 from retrax.integrators.extremal_controls import find_control
-from retrax.integrators.singular import (
+from retrax.integrators.singular.strategies import (
     ControlAffineSplitting,
     GohReduction,
     NotApplicableError,

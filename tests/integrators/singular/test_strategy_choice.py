@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, Result, classify, integrate
-from retrax.integrators.singular import (
+from retrax.integrators.singular import SingularIntegrator, singular_integrator
+from retrax.integrators.singular.strategies import (
+    STRATEGIES,
     NotApplicableError,
     ReducedIntegrator,
-    SingularIntegrator,
     reduce_until_regular,
-    singular_integrator,
 )
-from retrax.integrators.singular.strategies import STRATEGIES
 from retrax.integrators.singular.strategies.direct import DirectIntegrator
 from retrax.integrators.singular.strategies.dynamics import FinalDynamics
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError

@@ -14,7 +14,8 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 from retrax.integrators import Classification, OptimalControlProblem, classify, singular_integrator
 from retrax.integrators.compilation import compiler_options
-from retrax.integrators.singular import RattleIntegrator, ReducedIntegrator, SingularIntegrator, reduce_until_regular
+from retrax.integrators.singular import SingularIntegrator
+from retrax.integrators.singular.strategies import RattleIntegrator, ReducedIntegrator, reduce_until_regular
 from retrax.manifolds import Euclidean, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import CotangentLift, Theta, default_retraction

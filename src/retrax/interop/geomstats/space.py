@@ -18,10 +18,19 @@ _VALUES = {"inner_product", "dist", "violation", "normal_part"}  # methods whose
 
 @final
 class RetraxSpace(GeomstatsManifold):
-    """One of our manifolds with its metric, for geomstats' learning algorithms.
+    """A manifold of retrax with its metric, for the learning algorithms of geomstats.
 
-    Points are arrays, or the entries of all arrays of a point in one vector. Leading axes are batches, everywhere.
-    Random points draw their keys from NumPy's global state, which geomstats' own spaces use.
+    Parameters
+    ----------
+    geometry : Geometry
+        The manifold with its conventions.
+    equip : bool
+        Whether the space has its metric.
+
+    Notes
+    -----
+    Points are arrays, or the entries of all arrays of a point in one vector. Leading axes are batches. Random points
+    draw their keys from the global state of NumPy, as geomstats does.
     """
 
     def __init__(self, geometry: Geometry, equip: bool = True) -> None:
@@ -30,41 +39,95 @@ class RetraxSpace(GeomstatsManifold):
         super().__init__(geometry.manifold.dimension, shape, intrinsic=False, equip=equip)
 
     def new(self, equip: bool = True) -> "RetraxSpace":
-        """The same space, with or without its metric."""
+        """The same space, with or without its metric.
+
+        Parameters
+        ----------
+        equip : bool
+            Whether the space has its metric.
+        """
         return RetraxSpace(self.geometry, equip)
 
     @staticmethod
     def default_metric() -> type["RetraxMetric"]:
-        """The metric that the manifold came with."""
+        """The metric class of the space."""
         return RetraxMetric
 
     def belongs(self, point: np.ndarray, atol: float = ATOL) -> Any:
-        """Whether every equation of the manifold holds to ``atol``."""
+        """Whether every equation of the manifold holds.
+
+        Parameters
+        ----------
+        point : array
+            Points.
+        atol : float
+            The largest violation.
+        """
         batch = np.shape(point)[: np.ndim(point) - self.point_ndim]
         if np.shape(point)[len(batch) :] != self.shape:
             return np.zeros(batch, bool)
         return self.host("violation", point) <= atol
 
     def is_tangent(self, vector: np.ndarray, base_point: np.ndarray | None = None, atol: float = ATOL) -> Any:
-        """Whether the normal part of a vector is at most ``atol``."""
+        """Whether vectors are tangent.
+
+        Parameters
+        ----------
+        vector : array
+            Vectors.
+        base_point : array, optional
+            The base point.
+        atol : float
+            The largest normal part.
+        """
         return self.host("normal_part", _given(base_point), vector) <= atol
 
     def to_tangent(self, vector: np.ndarray, base_point: np.ndarray | None = None) -> Any:
-        """Tangent projection."""
+        """The tangent projection.
+
+        Parameters
+        ----------
+        vector : array
+            Vectors.
+        base_point : array, optional
+            The base point.
+        """
         return self.host("project", _given(base_point), vector)
 
     def random_point(self, n_samples: int = 1, bound: float = 1.0) -> Any:
-        """Random points."""
+        """Random points.
+
+        Parameters
+        ----------
+        n_samples : int
+            Their number.
+        bound : float
+            As in geomstats; it has no effect.
+        """
         seeds = np.random.randint(2**31, size=n_samples)  # noqa: NPY002
         drawn = np.array(_drawn(self.geometry, jnp.asarray(seeds)))
         return drawn if n_samples > 1 else drawn[0]
 
     def projection(self, point: np.ndarray) -> np.ndarray:
-        """The point of the manifold for one that is near it, by Newton's method."""
+        """The points of the manifold near given points, by Newton's method.
+
+        Parameters
+        ----------
+        point : array
+            Points near the manifold.
+        """
         return self.host("restore", point)
 
     def host(self, method: str, *arguments: np.ndarray) -> np.ndarray:
-        """A method of the geometry, compiled, on NumPy arrays with broadcast leading axes."""
+        """The compiled method of the geometry on NumPy arrays with broadcast leading axes.
+
+        Parameters
+        ----------
+        method : str
+            The name of a method of ``Geometry``.
+        *arguments : array
+            Its arguments.
+        """
         core = "(" + ",".join(f"d{i}" for i in range(self.point_ndim)) + ")"
         out = "()" if method in _VALUES else core
         signature = ",".join([core] * len(arguments)) + "->" + out
@@ -76,34 +139,84 @@ class RetraxSpace(GeomstatsManifold):
 
 @final
 class RetraxMetric(RiemannianMetric):
-    """The metric of one of our manifolds, with its exponential map and the retraction that the space came with."""
+    """The metric of a manifold of retrax, with its exponential map and the retraction of the space.
+
+    Parameters
+    ----------
+    space : RetraxSpace
+        The space.
+    signature : tuple of int, optional
+        As in geomstats.
+    """
 
     def inner_product(
         self, tangent_vec_a: np.ndarray, tangent_vec_b: np.ndarray, base_point: np.ndarray | None = None
     ) -> np.ndarray:
-        """Inner product of tangent vectors."""
+        """The inner product of tangent vectors.
+
+        Parameters
+        ----------
+        tangent_vec_a, tangent_vec_b : array
+            Tangent vectors at the base point.
+        base_point : array, optional
+            The base point.
+        """
         return self._space.host("inner_product", _given(base_point), tangent_vec_a, tangent_vec_b)
 
     def exp(self, tangent_vec: np.ndarray, base_point: np.ndarray) -> np.ndarray:
-        """Exponential map."""
+        """The exponential map.
+
+        Parameters
+        ----------
+        tangent_vec : array
+            A tangent vector at the base point.
+        base_point : array
+            The base point.
+        """
         return self._space.host("exp", base_point, tangent_vec)
 
     def log(self, point: np.ndarray, base_point: np.ndarray) -> np.ndarray:
-        """Logarithm of ``point`` at ``base_point``."""
+        """The logarithm: the tangent vector at the base point whose geodesic reaches ``point``.
+
+        Parameters
+        ----------
+        point, base_point : array
+            Two points.
+        """
         return self._space.host("log", base_point, point)
 
     def squared_dist(self, point_a: np.ndarray, point_b: np.ndarray) -> np.ndarray:
-        """Squared geodesic distance."""
+        """The squared geodesic distance.
+
+        Parameters
+        ----------
+        point_a, point_b : array
+            Two points.
+        """
         if not self._space.geometry.is_symmetric:  # the length of the logarithm: nothing more to compile
             return super().squared_dist(point_a, point_b)
         return self._space.host("dist", point_a, point_b) ** 2
 
     def retraction(self, tangent_vec: np.ndarray, base_point: np.ndarray) -> np.ndarray:
-        """The retraction that the space came with."""
+        """The retraction of the space.
+
+        Parameters
+        ----------
+        tangent_vec : array
+            A tangent vector at the base point.
+        base_point : array
+            The base point.
+        """
         return self._space.host("move", base_point, tangent_vec)
 
     def lifting(self, point: np.ndarray, base_point: np.ndarray) -> np.ndarray:
-        """Inverse of the retraction."""
+        """The inverse of the retraction of the space.
+
+        Parameters
+        ----------
+        point, base_point : array
+            Two points.
+        """
         return self._space.host("back", base_point, point)
 
     def parallel_transport(
@@ -113,7 +226,19 @@ class RetraxMetric(RiemannianMetric):
         direction: np.ndarray | None = None,
         end_point: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Parallel transport along the geodesic to ``end_point``, or in ``direction``, on symmetric spaces."""
+        """The parallel transport along the geodesic to ``end_point``, or in ``direction``, on symmetric spaces.
+
+        Parameters
+        ----------
+        tangent_vec : array
+            A tangent vector at the base point.
+        base_point : array
+            The base point.
+        direction : array, optional
+            The initial velocity of the geodesic.
+        end_point : array, optional
+            The end of the geodesic.
+        """
         if not self._space.geometry.is_symmetric:
             raise NotImplementedError(
                 f"parallel transport is known on symmetric spaces, not on {self._space.geometry.manifold}"

@@ -47,8 +47,19 @@ from .space import RetraxSpace
 
 
 def counterpart(space: Any) -> Counterpart:
-    """Our manifold for a geomstats space: a native one if the space has the metric that geomstats gives it, else
-    wrapped."""
+    """The manifold of retrax for a geomstats space: a native one if the space has its default metric, otherwise
+    wrapped.
+
+    Parameters
+    ----------
+    space : geomstats space
+        The space.
+
+    Returns
+    -------
+    Counterpart
+        Manifold, retraction, metric and conventions.
+    """
     return _wrapped(space) if _has_another_metric(space) else _counterpart(space)
 
 
@@ -149,7 +160,18 @@ def _(space: ProductManifold) -> Counterpart:
 
 
 def conventions_of(manifold: Manifold) -> Conventions:
-    """How a manifold is written for geomstats: as it is if its points are one array, else in one vector."""
+    """The form of a manifold in geomstats: unchanged if its points are one array, otherwise in one vector.
+
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+
+    Returns
+    -------
+    Conventions
+        The conventions.
+    """
     ambient = manifold.ambient
     return Same() if hasattr(ambient, "shape") else Reshaped(ambient)
 

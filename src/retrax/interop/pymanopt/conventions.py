@@ -78,7 +78,18 @@ def _factors_jvp(r: int, primals: tuple[Array], tangents: tuple[Array]) -> tuple
 
 @singledispatch
 def conventions_of(manifold: Manifold) -> Conventions:
-    """How pymanopt writes the points and tangent vectors of a manifold."""
+    """The form of the points and tangent vectors of a manifold in pymanopt.
+
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+
+    Returns
+    -------
+    Conventions
+        The conventions.
+    """
     several = len(jax.tree.leaves(manifold.ambient)) > 1
     return Listed(jax.tree.map(lambda _: Same(), manifold.ambient)) if several else Same()
 
@@ -118,7 +129,18 @@ def _nested(manifold: Manifold) -> Any:
 
 @singledispatch
 def typical_distance(manifold: Manifold) -> float:
-    """Scale of a manifold by pymanopt's rules: an injectivity radius, or the root of a dimension."""
+    """The scale of a manifold by the rules of pymanopt: an injectivity radius, or the root of a dimension.
+
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+
+    Returns
+    -------
+    float
+        The scale.
+    """
     return math.sqrt(manifold.dimension)
 
 

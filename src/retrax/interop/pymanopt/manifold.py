@@ -37,10 +37,19 @@ class TangentList(ndarraySequenceMixin, list):
 
 @final
 class RetraxManifold(PymanoptManifold):
-    """One of our manifolds with a retraction and a metric, for pymanopt's optimisers.
+    """A manifold of retrax with a retraction and a metric, for the optimizers of pymanopt.
 
-    Points, tangent vectors and the meaning of every method are pymanopt's. ``geometry`` holds what is behind them.
-    Random points draw their key from NumPy's global state, which pymanopt's own manifolds use.
+    Parameters
+    ----------
+    geometry : Geometry
+        The manifold with its conventions.
+    typical_dist : float
+        The scale, from ``typical_distance``.
+
+    Notes
+    -----
+    Points, tangent vectors and methods follow pymanopt. Random points draw their keys from the global state of
+    NumPy, as pymanopt does.
     """
 
     def __init__(self, geometry: Geometry, typical_dist: float) -> None:

@@ -49,7 +49,18 @@ _RETRACTIONS = {"_retraction_qr": QR, "_retraction_polar": Polar}
 
 @singledispatch
 def counterpart(space: Any) -> Counterpart:
-    """Our manifold for a pymanopt manifold."""
+    """The manifold of retrax for a pymanopt manifold.
+
+    Parameters
+    ----------
+    space : pymanopt manifold
+        The manifold.
+
+    Returns
+    -------
+    Counterpart
+        Manifold, retraction, metric and conventions.
+    """
     raise InvalidInputError(f"from_pymanopt takes a pymanopt manifold, got {space!r}; try pymanopt.manifolds.Sphere(3)")
 
 

@@ -137,12 +137,26 @@ def check_cotangent_lift(
 ) -> Report:
     """Measure whether a discretization map of a cotangent bundle is one, and symplectic.
 
-    ``equivariant``: whether the map on the base is claimed to commute with the group that acts there, so that momenta
-    are conserved. ``symmetric``, ``reach`` as in ``check_discretization_map``; ``seeds``, ``points``, ``tolerance``,
-    ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact
-    does not hold, unless ``throw`` is false.
+    Parameters
+    ----------
+    lift : DiscretizationMap
+        The map.
+    equivariant : bool
+        Whether the map on the base is claimed to commute with the group that acts there, so that momenta are conserved.
+    symmetric, reach
+        As in ``check_discretization_map``.
+    seeds, points, tolerance, only, skip, throw
+        As in ``check_manifold``; ``points`` are pairs in the shape of ``manifold.ambient``.
 
-    ``points``: points of ``T*Q``, pairs, of the shape of the manifold's ``ambient``.
+    Returns
+    -------
+    Report
+        The outcomes.
+
+    Raises
+    ------
+    ConformanceError
+        If a fact does not hold and ``throw`` is true.
     """
     claims = {"equivariant": equivariant, "symmetric": symmetric, "reach": reach}
     facts = CotangentLiftFacts(lift, **claims, seeds=seeds, points=points, tolerance=tolerance)

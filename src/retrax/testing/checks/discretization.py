@@ -197,13 +197,28 @@ def check_discretization_map(
     skip: dict[str, str] | None = None,
     throw: bool = True,
 ) -> Report:
-    """Measure whether an object is a discretization map with the inverse and the ``theta`` that it says it has.
+    """Measure whether an object is a discretization map with the claimed inverse and ``theta``.
 
-    ``symmetric``: whether it is claimed to be its own adjoint, hence of order 2. ``reach``: the longest tangent vector
-    that is used. ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns
-    the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    Parameters
+    ----------
+    discretization : DiscretizationMap
+        The map.
+    symmetric : bool
+        Whether it is claimed to be its own adjoint, hence of order 2.
+    reach : float
+        The length of the longest tangent vector, Euclidean in the ambient space.
+    seeds, points, tolerance, only, skip, throw
+        As in ``check_manifold``; points have the shape of ``manifold.ambient``.
 
-    ``points``: points of the shape of the manifold's ``ambient``.
+    Returns
+    -------
+    Report
+        The outcomes.
+
+    Raises
+    ------
+    ConformanceError
+        If a fact does not hold and ``throw`` is true.
     """
     facts = DiscretizationFacts(
         discretization, symmetric=symmetric, reach=reach, seeds=seeds, points=points, tolerance=tolerance

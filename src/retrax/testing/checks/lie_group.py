@@ -227,12 +227,24 @@ def check_lie_group(
     skip: dict[str, str] | None = None,
     throw: bool = True,
 ) -> Report:
-    """Measure whether an object keeps the promises of ``MatrixLieGroup``, those of ``Manifold`` among them.
+    """Measure whether an object satisfies the interface of ``MatrixLieGroup``, including ``Manifold``.
 
-    ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report;
-    raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    Parameters
+    ----------
+    group : MatrixLieGroup
+        The group.
+    seeds, points, tolerance, only, skip, throw
+        As in ``check_manifold``; points have the shape of ``manifold.ambient``.
 
-    ``points``: points of the shape of the manifold's ``ambient``.
+    Returns
+    -------
+    Report
+        The outcomes.
+
+    Raises
+    ------
+    ConformanceError
+        If a fact does not hold and ``throw`` is true.
     """
     return examine(
         LieGroupFacts(group, seeds=seeds, points=points, tolerance=tolerance), LIE_GROUP_CHECKS, only, skip, throw

@@ -352,16 +352,30 @@ def check_manifold(
     skip: dict[str, str] | None = None,
     throw: bool = True,
 ) -> Report:
-    """Measure whether an object keeps the promises of ``Manifold``, at one random point for each seed and at special
-    points.
+    """Measure whether an object satisfies the interface of ``Manifold``, at random and special points.
 
-    Special points are the identity, zero, poles, barycentres, as far as they are points of the manifold; ``points`` are
-    more of them. ``tolerance``: the rounding allowed in values and first derivatives, relative to ``1 +`` their size,
-    by default 4500 machine epsilons of the precision that JAX is set to: 1e-12 in double, 5e-4 in single. ``only``
-    names the checks to run (default: all), ``skip`` maps names of checks to the reasons for leaving them out. Returns
-    the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    Parameters
+    ----------
+    manifold : Manifold
+        The manifold.
+    seeds : iterable of int
+        One random point for each seed.
+    points : iterable of points
+        More points, in the shape of ``manifold.ambient``, besides identity, zero, poles and barycentres.
+    tolerance : float, optional
+        The allowed rounding in values and first derivatives, relative to ``1 +`` their size; by default 4500 machine
+        epsilons, 1e-12 in double precision.
+    only : str or iterable of str, optional
+        The names of the checks to run; by default all.
+    skip : dict of str to str, optional
+        The names of checks to leave out, with reasons.
+    throw : bool
+        Whether to raise ``ConformanceError`` if a fact does not hold.
 
-    ``points``: points of the shape of the manifold's ``ambient``.
+    Returns
+    -------
+    Report
+        The outcomes.
     """
     return examine(
         ManifoldFacts(manifold, seeds=seeds, points=points, tolerance=tolerance), MANIFOLD_CHECKS, only, skip, throw

@@ -249,14 +249,27 @@ def check_metric(
     skip: dict[str, str] | None = None,
     throw: bool = True,
 ) -> Report:
-    """Measure whether an object is a Riemannian metric whose inner products, covectors and energies belong together.
+    """Measure whether an object is a Riemannian metric with consistent inner products, covectors and energies.
 
-    ``isometries``: maps of the manifold to itself, by names, that are claimed to leave the metric invariant, as
-    ``{"left translation": lambda x: a @ x}``. ``seeds``, ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in
-    ``check_manifold``. Returns the report; raises ``ConformanceError`` if a fact does not hold, unless ``throw`` is
-    false.
+    Parameters
+    ----------
+    metric : Metric
+        The metric.
+    isometries : mapping of str to callable, optional
+        Maps of the manifold to itself that are claimed to leave the metric invariant, such as ``{"left translation":
+        lambda x: a @ x}``.
+    seeds, points, tolerance, only, skip, throw
+        As in ``check_manifold``; points have the shape of ``manifold.ambient``.
 
-    ``points``: points of the shape of the manifold's ``ambient``.
+    Returns
+    -------
+    Report
+        The outcomes.
+
+    Raises
+    ------
+    ConformanceError
+        If a fact does not hold and ``throw`` is true.
     """
     facts = MetricFacts(metric, isometries=isometries, seeds=seeds, points=points, tolerance=tolerance)
     return examine(facts, METRIC_CHECKS, only, skip, throw)

@@ -157,14 +157,30 @@ def check_retraction(
     skip: dict[str, str] | None = None,
     throw: bool = True,
 ) -> Report:
-    """Measure whether an object is a retraction with the inverse, the domain and the derivatives that it says it has.
+    """Measure whether an object is a retraction with the claimed inverse, domain and derivatives.
 
-    ``order``: 2 if the retraction is claimed to be of second order for ``metric`` (default: that of the ambient space).
-    ``reach``: tangent vectors up to this length, Euclidean in the ambient space, must lie in its domain. ``seeds``,
-    ``points``, ``tolerance``, ``only``, ``skip``, ``throw`` as in ``check_manifold``. Returns the report; raises
-    ``ConformanceError`` if a fact does not hold, unless ``throw`` is false.
+    Parameters
+    ----------
+    retraction : Retraction
+        The retraction.
+    order : int
+        2 if it is claimed to be of second order for ``metric``.
+    metric : Metric, optional
+        The metric; by default the embedded metric.
+    reach : float
+        Tangent vectors up to this length, Euclidean in the ambient space, must lie in the domain.
+    seeds, points, tolerance, only, skip, throw
+        As in ``check_manifold``; points have the shape of ``manifold.ambient``.
 
-    ``points``: points of the shape of the manifold's ``ambient``.
+    Returns
+    -------
+    Report
+        The outcomes.
+
+    Raises
+    ------
+    ConformanceError
+        If a fact does not hold and ``throw`` is true.
     """
     claims = {"order": order, "metric": metric, "reach": reach}
     facts = RetractionFacts(retraction, **claims, seeds=seeds, points=points, tolerance=tolerance)
