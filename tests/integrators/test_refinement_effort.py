@@ -11,7 +11,6 @@ from retrax.retractions import Addition, Gauss, default_retraction
 
 PLANE, SPACE, SIX = Euclidean(2), Euclidean(4), Euclidean(6)
 MOST = 5  # times the iterations on the first mesh
-SINGULAR = {"fishing": 8, "catalyst-mixing": 10}  # arcs that are tried in vain
 
 
 def cart(q, u):
@@ -23,7 +22,8 @@ def least_thrust():
     problem = OptimalControlProblem(
         PLANE, lambda q, u: cart(q, u[:1] - u[1:]), lambda q, u: jnp.sum(u), 2, control_bounds=([0, 0], [1, 1])
     )
-    return (problem, Gauss(2, Addition(PLANE)), np.zeros(2), np.array([1.0, 0.0]), 4.0, 20), 4 - np.sqrt(12)
+    ends = np.zeros(2), np.array([1.0, 0.0])
+    return (problem, *ends, 4.0), {"method": Gauss(2, Addition(PLANE)), "steps": 20}, 4 - np.sqrt(12)
 
 
 def held_back():
@@ -31,7 +31,8 @@ def held_back():
     problem = OptimalControlProblem(
         PLANE, cart, lambda q, u: u @ u / 2, 1, control_bounds=(-8, 8), constraints={"wall": lambda q, u: q[0] - 0.1}
     )
-    return (problem, Gauss(2, Addition(PLANE)), np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0, 20), 4 / 0.9
+    ends = np.array([0.0, 1.0]), np.array([0.0, -1.0])
+    return (problem, *ends, 1.0), {"method": Gauss(2, Addition(PLANE)), "steps": 20}, 4 / 0.9
 
 
 def descent():
@@ -50,14 +51,15 @@ def descent():
     }
     problem = OptimalControlProblem(space, dynamics, lambda q, u: u[3], 4, constraints=limits)
     start = np.array([450.0, -330.0, 2400.0, -40.0, 10.0, -10.0]), np.array([1.905])
-    return (problem, Gauss(2, default_retraction(space)), start, (np.zeros(6), None), 50.0, 40), 412.42538
+    on = {"method": Gauss(2, default_retraction(space)), "steps": 40}
+    return (problem, start, (np.zeros(6), None), 50.0), on, 412.42538
 
 
 def of_library(name):
     """A problem of the library, with its optimum."""
     entry = problems.get(name)
-    given = entry.problem, entry.discretization, entry.start, entry.end, entry.horizon, entry.steps, entry.guess
-    return given, entry.optimum
+    on = {"method": entry.discretization, "steps": entry.steps, "guess": entry.guess}
+    return (entry.problem, entry.start, entry.end, entry.horizon), on, entry.optimum
 
 
 CASES = {
@@ -67,32 +69,21 @@ CASES = {
     "fuller": (lambda: of_library("fuller"), 7),
     "descent": (descent, 6),
 }
-QUICK = "least-thrust", "held-back"
+QUICK = ("held-back",)
 
 
 @pytest.mark.parametrize("name", [n if n in QUICK else pytest.param(n, marks=pytest.mark.slow) for n in CASES])
 def test_an_accuracy_takes_few_iterations_more_than_the_first_mesh(name):
     """Of problems whose controls switch, are singular, or are held by a limit of the state."""
     make, digits = CASES[name]
-    given, optimum = make()
-    first = solve(*given).statistics.iterations
+    given, on, optimum = make()
+    first = solve(*given, **on).statistics.iterations
     for accuracy in 10.0 ** -np.arange(3, digits + 1):
-        found = solve(*given, accuracy=accuracy, throw=False)
+        found = solve(*given, **on, accuracy=accuracy, throw=False)
         assert found.success, (accuracy, found.result)
         assert found.checks.error <= accuracy
-        assert abs(found.cost / optimum - 1) <= 2 * accuracy, accuracy
+        assert abs(found.cost / optimum - 1) <= accuracy, accuracy
         assert found.statistics.iterations <= MOST * first, (accuracy, first)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("entry", problems.all(), ids=lambda entry: entry.name)
-def test_the_library_takes_few_iterations_more_than_the_first_mesh(entry):
-    """To a millionth, with a success each."""
-    given = entry.problem, entry.discretization, entry.start, entry.end, entry.horizon, entry.steps, entry.guess
-    first = solve(*given, throw=False).statistics.iterations
-    found = solve(*given, accuracy=1e-6, throw=False)
-    assert found.success, found.result
-    assert found.statistics.iterations <= SINGULAR.get(entry.name, MOST) * first
 
 
 @pytest.mark.parametrize("steps", [20, 80])
@@ -104,7 +95,7 @@ def test_controls_that_alternate_along_a_limit_err_by_the_square_of_a_step(steps
     found = solve(problem, np.zeros(2), np.array([1.0, 0.0]), Free(3.0), method=Gauss(2, Addition(PLANE)), steps=steps)
     assert np.ptp(found.controls) == pytest.approx(2.0)
     errors = step_errors(problem, found)
-    assert np.all(errors.controls <= 1 / steps**2 * (1 + 1e-6))
+    assert np.all(errors.controls <= (1 + 1e-6) / (steps**2 * np.mean(found.controls**2)))
 
 
 @pytest.mark.parametrize(
