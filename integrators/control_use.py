@@ -6,7 +6,6 @@ import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ..indices import place_of
-from ..tape import NotTraceableError, Tape
 from .quantities import Quantities
 from .results import callers
 
@@ -29,6 +28,8 @@ def warn_of_broadcast(program: ClosedJaxpr) -> None:
 
 def unread_controls(program: ClosedJaxpr, quantities: Quantities) -> list[str]:
     """The names of the entries of the controls that no function reads; none where the functions have no tape."""
+    from ..tape import NotTraceableError, Tape  # they load CasADi and Numba
+
     zeros = [np.zeros(kind.shape, kind.dtype) for kind in program.in_avals]
     try:
         function = Tape.trace(jaxpr_as_fun(program), *zeros).to_casadi()

@@ -156,7 +156,7 @@ class OptimalControlProblem(Module):
 
     @property
     def functions(self) -> dict[str, Callable[..., Any]]:
-        """All functions by the names that messages have for them."""
+        """The functions by the names that messages have for them."""
         return {name: function for name, function, _ in self._functions()}
 
     @property
@@ -202,8 +202,7 @@ class OptimalControlProblem(Module):
         return f"{first} has the arguments {arguments_of(of)}, one more than the {count} of one without parameters"
 
     def at_time(self, t: Any) -> "OptimalControlProblem":
-        """The problem whose functions have the time, behind which they take nothing more; itself if they take no
-        time."""
+        """The problem whose functions have the time; the problem itself if they take none."""
         if not self.time_dependent:
             return self
         time = jnp.asarray(t, float)  # of Python's own numbers the inverse of zero is an error
@@ -243,17 +242,17 @@ class OptimalControlProblem(Module):
 
     @property
     def inequality_names(self) -> tuple[str, ...]:
-        """A name for each of the inequalities, as ``cone[1]``; of a problem whose functions have their parameters."""
+        """A name for each of the inequalities, such as ``cone[1]``, of a problem without parameters."""
         return self.limits.words(self.inequality_sizes, self._shape)
 
     @property
     def inequality_sizes(self) -> dict[str, int | None]:
-        """How many entries each of the constraints has, None for a number."""
+        """The number of entries of each constraint; None for a number."""
         return self.limits.sizes(self.manifold.ambient, self.controls.ambient)
 
     @property
     def node_sizes(self) -> dict[str, int | None]:
-        """How many entries each of the node constraints has, None for a number."""
+        """The number of entries of each node constraint; None for a number."""
         return self.limits.node_sizes(self.manifold.ambient)
 
     def require_treated(self, what: str, *treated: str) -> None:
@@ -275,8 +274,13 @@ class OptimalControlProblem(Module):
             )
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
-        """``X(q, u)``. Raises ``InvalidInputError`` if ``dynamics`` returns something of another structure than a
-        point."""
+        """The velocity ``X(q, u)``; ``InvalidInputError`` if ``dynamics`` returns another structure than a point.
+
+        Parameters
+        ----------
+        q, u : point, control
+            The state and the control, arrays of the shapes of their manifolds.
+        """
         v = self.dynamics(q, u)
         if v is None:
             raise InvalidInputError("dynamics must return a tangent vector, got nothing; did it forget to return?")
@@ -317,7 +321,13 @@ class OptimalControlProblem(Module):
         return vec.pairing(p, self.velocity(q, u)), self.cost_rate(q, u)
 
     def hamiltonian(self, q: Ambient, p: Ambient, u: Ambient) -> Array:
-        r"""Pontryagin's Hamiltonian :math:`H(q, p, u) = \langle p, X(q, u) \rangle - p_0 F(q, u)`, a scalar."""
+        r"""Pontryagin's Hamiltonian :math:`H(q, p, u) = \langle p, X(q, u) \rangle - p_0 F(q, u)`, a scalar.
+
+        Parameters
+        ----------
+        q, p, u : point, covector, control
+            The state, the costate and the control.
+        """
         power, rate = self.parts(q, p, u)
         return power - rate
 
@@ -344,8 +354,7 @@ class OptimalControlProblem(Module):
             raise InvalidInputError(f"the method acts on {came}, the problem on {expected}; use one manifold")
 
     def check(self, q: Ambient, u: Ambient) -> None:
-        """Raise if the functions return something of the wrong kind at ``(q, u)``, or are not smooth in the controls
-        there."""
+        """Raise if the functions return a wrong kind at ``(q, u)``, or are not smooth in the controls there."""
         self.require_values()
         Inspection(self, q, u).require_sound()
 
@@ -354,19 +363,12 @@ class OptimalControlProblem(Module):
         return Inspection(self, q, u).is_regular
 
     def require_cost(self, q: Ambient, end: Ambient, fixed: tuple[bool, ...] = ()) -> None:
-        """Raise if both costs are a number each, near ``q`` and at random points with random controls.
-
-        The terminal one at points of which the arrays that are ``fixed`` at the end are those of ``end``.
-        """
+        """Raise unless both costs are numbers, near ``q`` and at random points like ``end`` where ``fixed``."""
         u = within_bounds(self.limits, resting_control(self.controls))
         require_cost(self, (q, u, probes(self, u)[0]), end, fixed)
 
     def is_steep_at(self, fixed: tuple[bool, ...] = ()) -> bool:
-        """Whether the differential of the terminal cost vanishes nowhere, because an entry of it is one number, not
-        zero.
-
-        Where that is free, of arrays that are not ``fixed``, no extremal ends with ``p = 0``.
-        """
+        """Whether the differential of the terminal cost has a constant nonzero entry that is not ``fixed``."""
         return is_steep(self, fixed)
 
     def require_values(self) -> ClosedJaxpr:

@@ -42,6 +42,11 @@ def arguments(thing: object) -> list[str]:
     return [name for name in inspect.signature(thing).parameters if name not in ("self", "cls")]
 
 
+def has_section(thing: object, title: str = "Parameters") -> bool:
+    """Whether a docstring has a section."""
+    return f"{title}\n---" in (inspect.getdoc(thing) or "")
+
+
 def in_order(names: list[str], among: list[str]) -> bool:
     """Whether the names are among others, in this order."""
     rest = iter(among)
@@ -51,7 +56,7 @@ def in_order(names: list[str], among: list[str]) -> bool:
 def undocumented(thing: object) -> str:
     """How the sections differ from the signature, or the summary from the rules; empty if they do not."""
     words, expected = inspect.getdoc(thing) or "", arguments(thing)
-    is_record = inspect.isclass(thing) and "Attributes\n---" in words and "Parameters\n---" not in words
+    is_record = inspect.isclass(thing) and has_section(thing, "Attributes") and not has_section(thing)
     summary = " ".join(words.partition("\n\n")[0].split())
     sentence = re.sub(r"``[^`]*``|:math:`[^`]*`", "formula", re.split(r"(?<=[.;:]) (?=[A-Z])", summary)[0])
     if not summary.endswith(".") or summary.startswith(PRONOUNS) or len(sentence.split()) > MOST_WORDS:
@@ -83,7 +88,7 @@ def undocumented_method(kind: type, name: str) -> str:
     method = getattr(kind, name)
     inherited = [getattr(base, name) for base in kind.__mro__[1:] if name in vars(base)]
     same = any(not undocumented(other) and arguments(other) == arguments(method) for other in inherited)
-    return "" if same and "Parameters\n---" not in inspect.getdoc(method) else undocumented(method)
+    return "" if same and not has_section(method) else undocumented(method)
 
 
 @pytest.mark.parametrize("room", ROOMS)
@@ -94,8 +99,9 @@ def test_every_argument_of_a_public_name_is_documented(room):
 
 @pytest.mark.parametrize("room", ROOMS)
 def test_every_argument_of_a_method_is_documented(room):
-    kinds = [kind for kind in public(room).values() if inspect.isclass(kind) and kind.__module__ not in METHODS_LATER]
-    wrong = {f"{kind.__name__}.{name}": undocumented_method(kind, name) for kind in kinds for name in methods(kind)}
+    pairs = [(kind, name) for kind in public(room).values() if inspect.isclass(kind) for name in methods(kind)]
+    due = [pair for pair in pairs if pair[0].__module__ not in METHODS_LATER or has_section(getattr(*pair))]
+    wrong = {f"{kind.__name__}.{name}": undocumented_method(kind, name) for kind, name in due}
     assert not {name: words for name, words in wrong.items() if words}
 
 

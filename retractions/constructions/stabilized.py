@@ -19,8 +19,10 @@ class RestoredAfter(DifferentiatedRetraction):
     inner : Retraction
         The retraction ``R``.
 
-    Notes ----- :math:`S(x, v) = \mathrm{restore}(R(x, v))`. On the manifold ``restore`` is the identity: inverse,
-    domain and derivative along the fibres are unchanged.
+    Notes
+    -----
+    :math:`S(x, v) = \mathrm{restore}(R(x, v))`. On the manifold ``restore`` is the identity: inverse, domain and
+    derivative along the fibres are unchanged.
 
     Examples
     --------

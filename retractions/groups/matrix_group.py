@@ -77,8 +77,10 @@ class GroupExponential(SymmetricGroupRetraction):
     manifold : MatrixLieGroup
         The group.
 
-    Notes ----- On SO, U and SU its curves are geodesics of the bi-invariant metric; on other groups there is in general
-    no such metric. Entries are NaN if rounding leads off the group.
+    Notes
+    -----
+    On SO, U and SU its curves are geodesics of the bi-invariant metric; on other groups there is in general no such
+    metric. Entries are NaN if rounding leads off the group.
 
     Inverse: the principal logarithm, where no eigenvalue lies on the closed negative axis. Domain on SO, SE, U and SU:
     all angles of ``A`` are below :math:`\pi`, and no two angles, except those of one plane, are within
