@@ -1,6 +1,6 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from html import escape
@@ -282,23 +282,42 @@ class Solution:
 
         return to_pandas(self, at)
 
-    def plot(self) -> Any:
-        """The histories of states and controls as a Matplotlib figure; see ``retrax.plotting.histories``."""
+    def plot(self, degrees: bool = False) -> Any:
+        """The histories of states and controls as Matplotlib axes; see ``retrax.plotting.histories``.
+
+        Parameters
+        ----------
+        degrees : bool
+            Whether angles and their rates are drawn in degrees instead of radians.
+
+        Returns
+        -------
+        ndarray of matplotlib axes
+            One for each array of the state, then one for each array of the controls.
+        """
         from ...plotting import histories
 
-        return histories(self)
+        return histories(self, degrees=degrees)
 
-    def to_html(self, path: str | Path, mesh: tuple[Any, Any] | None = None, title: str = "") -> None:
+    def to_html(
+        self,
+        path: str | Path,
+        mesh: tuple[Any, Any] | None = None,
+        title: str = "",
+        degrees: bool = False,
+        cones: Sequence[Any] = (),
+        obstacles: Sequence[Any] = (),
+    ) -> None:
         """A page in one file that shows the solution in motion; see ``retrax.plotting.to_html``.
 
         Parameters
         ----------
-        path, mesh, title
+        path, mesh, title, degrees, cones, obstacles
             As in ``retrax.plotting.to_html``.
         """
         from ...plotting import to_html
 
-        to_html(self, path, mesh, title)
+        to_html(self, path, mesh, title, degrees=degrees, cones=cones, obstacles=obstacles)
 
     def save(self, path: str | Path) -> None:
         """An ``.npz`` file with the solution, which ``load_solution`` reads.
