@@ -132,7 +132,13 @@ class Quantities:
         return cls(own("q", states), own("u", controls))
 
     def bounded(self, lower: tuple[float, ...], upper: tuple[float, ...]) -> Self:
-        """These quantities with the bounds of the entries of the control, which are empty where it has none."""
+        """These quantities with the bounds of the entries of the control.
+
+        Parameters
+        ----------
+        lower, upper : tuple of float
+            The bounds of all entries, infinite where there is none; empty without bounds.
+        """
         bounds = tuple(zip(lower, upper, strict=True))
         is_fit = len(self.controls) == 1 and len(bounds) in (0, len(self.controls[0].entries))
         return replace(self, controls=(replace(self.controls[0], bounds=bounds),)) if is_fit else self

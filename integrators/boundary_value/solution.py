@@ -13,7 +13,7 @@ from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifol
 from ...manifolds.numerics.tolerances import ACTIVE
 from ...retractions import Retraction
 from ..quantities import Quantities
-from ..records import Along, RecordFile, Values, not_finite, shapes
+from ..records import Along, RecordFile, Values, not_finite, shapes, write_protect
 from .checks import RegularChecks, SingularArc, SingularChecks, Statistics
 from .guess import Guess
 from .interpolation import Interpolant, Sample
@@ -104,7 +104,7 @@ class Solution:
     quantities: Quantities | Any = None
 
     def __post_init__(self) -> None:
-        _write_protect(vars(self))
+        write_protect(vars(self))
 
     @property
     def status(self) -> Status:
@@ -289,11 +289,6 @@ class Solution:
         ----------
         degrees : bool
             Whether angles and their rates are drawn in degrees instead of radians.
-
-        Returns
-        -------
-        ndarray of matplotlib axes
-            One for each array of the state, then one for each array of the controls.
         """
         from ...plotting import histories
 
@@ -346,18 +341,6 @@ def _in_tuples(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _in_tuples(part) for key, part in value.items()}
     return tuple(map(_in_tuples, value)) if isinstance(value, tuple | list) else value
-
-
-def _write_protect(value: Any) -> None:
-    """Make the arrays in nested tuples, lists and dictionaries read-only."""
-    if isinstance(value, np.ndarray):
-        value.flags.writeable = False
-    elif isinstance(value, dict):
-        for part in value.values():
-            _write_protect(part)
-    elif isinstance(value, (tuple, list)):
-        for part in value:
-            _write_protect(part)
 
 
 _SCHEMA = {name: hint for name, hint in get_type_hints(Solution, include_extras=True).items() if name not in IN_TEXT}
