@@ -124,9 +124,6 @@ def plot(solution, paths, path):
     """The ways around the ball with the body's axes on the optimal one, and the distances to the ball."""
     figure = plt.figure(figsize=(11, 5), layout="constrained")
     space, axis = figure.add_subplot(1, 2, 1, projection="3d"), figure.add_subplot(1, 2, 2)
-    polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
-    ball = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
-    space.plot_wireframe(*np.moveaxis(CENTRE + RADIUS * ball, -1, 0), color="0.8", linewidth=0.5)
     widths = 1.5, 5.0, 1.5  # the last two ways are nearly the same
     for (name, poses), colour, width in zip(paths.items(), ("C0", "#ffbf7f", "C2"), widths, strict=True):
         if poses is not solution.states:
@@ -134,7 +131,7 @@ def plot(solution, paths, path):
         away = np.linalg.norm(positions(poses) - CENTRE, axis=1)
         axis.plot(np.linspace(0, 1, len(poses)), away, color=colour, linewidth=width, label=name)
     space.set_prop_cycle(color=["tab:green"])
-    plotting.path(solution, ax=space)
+    plotting.path(solution, ax=space, obstacles=[(CENTRE, RADIUS)])
     space.view_init(50, -70)
     space.set(title="the optimal motion, with body axes x red, y green, z blue")
     space.title.set_fontsize("medium")
