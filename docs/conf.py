@@ -21,7 +21,18 @@ mpl.use("Agg")
 
 project, author, copyright = "retrax", "The retrax authors", "The retrax authors"
 version = release = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    # MathJax as a package of pip, copied into the site: the one from npm would need Node where the site is built.
+    "sphinx-mathjax-offline",
+    "sphinx_gallery.gen_gallery",
+]
+myst_enable_extensions = ["dollarmath", "amsmath"]
+mathjax3_config = {"chtml": {"mtextInheritFont": True}}  # the packaged release is 3.2.2
+napoleon_google_docstring, napoleon_use_rtype = False, False
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_site", "_gallery"]
 html_theme, html_title = "furo", f"retrax {__version__}"
@@ -56,6 +67,6 @@ reference.write(HERE / "api")
 
 def setup(app):
     """What is done to docstrings on their way into a page, and to the links of the finished site."""
-    app.connect("autodoc-process-docstring", docstrings.process)
+    app.connect("autodoc-process-docstring", docstrings.process, priority=400)  # before napoleon
     app.connect("autodoc-process-signature", docstrings.sign)
     app.connect("build-finished", links.check)
