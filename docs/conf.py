@@ -12,6 +12,7 @@ sys.path.insert(0, str(HERE / "_site"))
 
 import docstrings  # noqa: E402
 import gallery  # noqa: E402
+import library  # noqa: E402
 import links  # noqa: E402
 import reference  # noqa: E402
 from retrax import __version__  # noqa: E402
@@ -63,6 +64,7 @@ suppress_warnings = ["config.cache"]
 
 gallery.prepare(HERE.parent / "examples", HERE / "_gallery")
 reference.write(HERE / "api")
+library.write(HERE / "library")
 
 
 def setup(app):

@@ -99,4 +99,3 @@ def closed(retraction: Retraction) -> str:
         "D": isinstance(retraction, DifferentiatedRetraction),
     }
     return " ".join(letter for letter, there in own.items() if there)
-
