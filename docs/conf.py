@@ -20,7 +20,11 @@ from retrax import __version__  # noqa: E402
 jax.config.update("jax_enable_x64", True)
 mpl.use("Agg")
 
-project, author, copyright = "retrax", "The retrax authors", "The retrax authors"
+project, author, copyright = (
+    "retrax",
+    "The retrax authors",
+    "The retrax authors",
+)
 version = release = __version__
 extensions = [
     "myst_parser",
@@ -32,7 +36,9 @@ extensions = [
     "sphinx_gallery.gen_gallery",
 ]
 myst_enable_extensions = ["dollarmath", "amsmath"]
-mathjax3_config = {"chtml": {"mtextInheritFont": True}}  # the packaged release is 3.2.2
+mathjax3_config = {
+    "chtml": {"mtextInheritFont": True}
+}  # the packaged release is 3.2.2
 napoleon_google_docstring, napoleon_use_rtype = False, False
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_site", "_gallery"]
@@ -69,6 +75,8 @@ library.write(HERE / "library")
 
 def setup(app):
     """What is done to docstrings on their way into a page, and to the links of the finished site."""
-    app.connect("autodoc-process-docstring", docstrings.process, priority=400)  # before napoleon
+    app.connect(
+        "autodoc-process-docstring", docstrings.process, priority=400
+    )  # before napoleon
     app.connect("autodoc-process-signature", docstrings.sign)
     app.connect("build-finished", links.check)
