@@ -15,6 +15,7 @@ import gallery  # noqa: E402
 import library  # noqa: E402
 import links  # noqa: E402
 import reference  # noqa: E402
+import search  # noqa: E402
 from retrax import __version__  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
@@ -80,3 +81,4 @@ def setup(app):
     )  # before napoleon
     app.connect("autodoc-process-signature", docstrings.sign)
     app.connect("build-finished", links.check)
+    app.connect("build-finished", search.check)
