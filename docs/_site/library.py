@@ -28,7 +28,7 @@ SUBJECTS = {
 UNITS = {"sqrt(l/g)": r"$\sqrt{l/g}$", "period / 2 pi": r"period$/2\pi$", "58.13 days": "58.13 days"}
 UNITS["Larmor period / 2 pi"] = r"Larmor period$/2\pi$"
 # How many seconds the pictures may take together; the pages of problems that come later have none.
-SECONDS = float(os.environ.get("RETRAX_SITE_SECONDS", "150"))
+SECONDS = float(os.environ.get("RETRAX_SITE_SECONDS", "180"))
 # Solved first, because readers ask for them first; the others by subject.
 FIRST = ("rest-to-rest-slew", "limited-slew", "keep-out-cone", "betts", "quadrotor", "robot-arm", "moon-landing")
 INDEX = """# Problem library
