@@ -12,8 +12,8 @@ sys.path.insert(0, str(HERE / "_site"))
 
 import docstrings  # noqa: E402
 import gallery  # noqa: E402
-import library  # noqa: E402
 import links  # noqa: E402
+import problem_pages  # noqa: E402
 import reference  # noqa: E402
 import search  # noqa: E402
 from retrax import __version__  # noqa: E402
@@ -30,7 +30,6 @@ version = release = __version__
 extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
-    "sphinx.ext.napoleon",
     "sphinx.ext.mathjax",
     # MathJax as a package of pip, copied into the site: the one from npm would need Node where the site is built.
     "sphinx-mathjax-offline",
@@ -40,7 +39,6 @@ myst_enable_extensions = ["dollarmath", "amsmath"]
 mathjax3_config = {
     "chtml": {"mtextInheritFont": True}
 }  # the packaged release is 3.2.2
-napoleon_google_docstring, napoleon_use_rtype = False, False
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_site", "_gallery"]
 html_theme, html_title = "furo", f"retrax {__version__}"
@@ -71,14 +69,12 @@ suppress_warnings = ["config.cache"]
 
 gallery.prepare(HERE.parent / "examples", HERE / "_gallery")
 reference.write(HERE / "api")
-library.write(HERE / "library")
+problem_pages.write(HERE / "library")
 
 
 def setup(app):
     """What is done to docstrings on their way into a page, and to the links of the finished site."""
-    app.connect(
-        "autodoc-process-docstring", docstrings.process, priority=400
-    )  # before napoleon
+    app.connect("autodoc-process-docstring", docstrings.process)
     app.connect("autodoc-process-signature", docstrings.sign)
     app.connect("build-finished", links.check)
     app.connect("build-finished", search.check)

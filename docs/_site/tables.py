@@ -3,7 +3,7 @@
 import inspect
 import re
 
-from docstrings import escaped
+from docstrings import escaped, prose
 from retrax import manifolds as m
 from retrax import retractions as r
 from retrax.manifolds import Manifold

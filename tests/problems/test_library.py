@@ -111,22 +111,22 @@ def test_a_name_that_no_problem_has_is_refused():
 
 
 @pytest.fixture
-def library(monkeypatch):
+def pages(monkeypatch):
     monkeypatch.syspath_prepend(str(SITE))
-    return importlib.import_module("library")
+    return importlib.import_module("problem_pages")
 
 
-def test_the_index_of_the_site_has_every_problem_with_its_optimum(library):
-    rows = re.findall(r"^\| \[([^]]+)\]\(\1\.md\) \|.*?\| (\S+) \|", library.index(), re.MULTILINE)
+def test_the_index_of_the_site_has_every_problem_with_its_optimum(pages):
+    rows = re.findall(r"^\| \[([^]]+)\]\(\1\.md\) \|.*?\| (\S+) \|", pages.index(), re.MULTILINE)
     assert dict(rows) == {name: f"{e.optimum:.{min(e.digits, 10)}g}" for name, e in entries().items()}
     assert len(rows) == len(entries())
 
 
 @pytest.mark.parametrize("name", problems.names())
-def test_the_page_of_a_problem_states_it_in_latex(name, library):
+def test_the_page_of_a_problem_states_it_in_latex(name, pages):
     """Braces are balanced, each symbol of the record is in the equations, and so is what limits the controls."""
     entry = entries()[name]
-    page, said = library.page(entry, None), " ".join(entry.equations)
+    page, said = pages.page(entry, None), " ".join(entry.equations)
     assert said.startswith(r"\text{minimise }")
     for text in (*entry.equations, entry.formula):
         assert text.count("{") == text.count("}")

@@ -20,16 +20,39 @@ Path = Callable[[np.ndarray], tuple[Any, Any]]
 class KnownProblem:
     """An optimal control problem with its data, its source and its known optimum.
 
-    ``start``, ``end``, ``horizon`` and ``steps`` are those of ``solve``; ``method`` is ``Gauss(3,
-    default_retraction(manifold))`` where it is None. ``path`` makes the default guess: states and controls, with the
-    points along the leading axis, at an array of fractions of the horizon; None where that of ``solve`` does.
-    ``equations`` state the problem in LaTeX: what is minimised, the dynamics, limits and constants. ``states`` and
-    ``controls`` say by symbol what the entries are, with units and frames; ``time`` and ``cost`` are units.
-
-    ``optimum`` is the least cost known, ``digits`` the number of its significant digits that are verified, and
-    ``origin`` says how. ``formula``: the optimum in closed form, in LaTeX. ``accuracy``: what is asked of ``solve``,
-    where its steps do not fit the problem from the beginning. ``error``: how near to the optimum the method comes with
-    these steps, relative to it, or absolutely where it is zero.
+    Attributes
+    ----------
+    name, title : str
+        The name in ``get``, and a title.
+    equations : tuple of str
+        The problem in LaTeX, line by line: the cost, the dynamics, limits and constants.
+    problem : OptimalControlProblem
+        The problem.
+    start, end, horizon
+        The arguments of ``solve``.
+    states, controls : dict of str to str
+        The entries by symbol, with units and frames.
+    source : str
+        The publication.
+    optimum : float
+        The lowest known cost.
+    digits : int
+        The number of verified significant digits of the optimum.
+    origin : str
+        The method of the verification.
+    formula : str
+        The optimum in closed form, in LaTeX, if there is one.
+    time, cost : str
+        The units of time and cost.
+    steps, method
+        The arguments of ``solve``; ``method`` is None for ``Gauss(3, default_retraction(manifold))``.
+    path : callable or None
+        States and controls of the default guess at an array of fractions of the horizon, with points along the leading
+        axis; None for the guess of ``solve``.
+    accuracy : float or None
+        The accuracy for ``solve``, if the steps have to be refined.
+    error : float
+        Relative distance from the optimum with these steps, absolute if the optimum is zero.
     """
 
     name: str
