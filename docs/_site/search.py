@@ -50,10 +50,13 @@ def missed(index: dict[str, Any]) -> list[str]:
 
 
 def check(app: Any, exception: Exception | None) -> None:
-    """Warn of each word that the index of the built site has not at its page; warnings are errors."""
+    """Warn of each word that the index of a fresh build has not at its page; warnings are errors.
+
+    A build of changed pages alone leaves the index entries of the others out.
+    """
     from sphinx.util import logging
 
-    if exception or app.builder.name != "html":
+    if exception or app.builder.name != "html" or not app.fresh_env_used:
         return
     text = (Path(app.outdir) / "searchindex.js").read_text()
     for words in missed(json.loads(text[text.index("(") + 1 : text.rindex(")")])):
