@@ -1,15 +1,20 @@
-"""A rigid body moves between two poses past an obstacle: a path planned by pymanopt starts the optimal control solver.
+r"""Path planning around an obstacle
 
-    x' = x hat(xi),    minimise  int (J |omega|^2 + m |v|^2) / 2 + b(t) dt,    xi = (omega, v),    x = (R, t)
+A rigid body moves between two poses past an obstacle: a path planned by pymanopt starts the optimal control solver.
 
-on SE(3): the kinetic energy of the motion, and a barrier b = W exp(S (1 - |t - c|^2 / r^2)) around a ball of radius r,
-which the straight way would cross.
+    \dot x = x\,\hat\xi, \qquad
+    \text{minimise } \int \tfrac12 (J \lvert\omega\rvert^2 + m \lvert v\rvert^2) + b(t)\,dt, \qquad
+    \xi = (\omega, v), \quad x = (R, t)
+
+on SE(3): the kinetic energy of the motion, and a barrier :math:`b = W \exp(S (1 - \lvert t - c\rvert^2/r^2))` around
+a ball of radius :math:`r`, which the straight way would cross.
 
 First the path: the nodes between start and end are one point of Power(SE(3), N - 1). Riemannian trust regions of
 pymanopt minimise its discrete energy plus the barrier over them. Without the barrier the minimum is the geodesic, a
-straight line turned at a constant rate, with the energy J N^2 (1 - cos(angle / N)) + m |d|^2 / 2: the first number that
-is checked. `solve` takes the path, with the twists between its nodes, as its guess. The second number: the way is not
-shorter than a string pulled taut around the ball, two tangents and an arc, and little longer.
+straight line turned at a constant rate, with the energy
+:math:`J N^2 (1 - \cos(\alpha/N)) + \tfrac12 m \lvert d\rvert^2`: the first number that is checked. `solve` takes the
+path, with the twists between its nodes, as its guess. The second number: the way is not shorter than a string pulled
+taut around the ball, two tangents and an arc, and little longer.
 
     python examples/path_planning.py [--steps 40] [--output examples/output]
 """
