@@ -14,11 +14,10 @@ from .conditions import Conditions
 from .descent import Descent
 from .found import Found, Iteration
 from .kkt_system import Iterate
-from .own_units import judged_loosely
+from .own_units import adopted
 from .restoration import NARROW, Restoration
 
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
-AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
     "iterate", "assembled", "residuals", "strict_minimum", "iterations", "limited", "claimed", "solvable", "missing",
     "contradictory", "unit", "falling",
@@ -42,8 +41,7 @@ def newton(
     inequalities contradict each other near the guess, or the ends, the trajectory that violates them least is a guess
     once more: its jam may be of the way there. Last comes a feasibility phase, from whose trajectory a search sets out
     in a narrow funnel: nothing is contradictory where it has met everything. Without controls it comes wherever no
-    minimum was found. Success is judged in units of what is found: where these are far less than those of the guess,
-    that is a guess once more.
+    minimum was found.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
@@ -57,13 +55,7 @@ def newton(
         found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
-    found = _restored(search, _crawled(search, found), guess)
-    for _ in range(AGAIN):
-        loose = judged_loosely(search.conditions, found)
-        if not loose.size or found.stopped:
-            break
-        found = _again(search, found, found.iterate, loose, anyhow=True)
-    return found
+    return _restored(search, _crawled(search, found), guess)
 
 
 def _crawled(search: Descent, found: Found) -> Found:
@@ -115,9 +107,9 @@ def _seen(search: Descent, members: np.ndarray) -> Callable[[Iteration], Any] | 
     return callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
 
 
-def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
-    """What is found where some members begin once more, from guesses as they are, if that is better, or anyhow."""
-    anything = anyhow | ~(found.claimed | found.contradictory)[members]  # elsewhere nothing but a success says more
+def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray) -> Found:
+    """What is found where some members begin once more, from guesses as they are, if that is better."""
+    anything = ~(found.claimed | found.contradictory)[members]  # elsewhere nothing but a success says more
     return _tried(search, found, taken(guess, members), members, anything)
 
 
@@ -143,13 +135,6 @@ def _tried(
     better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}
     if better.size:
-        _adopt(search.conditions, alone.conditions.of(better), first, len(found.claimed))
+        adopted(search.conditions, alone.conditions.of(better), first, len(found.claimed))
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
     return found._replace(stopped=again.stopped, **chosen)
-
-
-def _adopt(conditions: Any, part: Any, members: np.ndarray, count: int) -> None:
-    """Let the conditions have the units of a part in some members."""
-    rest = np.setdiff1d(np.arange(count), members)
-    parts = [conditions.of(rest), part] if rest.size else [part]
-    conditions.adopt(parts, np.argsort(np.concatenate([rest, members])))
