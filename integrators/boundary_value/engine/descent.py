@@ -30,8 +30,9 @@ from .first_multipliers import has_flat_controls, with_first_multipliers
 from .found import Found, Iteration, stops
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals
-from .own_units import renewed
+from .own_units import adopted, outgrown, own_units
 from .pursuit import EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
+from .restoration import NARROW
 from .regularising import regularised, solvable
 from .widening import rewritten
 
@@ -87,13 +88,11 @@ class Descent:
         state = self.set_out(guess)
         self.unit = np.array(self.conditions.judging.cost)
         while True:
-            self.fall.note(self.trials, state.member, state.assembled.cost)
-            finished = self.finished(state)
-            if (again := renewed(self, state, finished | (self.trials % ROUND == 0))) is not state:
-                self._own, state, finished = None, again, self.finished(again)
             self.state = state
+            self.fall.note(self.trials, state.member, state.assembled.cost)
+            self.state = state = self.in_own_units(state)
             self.report(state, state.descends)
-            state = self.leave(state, finished)
+            state = self.leave(state, self.finished(state))
             if state is None or self.stopped:
                 return
             state = self.pursued(state) or self.next(state)
@@ -125,6 +124,44 @@ class Descent:
         self.fall.note_all(self.trials + 1, state.member, costs)
         self.trials += trials
         return self.settled_after(state, conditions)
+
+    def in_own_units(self, state: State) -> State:
+        """The state with members in units of their iterates, if theirs are far from these, where a search ends, or after
+        a round of trials; itself where there is none.
+
+        A cost that falls without end has no size: there the search goes on as it is.
+        """
+        whole, again_all = len(state.member), self.trials % ROUND == 0
+        places = np.flatnonzero(self.finished(state) | again_all)
+        which = np.isin(np.arange(len(self.unit)), state.member[places[~state.claimed[places]]])
+        places = places[~self.fall.lasts(which, self.unit)[state.member[places]]]
+        if not places.size:
+            return state
+        part = state if len(places) == whole else taken(state, places)
+        own = self.conditions.of(part.member)
+        again, assembled = own_units(own, part.iterate, part.assembled)
+        far = np.flatnonzero(outgrown(own, again, part.iterate, part.assembled, again_all))
+        if not far.size:
+            return state
+        if len(far) < len(places):
+            again, part, assembled = again.of(far), taken(part, far), taken(assembled, far)
+        rest = np.setdiff1d(np.arange(whole), places[far])
+        adopted(self.conditions, again, part.member, len(self.unit))
+        self._own, part = None, self.stood(again, part._replace(assembled=assembled))
+        return taken(joined([taken(state, rest), part]), np.argsort(np.concatenate([rest, places[far]])))
+
+    def stood(self, conditions: Conditions, state: State) -> State:
+        """The state in other units."""
+        iterate, assembled, count = state.iterate, state.assembled, len(state.member)
+        residuals, (zero, one, no) = conditions.residuals(iterate, assembled), (np.zeros(count), np.ones(count), np.zeros(count, bool))
+        arrived = residuals.final <= self.tolerance
+        near = arrived | (residuals.largest <= np.sqrt(self.tolerance))
+        step, shift, descends = regularised(conditions, iterate, assembled, zero, near, near)
+        merit, far = self.funnel.value(conditions, iterate, assembled), np.full(count, np.inf)
+        promise = self.funnel.slope(conditions, iterate, assembled, step)
+        numbers = np.maximum(merit.infeasibility, NARROW), one, shift, residuals.largest, far, no, no, no
+        state = State(state.member, iterate, assembled, residuals, step, descends, *promise, merit, *numbers)
+        return self.settled(state, arrived, conditions)
 
     def own(self, state: State) -> Conditions:
         """The conditions of the members on their way, the same ones as long as these are the same."""
@@ -367,11 +404,5 @@ class Descent:
         if not self.conditions.joint:
             claimed &= ends_meet(whole.assembled, self.conditions.at_nodes.layout.in_arrays, self.tolerance)
         ended = strict & whole.isolated, iterations - 1, iterations > self.max_iterations, claimed, solvable(whole)
-        told = (
-            self.stopped,
-            missing,
-            self.contradictory(whole),
-            unit,
-            self.fall.lasts(~claimed, self.unit if self.unit.size else unit),
-        )
+        told = self.stopped, missing, self.contradictory(whole), unit, self.fall.lasts(~claimed, self.unit)
         return Found(whole.iterate, whole.assembled, whole.residuals, *ended, *told)

@@ -5,46 +5,38 @@ from typing import Any
 
 import numpy as np
 
-from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS, HALF
-from .beginning import in_units
+from .beginning import in_units, started
 from .first_units import first_units
-from .restoration import NARROW
 
 LESS = 0.1  # of the units in use: where own ones are less, these take their place
 RESTS = EPS**HALF  # of these units: what goes no farther, from no end to another or by no control, is rounding
 
 
-def outgrown(conditions: Any, iterate: Any, assembled: Any) -> np.ndarray:
-    """Whether the units of each member are far larger than those of its iterate, shape (B,).
+def own_units(conditions: Any, iterate: Any, assembled: Any) -> tuple[Any, Any]:
+    """The conditions with the units of an iterate, and its system in these."""
+    again = copy(conditions)
+    if conditions.joint:
+        again.phases = tuple(map(copy, conditions.phases))
+        for phase, *first in zip(again.phases, *zip(*again.in_units(iterate), strict=True), strict=True):
+            started(phase, *first)
+        return again, again.assemble(iterate)
+    if iterate.slacks is None:
+        again.units, again.wider = first_units(again, iterate, assembled), None
+    else:
+        started(again, *in_units(again, iterate))
+    return again, assembled
+
+
+def outgrown(conditions: Any, again: Any, iterate: Any, assembled: Any, both: bool = False) -> np.ndarray:
+    """Whether the units of each member are far larger than those of its iterate, or, if ``both``, far smaller, shape
+    (B,); ``again``: the conditions with these.
 
     Units of states, controls or cost: whatever the guess, a search goes by the sizes of what it has come to.
     """
-    own = _sizes(_measured_again(conditions, iterate, assembled))
-    (goes, acts), share = _goes(conditions, iterate, assembled), own / _sizes(conditions)
-    return acts & np.any(share < LESS, axis=1) & (goes | np.any(share > RESTS, axis=1))
-
-
-def renewed(search: Any, state: Any, which: np.ndarray) -> Any:
-    """The state of a search where members begin again where they stand, if their units are far larger than those of
-    their iterates; itself where none does. Only those ``which`` are looked at.
-
-    A cost that falls without end has no size: then the search goes on as it is.
-    """
-    far = np.flatnonzero(which)
-    if far.size:
-        own, count = search.conditions.of(state.member), len(search.unit)
-        far = far[outgrown(own.of(far), *taken((state.iterate, state.assembled), far))]
-        unclaimed = np.isin(np.arange(count), state.member[far[~state.claimed[far]]])
-        far = far[~search.fall.lasts(unclaimed, search.unit)[state.member[far]]]
-    if not far.size:
-        return state
-    again, rest = own.of(far), np.setdiff1d(np.arange(len(which)), far)
-    options = search.tolerance, search.max_iterations, None
-    alone = type(search)(again, *options, as_it_is=True, width=NARROW)
-    fresh = alone.begun(taken(state.iterate, far))._replace(member=state.member[far])
-    adopted(search.conditions, again, fresh.member, count)
-    return taken(joined([taken(state, rest), fresh]), np.argsort(np.concatenate([rest, far])))
+    (goes, acts), share = _goes(conditions, iterate, assembled), _sizes(again) / _sizes(conditions)
+    far = np.any(share < LESS, axis=1) | (both & np.any(share > 1 / LESS, axis=1))
+    return acts & far & (goes | np.any(share > RESTS, axis=1))
 
 
 def adopted(conditions: Any, part: Any, members: np.ndarray, count: int) -> None:
@@ -52,19 +44,6 @@ def adopted(conditions: Any, part: Any, members: np.ndarray, count: int) -> None
     rest = np.setdiff1d(np.arange(count), members)
     parts = [conditions.of(rest), part] if rest.size else [part]
     conditions.adopt(parts, np.argsort(np.concatenate([rest, members])))
-
-
-def _measured_again(conditions: Any, iterate: Any, assembled: Any) -> Any:
-    """The conditions with the units of an iterate."""
-    again = copy(conditions)
-    if conditions.joint:
-        again.phases = tuple(map(copy, conditions.phases))
-        again.in_units(iterate)
-    elif iterate.slacks is None:
-        again.units = first_units(again, iterate, assembled)
-    else:
-        in_units(again, iterate)
-    return again
 
 
 def _sizes(conditions: Any) -> np.ndarray:
