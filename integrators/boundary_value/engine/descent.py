@@ -29,10 +29,9 @@ from .falling import Fall
 from .first_multipliers import has_flat_controls, with_first_multipliers
 from .found import Found, Iteration, stops
 from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate, Residuals
-from .own_units import adopted, outgrown, own_units
+from .kkt_system import Assembled, Iterate, Residuals, Step
+from .own_units import renewed
 from .pursuit import EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
-from .restoration import NARROW
 from .regularising import regularised, solvable
 from .widening import rewritten
 
@@ -88,11 +87,13 @@ class Descent:
         state = self.set_out(guess)
         self.unit = np.array(self.conditions.judging.cost)
         while True:
-            self.state = state
+            self.state, finished = state, self.finished(state)
             self.fall.note(self.trials, state.member, state.assembled.cost)
-            self.state = state = self.in_own_units(state)
+            if finished.any() or self.trials % ROUND == 0:
+                self._own, self.state = None, (state := renewed(self, state, finished, self.trials % ROUND == 0))
+                finished = self.finished(state)
             self.report(state, state.descends)
-            state = self.leave(state, self.finished(state))
+            state = self.leave(state, finished)
             if state is None or self.stopped:
                 return
             state = self.pursued(state) or self.next(state)
@@ -125,43 +126,22 @@ class Descent:
         self.trials += trials
         return self.settled_after(state, conditions)
 
-    def in_own_units(self, state: State) -> State:
-        """The state with members in units of their iterates, if theirs are far from these, where a search ends, or after
-        a round of trials; itself where there is none.
-
-        A cost that falls without end has no size: there the search goes on as it is.
-        """
-        whole, again_all = len(state.member), self.trials % ROUND == 0
-        places = np.flatnonzero(self.finished(state) | again_all)
-        which = np.isin(np.arange(len(self.unit)), state.member[places[~state.claimed[places]]])
-        places = places[~self.fall.lasts(which, self.unit)[state.member[places]]]
-        if not places.size:
-            return state
-        part = state if len(places) == whole else taken(state, places)
-        own = self.conditions.of(part.member)
-        again, assembled = own_units(own, part.iterate, part.assembled)
-        far = np.flatnonzero(outgrown(own, again, part.iterate, part.assembled, again_all))
-        if not far.size:
-            return state
-        if len(far) < len(places):
-            again, part, assembled = again.of(far), taken(part, far), taken(assembled, far)
-        rest = np.setdiff1d(np.arange(whole), places[far])
-        adopted(self.conditions, again, part.member, len(self.unit))
-        self._own, part = None, self.stood(again, part._replace(assembled=assembled))
-        return taken(joined([taken(state, rest), part]), np.argsort(np.concatenate([rest, places[far]])))
-
-    def stood(self, conditions: Conditions, state: State) -> State:
-        """The state in other units."""
-        iterate, assembled, count = state.iterate, state.assembled, len(state.member)
-        residuals, (zero, one, no) = conditions.residuals(iterate, assembled), (np.zeros(count), np.ones(count), np.zeros(count, bool))
-        arrived = residuals.final <= self.tolerance
-        near = arrived | (residuals.largest <= np.sqrt(self.tolerance))
-        step, shift, descends = regularised(conditions, iterate, assembled, zero, near, near)
-        merit, far = self.funnel.value(conditions, iterate, assembled), np.full(count, np.inf)
-        promise = self.funnel.slope(conditions, iterate, assembled, step)
-        numbers = np.maximum(merit.infeasibility, NARROW), one, shift, residuals.largest, far, no, no, no
-        state = State(state.member, iterate, assembled, residuals, step, descends, *promise, merit, *numbers)
-        return self.settled(state, arrived, conditions)
+    def standing(
+        self,
+        conditions: Conditions,
+        member: np.ndarray,
+        at: tuple[Iterate, Assembled],
+        step: Step,
+        shift: np.ndarray,
+        descends: np.ndarray,
+    ) -> State:
+        """The state at an iterate with its system, with a step that is not tried yet."""
+        residuals, merit, count = conditions.residuals(*at), self.funnel.value(conditions, *at), len(member)
+        promise = descends, *self.funnel.slope(conditions, *at, step), merit
+        one, far, no = np.ones(count), np.full(count, np.inf), np.zeros(count, bool)
+        numbers = self.funnel.width(merit), one, shift, residuals.largest, far, no, no, no
+        state = State(member, *at, residuals, step, *promise, *numbers)
+        return self.settled(state, residuals.final <= self.tolerance, conditions)
 
     def own(self, state: State) -> Conditions:
         """The conditions of the members on their way, the same ones as long as these are the same."""
@@ -180,7 +160,7 @@ class Descent:
         conditions = self.conditions
         guess, assembled = bare = known or conditions.begin(given)
         count = len(assembled.cost)
-        zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
+        zero = np.zeros(count)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
         step, shift, descends = regularised(conditions, guess, assembled, zero, linear, linear)
@@ -190,24 +170,17 @@ class Descent:
         if guess is not bare[0]:
             assembled = conditions.assemble(guess)
             step, shift, descends = regularised(conditions, guess, assembled, zero, linear, linear)
-        residuals = conditions.residuals(guess, assembled)
         self.first = lambda: (guess, conditions.assemble(guess))  # again where it is wanted: a system takes most memory
-        merit = self.funnel.value(conditions, guess, assembled)
         if not self.lost.size:
             looked = not (conditions.joint or self.as_it_is)
-            self.lost = is_lost(conditions, guess, assembled, step) if looked else no
+            self.lost = is_lost(conditions, guess, assembled, step) if looked else np.zeros(count, bool)
             if self.lost.any():
                 moved, _ = aside(conditions, *bare)
                 if given.slacks is not None:
                     moved = moved._replace(slacks=Slacks.none(given.slacks.slacks.shape))
                 return self.begun(merged(self.lost, moved, given))
-        far = np.full(count, np.inf)
-        numbers = self.funnel.width(merit), one, shift, far, far, no, no, no
-        promise = descends, *self.funnel.slope(conditions, guess, assembled, step), merit
         self.trials = 1
-        state = State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
-        arrived = residuals.final <= self.tolerance
-        return self.settled(state._replace(best=residuals.largest), arrived)
+        return self.standing(conditions, np.arange(count), (guess, assembled), step, shift, descends)
 
     def next(self, state: State) -> State:
         """Assemble the trial, judge it, and compute the next step."""

@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 
+from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS, HALF
 from .beginning import in_units, started
 from .first_units import first_units
+from .regularising import regularised
 
 LESS = 0.1  # of the units in use: where own ones are less, these take their place
 RESTS = EPS**HALF  # of these units: what goes no farther, from no end to another or by no control, is rounding
@@ -37,6 +39,34 @@ def outgrown(conditions: Any, again: Any, iterate: Any, assembled: Any, both: bo
     (goes, acts), share = _goes(conditions, iterate, assembled), _sizes(again) / _sizes(conditions)
     far = np.any(share < LESS, axis=1) | (both & np.any(share > 1 / LESS, axis=1))
     return acts & far & (goes | np.any(share > RESTS, axis=1))
+
+
+def renewed(search: Any, state: Any, ended: np.ndarray, after_round: bool) -> Any:
+    """The state of a search with members in units of their iterates where theirs are far from these; itself if none
+    are.
+
+    After a round all are looked at, else those that have ``ended``. A cost that falls without end has no size: there
+    the search goes on as it is.
+    """
+    looked, count = np.flatnonzero(ended | after_round), len(search.unit)
+    unclaimed = np.isin(np.arange(count), state.member[looked[~state.claimed[looked]]])
+    looked = looked[~search.fall.lasts(unclaimed, search.unit)[state.member[looked]]]
+    if not looked.size:
+        return state
+    part = state if len(looked) == len(ended) else taken(state, looked)
+    conditions = search.conditions.of(part.member)
+    again, assembled = own_units(conditions, part.iterate, part.assembled)
+    far = np.flatnonzero(outgrown(conditions, again, part.iterate, part.assembled, after_round))
+    if not far.size:
+        return state
+    if len(far) < len(looked):
+        again, part, assembled = again.of(far), taken(part, far), taken(assembled, far)
+    adopted(search.conditions, again, part.member, count)
+    near = again.residuals(part.iterate, assembled).largest <= np.sqrt(search.tolerance)
+    step = regularised(again, part.iterate, assembled, np.zeros(len(far)), near, near)
+    part = search.standing(again, part.member, (part.iterate, assembled), *step)
+    rest = np.setdiff1d(np.arange(len(ended)), looked[far])
+    return taken(joined([taken(state, rest), part]), np.argsort(np.concatenate([rest, looked[far]])))
 
 
 def adopted(conditions: Any, part: Any, members: np.ndarray, count: int) -> None:
