@@ -10,24 +10,41 @@ from ....manifolds.numerics.tolerances import EPS, HALF
 from .beginning import in_units, started
 from .first_units import first_units
 from .regularising import regularised
+from .scaling import Units
 
 LESS = 0.1  # of the units in use: where own ones are less, these take their place
 RESTS = EPS**HALF  # of these units: what goes no farther, from no end to another or by no control, is rounding
 
 
 def own_units(conditions: Any, iterate: Any, assembled: Any) -> tuple[Any, Any]:
-    """The conditions with the units of an iterate, and its system in these."""
+    """The conditions with the units of an iterate, and its system in these.
+
+    Steps are measured in units of the iterate, success in the smaller ones of these and of those before: what a search
+    runs away to is no measure. Nor is what its multipliers make of the cost.
+    """
     again = copy(conditions)
     if conditions.joint:
         again.phases = tuple(map(copy, conditions.phases))
-        for phase, *first in zip(again.phases, *zip(*again.in_units(iterate), strict=True), strict=True):
+        for phase, before, first in zip(again.phases, conditions.phases, again.in_units(iterate), strict=True):
+            _tighten(phase, before)
             started(phase, *first)
+        again.units = again.units._replace(cost=again.phases[0].measured.cost)
         return again, again.assemble(iterate)
     if iterate.slacks is None:
-        again.units, again.wider = first_units(again, iterate, assembled), None
+        again.units = first_units(again, iterate, assembled)
+        _tighten(again, conditions)
     else:
-        started(again, *in_units(again, iterate))
+        first = in_units(again, iterate)
+        _tighten(again, conditions)
+        started(again, *first)
     return again, assembled
+
+
+def _tighten(conditions: Any, before: Any) -> None:
+    """Judge success by the units of these conditions where they are less than those before."""
+    own = conditions.units
+    conditions.units = Units(*map(np.minimum, before.judging, own))
+    conditions.wider = own._replace(cost=conditions.units.cost)
 
 
 def outgrown(conditions: Any, again: Any, iterate: Any, assembled: Any, both: bool = False) -> np.ndarray:
@@ -36,8 +53,9 @@ def outgrown(conditions: Any, again: Any, iterate: Any, assembled: Any, both: bo
 
     Units of states, controls or cost: whatever the guess, a search goes by the sizes of what it has come to.
     """
-    (goes, acts), share = _goes(conditions, iterate, assembled), _sizes(again) / _sizes(conditions)
-    far = np.any(share < LESS, axis=1) | (both & np.any(share > 1 / LESS, axis=1))
+    (goes, acts), share = _goes(conditions, iterate, assembled), _sizes(again, "judging") / _sizes(conditions, "judging")
+    more = _sizes(again, "measured") / _sizes(conditions, "measured")
+    far = np.any(share < LESS, axis=1) | (both & np.any(more > 1 / LESS, axis=1))
     return acts & far & (goes | np.any(share > RESTS, axis=1))
 
 
@@ -76,9 +94,9 @@ def adopted(conditions: Any, part: Any, members: np.ndarray, count: int) -> None
     conditions.adopt(parts, np.argsort(np.concatenate([rest, members])))
 
 
-def _sizes(conditions: Any) -> np.ndarray:
-    """The units of all unknowns and of the costs that success is judged by, shape (B, k)."""
-    phases = [phase.judging for phase in getattr(conditions, "phases", (conditions,))]
+def _sizes(conditions: Any, kind: str) -> np.ndarray:
+    """The units of all unknowns and of the costs, those that success is judged by or those of steps, shape (B, k)."""
+    phases = [getattr(phase, kind) for phase in getattr(conditions, "phases", (conditions,))]
     return np.hstack([part for units in phases for part in (units.unknowns, units.cost[:, None])])
 
 
