@@ -46,7 +46,7 @@ SHRUNK = (
 )
 ADVICE, LONGER = "; try ", "a longer horizon"  # where the advice of a result begins, and one that a growing one refutes
 HELD, UNMET = 1.01, 1e-3  # times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero
-LONG = 1e2  # times the guess, or a share of it: a horizon that is found without success, and named
+LONG = 1e3  # times the guess, or a share of it: a horizon that is found without success, and named
 FAR, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
 MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: horizons from which it is tried again
 

@@ -69,7 +69,9 @@ def test_a_horizon_that_grows_is_named_in_all_units(time, price):
     """In other units of the time the same problem, with the same answer; it does not say that a longer one may help."""
     problem = OptimalControlProblem(PLANE, pushed, lambda q, u: price * u @ u / 2, 1)
     grown = solve(problem, np.zeros(2), np.array([1.0, 0.0]), Free(time), method=ON_PLANE, steps=20, throw=False)
-    assert grown.horizon / time == pytest.approx(8.44832e7, rel=1e-3)
+    assert grown.horizon > 1e3 * time
+    # The least energy, 6 / T^3 but for what 20 steps add to it, has its infimum at no horizon.
+    assert 0 <= grown.cost * grown.horizon**3 / price - 6 < 0.1
     begins = f"The iteration limit of a search came before the conditions were met. The horizon grew from {time:.3g} to"
     assert grown.result.startswith(begins)
     assert "or a longer horizon" not in grown.result

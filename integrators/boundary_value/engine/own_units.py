@@ -47,16 +47,14 @@ def _tighten(conditions: Any, before: Any) -> None:
     conditions.wider = own._replace(cost=conditions.units.cost)
 
 
-def outgrown(conditions: Any, again: Any, iterate: Any, assembled: Any, both: bool = False) -> np.ndarray:
-    """Whether the units of each member are far larger than those of its iterate, or, if ``both``, far smaller, shape
-    (B,); ``again``: the conditions with these.
+def outgrown(conditions: Any, again: Any, iterate: Any, assembled: Any) -> np.ndarray:
+    """Whether the units of each member are far larger than those of its iterate, shape (B,); ``again``: the conditions
+    with these.
 
     Units of states, controls or cost: whatever the guess, a search goes by the sizes of what it has come to.
     """
-    (goes, acts), share = _goes(conditions, iterate, assembled), _sizes(again, "judging") / _sizes(conditions, "judging")
-    more = _sizes(again, "measured") / _sizes(conditions, "measured")
-    far = np.any(share < LESS, axis=1) | (both & np.any(more > 1 / LESS, axis=1))
-    return acts & far & (goes | np.any(share > RESTS, axis=1))
+    (goes, acts), share = _goes(conditions, iterate, assembled), _sizes(again) / _sizes(conditions)
+    return acts & np.any(share < LESS, axis=1) & (goes | np.any(share > RESTS, axis=1))
 
 
 def renewed(search: Any, state: Any, ended: np.ndarray, after_round: bool) -> Any:
@@ -74,7 +72,7 @@ def renewed(search: Any, state: Any, ended: np.ndarray, after_round: bool) -> An
     part = state if len(looked) == len(ended) else taken(state, looked)
     conditions = search.conditions.of(part.member)
     again, assembled = own_units(conditions, part.iterate, part.assembled)
-    far = np.flatnonzero(outgrown(conditions, again, part.iterate, part.assembled, after_round))
+    far = np.flatnonzero(outgrown(conditions, again, part.iterate, part.assembled))
     if not far.size:
         return state
     if len(far) < len(looked):
@@ -94,9 +92,9 @@ def adopted(conditions: Any, part: Any, members: np.ndarray, count: int) -> None
     conditions.adopt(parts, np.argsort(np.concatenate([rest, members])))
 
 
-def _sizes(conditions: Any, kind: str) -> np.ndarray:
-    """The units of all unknowns and of the costs, those that success is judged by or those of steps, shape (B, k)."""
-    phases = [getattr(phase, kind) for phase in getattr(conditions, "phases", (conditions,))]
+def _sizes(conditions: Any) -> np.ndarray:
+    """The units of all unknowns and of the costs that success is judged by, shape (B, k)."""
+    phases = [phase.judging for phase in getattr(conditions, "phases", (conditions,))]
     return np.hstack([part for units in phases for part in (units.unknowns, units.cost[:, None])])
 
 
