@@ -57,7 +57,8 @@ GUESSES = np.geomspace(1e-6, 1e3, 149)
 @pytest.mark.parametrize(("guesses", "most"), [(GUESSES[4::24], 0), pytest.param(GUESSES, 1, marks=pytest.mark.slow)])
 def test_a_parameter_is_found_from_guesses_of_all_sizes(solver, guesses, most):
     """The cost at a guess is up to ``1e17`` times the least one, which is its unit to begin with; ``most``: failures,
-    none of them a success elsewhere. One guess, .911 of Gauss 2, crawls to the iteration limit."""
+    none of them a success elsewhere. One guess, .911 of Gauss 2, crawls to the iteration limit: the first step jumps to
+    a hundredth of it, and in units of that no step is long."""
     each = [
         solver.solve(*ENDS, 1.0, parameters=Free(guess, lower=1e-9), max_iterations=300, throw=False)
         for guess in guesses

@@ -19,32 +19,24 @@ RESTS = EPS**HALF  # of these units: what goes no farther, from no end to anothe
 def own_units(conditions: Any, iterate: Any, assembled: Any) -> tuple[Any, Any]:
     """The conditions with the units of an iterate, and its system in these.
 
-    Steps are measured in units of the iterate, success in the smaller ones of these and of those before: what a search
-    runs away to is no measure. Nor is what its multipliers make of the cost.
+    Steps are measured by these, success by the lesser ones of these and of those before: what a search runs away to is
+    no measure. Phases have one measure for both.
     """
     again = copy(conditions)
     if conditions.joint:
         again.phases = tuple(map(copy, conditions.phases))
-        for phase, before, first in zip(again.phases, conditions.phases, again.in_units(iterate), strict=True):
-            _tighten(phase, before)
+        for phase, first in zip(again.phases, again.in_units(iterate), strict=True):
             started(phase, *first)
-        again.units = again.units._replace(cost=again.phases[0].measured.cost)
         return again, again.assemble(iterate)
+    first = iterate, assembled
     if iterate.slacks is None:
         again.units = first_units(again, iterate, assembled)
-        _tighten(again, conditions)
     else:
         first = in_units(again, iterate)
-        _tighten(again, conditions)
-        started(again, *first)
+    own, again.units = again.judging, Units(*map(np.minimum, conditions.judging, again.judging))
+    again.wider = own._replace(cost=again.units.cost)
+    started(again, *first)
     return again, assembled
-
-
-def _tighten(conditions: Any, before: Any) -> None:
-    """Judge success by the units of these conditions where they are less than those before."""
-    own = conditions.units
-    conditions.units = Units(*map(np.minimum, before.judging, own))
-    conditions.wider = own._replace(cost=conditions.units.cost)
 
 
 def outgrown(conditions: Any, again: Any, iterate: Any, assembled: Any) -> np.ndarray:
