@@ -20,13 +20,17 @@ def own_units(conditions: Any, iterate: Any, assembled: Any) -> tuple[Any, Any]:
     """The conditions with the units of an iterate, and its system in these.
 
     Steps are measured by these, success by the lesser ones of these and of those before: what a search runs away to is
-    no measure. Phases have one measure for both.
+    no measure. Phases have one measure for both, but for the cost, which multipliers make larger than it is.
     """
     again = copy(conditions)
     if conditions.joint:
         again.phases = tuple(map(copy, conditions.phases))
-        for phase, first in zip(again.phases, again.in_units(iterate), strict=True):
-            started(phase, *first)
+        first = again.in_units(iterate)
+        cost = np.minimum(conditions.judging.cost, again.judging.cost)
+        again.units = again.judging._replace(cost=cost)
+        for phase, own in zip(again.phases, first, strict=True):
+            phase.units = phase.judging._replace(cost=cost)
+            started(phase, *own)
         return again, again.assemble(iterate)
     first = iterate, assembled
     if iterate.slacks is None:
