@@ -51,6 +51,28 @@ def test_no_iterate_leaves_a_bound(lower, guess):
     assert again.cost == pytest.approx(found.cost, rel=1e-9)
 
 
+GUESSES = np.geomspace(1e-6, 1e3, 149)
+
+
+@pytest.mark.parametrize(("guesses", "most"), [(GUESSES[4::24], 0), pytest.param(GUESSES, 1, marks=pytest.mark.slow)])
+def test_a_parameter_is_found_from_guesses_of_all_sizes(solver, guesses, most):
+    """The cost at a guess is up to ``1e17`` times the least one, which is its unit to begin with; ``most``: failures,
+    none of them a success elsewhere. One guess, .911 of Gauss 2, crawls to the iteration limit: the first step jumps to
+    a hundredth of it, and in units of that no step is long."""
+    each = [
+        solver.solve(*ENDS, 1.0, parameters=Free(guess, lower=1e-9), max_iterations=300, throw=False)
+        for guess in guesses
+    ]
+    assert sum(not found.success for found in each) <= most
+    given = Free(guesses, lower=np.full(len(guesses), 1e-9))
+    starts, ends = np.zeros((len(guesses), 1)), np.ones((len(guesses), 1))
+    batch = solver.solve_many(starts, ends, 1.0, parameters=given, max_iterations=300)
+    assert np.sum(~batch.success) <= most
+    for found in filter(lambda found: found.success, [*each, *batch]):
+        assert found.cost == pytest.approx(paced(BEST), rel=1e-9)
+        assert found.parameters == pytest.approx(BEST, rel=1e-5)
+
+
 @pytest.mark.parametrize("side", ["lower", "upper"])
 @pytest.mark.parametrize("bound", [1e-3, 0.1, 0.5, 1.0, 3.0, 30.0])
 def test_a_horizon_is_found_from_its_bound(side, bound):

@@ -56,7 +56,7 @@ def test_a_horizon_that_is_never_long_enough_is_named(rate):
     free = solver.solve(*ends, Free(1.0), throw=False)
     assert free.success == (rate > 0)
     assert ("a longer one still costs less" in free.result) == (rate <= 0)
-    assert (FALLING in free.result) == (rate == -1)
+    assert (FALLING in free.result) == (rate < -1e-10)
     held = solver.solve(*ends, Free(1.0, upper=50.0), throw=False)
     assert held.success
     assert held.horizon == pytest.approx(min(50.0, 2.06 * rate**-0.25 if rate > 0 else 50.0), rel=1e-2)
@@ -69,7 +69,8 @@ def test_a_horizon_that_grows_is_named_in_all_units(time, price):
     """In other units of the time the same problem, with the same answer; it does not say that a longer one may help."""
     problem = OptimalControlProblem(PLANE, pushed, lambda q, u: price * u @ u / 2, 1)
     grown = solve(problem, np.zeros(2), np.array([1.0, 0.0]), Free(time), method=ON_PLANE, steps=20, throw=False)
-    assert grown.horizon / time == pytest.approx(2870.36, rel=1e-3)
+    assert grown.horizon > 1e3 * time
+    assert grown.cost < price * 6 / (1e3 * time) ** 3  # the least energy over T is 6 / T^3
     begins = f"The iteration limit of a search came before the conditions were met. The horizon grew from {time:.3g} to"
     assert grown.result.startswith(begins)
     assert "or a longer horizon" not in grown.result

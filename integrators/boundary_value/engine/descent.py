@@ -20,9 +20,9 @@ import numpy as np
 from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
-from .acceptance import FIRST_SHIFT, RAISE, SHORTEST, WIDE, Funnel, Judgement, State
+from .acceptance import SHORTEST, WIDE, Funnel, Judgement, State
 from .aside import aside, is_lost
-from .batches import merged, put
+from .batches import merged
 from .conditions import Conditions
 from .extent import ends_meet
 from .falling import Fall
@@ -30,15 +30,16 @@ from .first_multipliers import has_flat_controls, with_first_multipliers
 from .found import Found, Iteration, stops
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Residuals, Step
-from .pursuit import CURVATURE, EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
+from .own_units import renewed
+from .pursuit import EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
+from .regularising import regularised, solvable
 from .widening import rewritten
 
+ROUND = 40  # trials, after which units are measured again
 SHORTER = 0.5  # what a shift has to shorten a step to
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 GAINED = 0.1  # times the residual: a step that leads to less is Newton's own, near what it leads to, be that a saddle
 SLOW = 1e-6  # a share of a step that is cut no further
-LARGEST_SHIFT = 1e10
-CONVEX = 1e2  # a shift that makes the Hessian convex on the null space of the constraints, if these are independent
 
 
 @final
@@ -62,7 +63,7 @@ class Descent:
         self.state: State | None = None
         self._own: tuple[np.ndarray, Conditions] | None = None
         self.left: list[tuple[State, int]] = []
-        self.fall = Fall()
+        self.fall, self.unit = Fall(), np.ones(0)
         self.trials = 0
         self.stopped = False
 
@@ -85,11 +86,15 @@ class Descent:
     def run(self, guess: Iterate) -> None:
         """Iterate until all members have left, or are stopped."""
         state = self.set_out(guess)
+        self.unit = np.array(self.conditions.judging.cost)
         while True:
-            self.state = state
+            self.state, finished = state, self.finished(state)
             self.fall.note(self.trials, state.member, state.assembled.cost)
+            if finished.any() or self.trials % ROUND == 0:
+                self._own, self.state = None, (state := renewed(self, state, finished, self.trials % ROUND == 0))
+                finished = self.finished(state)
             self.report(state, state.descends)
-            state = self.leave(state, state.done if state.done.all() else self.finished(state))
+            state = self.leave(state, finished)
             if state is None or self.stopped:
                 return
             state = self.pursued(state) or self.next(state)
@@ -112,7 +117,7 @@ class Descent:
         """The state after whole steps that are taken; None where the next is not one of these."""
         if len(state.member) > 1:
             return None
-        most = 1 if self.callback else self.max_iterations + 1 - self.trials
+        most = 1 if self.callback else min(self.max_iterations + 1 - self.trials, ROUND - self.trials % ROUND)
         conditions = self.own(state)
         found = pursued(conditions, state, self.trials == 1, most, self.tolerance)
         if found is None:
@@ -121,6 +126,23 @@ class Descent:
         self.fall.note_all(self.trials + 1, state.member, costs)
         self.trials += trials
         return self.settled_after(state, conditions)
+
+    def standing(
+        self,
+        conditions: Conditions,
+        member: np.ndarray,
+        at: tuple[Iterate, Assembled],
+        step: Step,
+        shift: np.ndarray,
+        descends: np.ndarray,
+    ) -> State:
+        """The state at an iterate with its system, with a step that is not tried yet."""
+        residuals, merit, count = conditions.residuals(*at), self.funnel.value(conditions, *at), len(member)
+        promise = descends, *self.funnel.slope(conditions, *at, step), merit
+        one, far, no = np.ones(count), np.full(count, np.inf), np.zeros(count, bool)
+        numbers = self.funnel.width(merit), one, shift, residuals.largest, far, no, no, no
+        state = State(member, *at, residuals, step, *promise, *numbers)
+        return self.settled(state, residuals.final <= self.tolerance, conditions)
 
     def own(self, state: State) -> Conditions:
         """The conditions of the members on their way, the same ones as long as these are the same."""
@@ -139,34 +161,27 @@ class Descent:
         conditions = self.conditions
         guess, assembled = bare = known or conditions.begin(given, self.firm)
         count = len(assembled.cost)
-        zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
+        zero = np.zeros(count)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.
         linear = np.full(count, guess.slacks is None)
-        step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)
+        step, shift, descends = regularised(conditions, guess, assembled, zero, linear, linear)
         # With inequalities the inertia has told already.
         flat = ~descends | (shift > 0) | (linear & ~step.strict & has_flat_controls(assembled))
         guess = with_first_multipliers(conditions, guess, assembled, flat)
         if guess is not bare[0]:
             assembled = conditions.assemble(guess)
-            step, shift, descends = self.regularised(guess, assembled, zero, linear, linear)
-        residuals = conditions.residuals(guess, assembled)
+            step, shift, descends = regularised(conditions, guess, assembled, zero, linear, linear)
         self.first = lambda: (guess, conditions.assemble(guess))  # again where it is wanted: a system takes most memory
-        merit = self.funnel.value(conditions, guess, assembled)
         if not self.lost.size:
             looked = not (conditions.joint or self.as_it_is)
-            self.lost = is_lost(conditions, guess, assembled, step) if looked else no
+            self.lost = is_lost(conditions, guess, assembled, step) if looked else np.zeros(count, bool)
             if self.lost.any():
                 moved, _ = aside(conditions, *bare)
                 if given.slacks is not None:
                     moved = moved._replace(slacks=Slacks.none(given.slacks.slacks.shape))
                 return self.begun(merged(self.lost, moved, given))
-        far = np.full(count, np.inf)
-        numbers = self.funnel.width(merit), one, shift, far, far, no, no, no
-        promise = descends, *self.funnel.slope(conditions, guess, assembled, step), merit
         self.trials = 1
-        state = State(np.arange(count), guess, assembled, residuals, step, *promise, *numbers)
-        arrived = residuals.final <= self.tolerance
-        return self.settled(state._replace(best=residuals.largest), arrived)
+        return self.standing(conditions, np.arange(count), (guess, assembled), step, shift, descends)
 
     def next(self, state: State) -> State:
         """Assemble the trial, judge it, and compute the next step."""
@@ -195,7 +210,7 @@ class Descent:
         keep = arrived | (good & (residual <= np.sqrt(self.tolerance)))
         gains = good & (residual <= GAINED * before.residuals.largest) & (trial.slacks is None)
         shift = np.where(arrived, 0.0, state.shift)
-        step, shift, descends = self.regularised(state.iterate, state.assembled, shift, keep, gains, conditions)
+        step, shift, descends = regularised(conditions, state.iterate, state.assembled, shift, keep, gains)
         # No shift shortens what the constraints ask for: there the same step is cut further.
         vain = again & ~(good | lowered | wider) & before.descends & (before.fraction > SLOW)
         vain &= before.fraction / 2 < SHORTEST
@@ -274,35 +289,6 @@ class Descent:
         state = state._replace(iterate=iterate, assembled=kept, residuals=reached, merit=merit, **going_on)
         return state, found_now.good, found_now.done_with
 
-    def regularised(
-        self,
-        iterate: Iterate,
-        assembled: Assembled,
-        shift: np.ndarray,
-        keep: np.ndarray,
-        loose: np.ndarray,
-        conditions: Conditions | None = None,
-    ) -> tuple[Step, np.ndarray, np.ndarray]:
-        """Steps with the smallest tried shift of the Hessians that makes them descend; and whether they do.
-
-        Where ``keep`` the shift that came is used as it is, and where ``loose`` positive curvature is enough.
-        """
-        conditions = conditions or self.conditions
-        step, curvature, size = conditions.eliminate(iterate, assembled, shift)
-        descends = (curvature >= CURVATURE * size) & (step.convex | (shift >= CONVEX) | loose)
-        while True:
-            going = ~(descends | keep) & (shift < LARGEST_SHIFT)
-            if not going.any():
-                return step, shift, descends
-            shift = np.where(going, np.maximum(RAISE * shift, FIRST_SHIFT), shift)
-            places = np.flatnonzero(going)
-            part = conditions if len(places) == len(going) else conditions.of(places)
-            own, kept = taken((iterate, assembled), places)
-            again, curvature, size = part.eliminate(own, kept, shift[places])
-            step = put(step, places, again)
-            convex = again.convex | (shift[places] >= CONVEX) | loose[places]
-            descends[places] = (curvature >= CURVATURE * size) & convex
-
     def settled(self, state: State, arrived: np.ndarray, conditions: Conditions | None = None) -> State:
         """The state with what is decided where the residuals meet the tolerance, given the step that is still wanted
         there.
@@ -323,12 +309,14 @@ class Descent:
 
     def finished(self, state: State) -> np.ndarray:
         """Which members are done, or have no reason to go on."""
+        if state.done.all():
+            return state.done
         finished = state.done | self.hopeless(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
         return finished | self.contradictory(state)
 
     def hopeless(self, state: State) -> np.ndarray:
         """Whether no step is left, be it from the guess once more with elastic inequalities."""
-        stuck = ~_solvable(state)
+        stuck = ~solvable(state)
         if stuck.any():
             stuck &= ~self.conditions.of(state.member).is_hard(state.iterate, state.assembled)
         return stuck
@@ -389,10 +377,6 @@ class Descent:
         claimed = whole.claimed & (whole.residuals.final <= self.tolerance)  # it may have gone on from where it was
         if not self.conditions.joint:
             claimed &= ends_meet(whole.assembled, self.conditions.at_nodes.layout.in_arrays, self.tolerance)
-        ended = strict & whole.isolated, iterations - 1, iterations > self.max_iterations, claimed, _solvable(whole)
-        told = self.stopped, missing, self.contradictory(whole), unit, self.fall.lasts(~claimed, unit)
+        ended = strict & whole.isolated, iterations - 1, iterations > self.max_iterations, claimed, solvable(whole)
+        told = self.stopped, missing, self.contradictory(whole), unit, self.fall.lasts(~claimed, self.unit)
         return Found(whole.iterate, whole.assembled, whole.residuals, *ended, *told)
-
-
-def _solvable(state: State) -> np.ndarray:
-    return state.step.finite & (state.shift < LARGEST_SHIFT)

@@ -14,13 +14,12 @@ from .conditions import Conditions
 from .descent import Descent
 from .found import Found, Iteration
 from .kkt_system import Iterate
-from .own_units import judged_loosely
+from .own_units import adopted
 from .restoration import NARROW, Restoration
 from .rollout import rolled_out
 
 FIRM = 1e2  # times the usual price of an excess
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
-AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
     "iterate", "assembled", "residuals", "strict_minimum", "iterations", "limited", "claimed", "solvable", "missing",
     "contradictory", "unit", "falling",
@@ -45,8 +44,7 @@ def newton(
     once more: its jam may be of the way there. Last comes a feasibility phase, from whose trajectory a search sets out
     in a narrow funnel: nothing is contradictory where it has met everything. Without controls it comes wherever no
     minimum was found. After it come the states to which the controls of the guess lead from its start, then the guess
-    with dear excesses and a high barrier. Success is judged in units of what is found: where these are far less than
-    those of the guess, that is a guess once more.
+    with dear excesses and a high barrier.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
@@ -61,13 +59,7 @@ def newton(
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
     found = _restored(search, _crawled(search, found), guess)
-    found = _firmly(search, _rolled_out(search, found, guess), guess)
-    for _ in range(AGAIN):
-        loose = judged_loosely(search.conditions, found)
-        if not loose.size or found.stopped:
-            break
-        found = _again(search, found, found.iterate, loose, anyhow=True)
-    return found
+    return _firmly(search, _rolled_out(search, found, guess), guess)
 
 
 def _crawled(search: Descent, found: Found) -> Found:
@@ -151,9 +143,9 @@ def _seen(search: Descent, members: np.ndarray) -> Callable[[Iteration], Any] | 
     return callback and (lambda iteration: callback(iteration._replace(members=members[iteration.members])))
 
 
-def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray, anyhow: bool = False) -> Found:
-    """What is found where some members begin once more, from guesses as they are, if that is better, or anyhow."""
-    anything = anyhow | ~(found.claimed | found.contradictory)[members]  # elsewhere nothing but a success says more
+def _again(search: Descent, found: Found, guess: Iterate, members: np.ndarray) -> Found:
+    """What is found where some members begin once more, from guesses as they are, if that is better."""
+    anything = ~(found.claimed | found.contradictory)[members]  # elsewhere nothing but a success says more
     return _tried(search, found, taken(guess, members), members, anything)
 
 
@@ -180,13 +172,6 @@ def _tried(
     better = np.flatnonzero(anything | (again.claimed & ~(claimed & (again.assembled.cost >= cost))))
     first, chosen = members[better], {}
     if better.size:
-        _adopt(search.conditions, alone.conditions.of(better), first, len(found.claimed))
+        adopted(search.conditions, alone.conditions.of(better), first, len(found.claimed))
         chosen = {name: put(getattr(found, name), first, taken(getattr(again, name), better)) for name in OF_MEMBERS}
     return found._replace(stopped=again.stopped, **chosen)
-
-
-def _adopt(conditions: Any, part: Any, members: np.ndarray, count: int) -> None:
-    """Let the conditions have the units of a part in some members."""
-    rest = np.setdiff1d(np.arange(count), members)
-    parts = [conditions.of(rest), part] if rest.size else [part]
-    conditions.adopt(parts, np.argsort(np.concatenate([rest, members])))

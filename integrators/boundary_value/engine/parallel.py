@@ -12,7 +12,7 @@ from ....manifolds.numerics.ambient import joined, taken
 from ....threads import on_its_own, parts_of
 from .found import Found
 from .newton import newton
-from .own_units import judged_loosely
+from .own_units import outgrown, own_units
 from .pursuit import arrivals
 from .trial import Arrivals
 
@@ -46,8 +46,9 @@ def newton_of_all(conditions: Any, guess: Any, shape: tuple[int, int], tolerance
         return _in_parts(conditions, guess, shape, options, stop)
     there = conditions.of(ahead.members)
     arrived = _arrived(there, ahead, max_iterations)
-    if (loose := judged_loosely(there, arrived)).size:
-        kept = np.setdiff1d(np.arange(len(ahead.members)), loose)
+    at = arrived.iterate, arrived.assembled
+    if (loose := outgrown(there, own_units(there, *at)[0], *at)).any():
+        kept = np.flatnonzero(~loose)
         if not kept.size:
             return _in_parts(conditions, guess, shape, options, stop)
         ahead = taken(ahead, kept)
