@@ -4,6 +4,7 @@ more."""
 from typing import NamedTuple, final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ....manifolds.numerics.tolerances import EPS
 from .arrays import plain
@@ -39,7 +40,7 @@ class Barrier(NamedTuple):
     firm: np.ndarray
 
     @classmethod
-    def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray, kept: np.ndarray, firm: float = 1.0) -> "Barrier":
+    def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray, kept: np.ndarray, firm: ArrayLike = 1.0) -> "Barrier":
         """The units where the unknowns of the points have these sizes: what these change an inequality by to first
         order, or its value where that is next to nothing, as that of a ball where its derivative vanishes."""
         size = (np.abs(held.jacobian) * sizes[:, :, :, None]).sum(axis=4).max(axis=(1, 2))

@@ -27,13 +27,17 @@ def in_units(conditions: "Conditions", guess: Iterate, paid: Paid | None = None)
     return (resting if guess.slacks is None else guess), assembled
 
 
-def started(conditions: "Conditions", first: Iterate, assembled: Assembled, firm: float) -> Iterate:
-    """The first iterate with the slacks of its inequalities, if it has any, none of which is known."""
+def started(conditions: "Conditions", first: Iterate, assembled: Assembled, firm: float | None = None) -> Iterate:
+    """The first iterate with the slacks of its inequalities, if it has any, none of which is known.
+
+    ``firm``: see ``Barrier``; None keeps that of the barrier before.
+    """
     if first.slacks is None:
         return first
+    known = 1.0 if conditions.barrier is None else conditions.barrier.firm
     held, rate = assembled.blocks.inequalities, conditions.measured.cost / conditions.mean_step
     sizes = conditions.transcription.sizes(conditions.measured)
-    conditions.barrier = Barrier.of(held, sizes, rate, conditions.transcription.kept, firm)
+    conditions.barrier = Barrier.of(held, sizes, rate, conditions.transcription.kept, known if firm is None else firm)
     return first._replace(slacks=conditions.barrier.first(held))
 
 
