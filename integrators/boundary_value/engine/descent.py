@@ -76,7 +76,7 @@ class Descent:
         except KeyboardInterrupt:
             self.stopped = True
             if self.state is None:  # what the first pass has found takes milliseconds to find again
-                self.state = self.set_out(guess)
+                self.state = self.first_state(guess)
         return self.found()
 
     def failed(self, found: Found) -> np.ndarray:
@@ -85,8 +85,7 @@ class Descent:
 
     def run(self, guess: Iterate) -> None:
         """Iterate until all members have left, or are stopped."""
-        state = self.set_out(guess)
-        self.unit = np.array(self.conditions.judging.cost)
+        state = self.first_state(guess)
         while True:
             self.state, finished = state, self.finished(state)
             self.fall.note(self.trials, state.member, state.assembled.cost)
@@ -98,6 +97,12 @@ class Descent:
             if state is None or self.stopped:
                 return
             state = self.pursued(state) or self.next(state)
+
+    def first_state(self, guess: Iterate) -> State:
+        """The state that the search begins with, in whose unit of the cost a fall of the cost is judged."""
+        state = self.set_out(guess)
+        self.unit = np.array(self.conditions.judging.cost)
+        return state
 
     def set_out(self, guess: Iterate) -> State:
         """The state at the guess, or after whole steps from there."""
