@@ -36,9 +36,9 @@ class StepErrors(NamedTuple):
     controls : array of shape (N,)
         Excess of the cost: the squared distance of the control polynomial from the polynomial that includes a stage of
         a neighbour, or half the squared distance from the polynomial of the neighbour, relative to the root mean
-        square of the controls, times the fraction of the horizon. For a Hamiltonian that is linear in a control, times
-        the fraction once more. At least the squared relative excess over a limit that depends on the controls, times
-        the fraction, or times its square where the limit and the Hamiltonian are linear in them.
+        square of the controls, times the fraction of the horizon, times the part of the cost that is curved in the
+        control, which is at least the fraction. At least the squared relative excess over a limit that depends on the
+        controls, times the fraction; where both are linear in them, the excess times the squared fraction.
     inequalities : array of shape (N,)
         Largest violation of the inequalities that do not depend on the controls, relative to their largest value, or
         to the change by the spread of the states where one is held all along.
@@ -107,15 +107,13 @@ class Estimator:
         """The errors; controls may jump at the nodes that are ``switches``."""
         with one_reading(), np.errstate(all="ignore"):
             excess, free, bent, violations = self._inequalities(solution, parameters)
-            share = np.diff(solution.times)[:, None] / (solution.times[-1] - solution.times[0])
-            # Exactly zero: no entry of the control is in the derivative.
-            linear = np.max(self.curvature(solution, parameters), axis=0) == 0
-            weights = np.where(linear, share**2, share)
-            steps = np.where(bent, share, np.max(weights, axis=1, keepdims=True))
-            over = np.max((steps * excess**2)[:, ~free], axis=1, initial=0.0)
-            controls = self._controls(solution, share, weights, switches)
             alone = np.max(excess[:, free], axis=1, initial=0.0)
-            controls = np.maximum(controls, over)
+            share = np.diff(solution.times)[:, None] / (solution.times[-1] - solution.times[0])
+            curvature = np.max(self.curvature(solution, parameters), axis=0)
+            controls = self._controls(solution, share, curvature, switches)
+            # Beyond a bound a cost that is linear falls in proportion, by a slope that is 0 at the switch of the step.
+            falls = np.where(bent | np.any(curvature > 0), excess, share)
+            controls = np.maximum(controls, np.max((share * falls * excess)[:, ~free], axis=1, initial=0.0))
             return StepErrors(self._states(solution, parameters), controls, alone, violations)
 
     def _states(self, solution: Solution, parameters: Any) -> np.ndarray:
@@ -143,7 +141,7 @@ class Estimator:
         return spreads, sizes
 
     def _controls(
-        self, solution: Solution, share: np.ndarray, weights: np.ndarray, switches: np.ndarray | None
+        self, solution: Solution, share: np.ndarray, curvature: np.ndarray, switches: np.ndarray | None
     ) -> np.ndarray:
         times, count = solution.times, solution.steps
         at = solution.stage_times.reshape(count, -1)
@@ -151,6 +149,9 @@ class Estimator:
         most = np.max(np.abs(rows), axis=(0, 1), initial=0.0)
         # The root of the mean square, to which a cost is in proportion; no more is wrong than all of a control.
         size = np.where(most > 0, np.sqrt(np.sum(share * np.mean(rows**2, axis=1), axis=0)), 1.0)
+        # The part of the cost that is curved in an entry; what changes along a step counts where none is.
+        part = np.where(curvature > 0, curvature * size**2 / 2 * (times[-1] - times[0]) / abs(solution.cost), 0.0)
+        weights = share * np.clip(part, share, 1.0)
         linked = np.ones(count - 1, bool)
         linked[[] if switches is None else np.asarray(switches) - 1] = False
         k = np.flatnonzero(linked)
