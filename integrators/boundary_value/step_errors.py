@@ -187,9 +187,10 @@ class Estimator:
         state, room = self._sizes(solution)[0], np.max(np.abs(u), axis=(0, 1), initial=0.0)
         changes = np.max(by_state * state, axis=3), np.max(by_control * room, axis=3, initial=0.0)
         size, change = np.max(np.abs(values), axis=(0, 1)), np.max(changes, axis=(0, 1, 2))
-        size = np.where(size > HELD * change, size, change)
         free = np.max(np.abs(by_control), axis=(0, 1, 3), initial=0.0) == 0
         bent = np.max(twice, axis=(0, 1)) > 0
+        # The distance from a bound that holds a control all along grows where the multiplier vanishes, near a switch.
+        size = np.where((size <= HELD * change) & (free | bent), change, size)
         relative = np.max(excess, axis=1) / np.where(size > 0, size, 1.0)
         return relative, free, bent, {name: np.max(rows, axis=1) for name, rows in violations.items()}
 
