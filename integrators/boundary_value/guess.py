@@ -17,7 +17,7 @@ from ..records import shapes
 from ..text import brief
 from .arguments import ALONG, BETWEEN, Method, check_problem, fractions_of
 from .end_points import EndReader
-from .engine.rollout import RollOut
+from .engine.rollout import RollOut, spans
 from .engine.start import Start
 
 
@@ -228,11 +228,8 @@ def rolled_out(
         values = [jax.tree.map(np.asarray, controls(float(horizon) * place)) for place in places]
         controls = vec.stacked(values)
     check_arrays("controls", controls, problem.controls, len(places))
-    weights = np.array(method.weights) if isinstance(method, Gauss) else np.ones(1)
-    ended = np.cumsum((fractions[:, None] * weights).ravel())
-    before, after = places - np.concatenate([[0.0], ended[:-1]]), ended - places
-    rows = control.rows(controls, 1)
-    states = RollOut(problem, method.retraction).states(begin, rows, horizon * before, horizon * after)
+    rows, held = control.rows(controls, 1), spans(method, horizon * fractions)
+    states = RollOut(problem, method.retraction).states(begin, rows, held)
     if not np.all(np.isfinite(states)):
         lost = int(np.argmin(np.all(np.isfinite(states), axis=1)))
         raise DomainError(

@@ -41,7 +41,7 @@ def _dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence
     nothing."""
     rows = found.assembled.coupled.jacobian[k][:, joint.free]
     power = HALF if found.claimed[k] else HALF / 2  # on the way to ends where they depend on each other they nearly do
-    if not np.all(np.isfinite(rows)) or len(independent := _independent(_scaled(rows), power)) == len(rows):
+    if not np.all(np.isfinite(rows)) or len(independent := independent_rows(_scaled(rows), power)) == len(rows):
         return ""
     every = enumerate(_all(joint, names))
     left = ", ".join(dict.fromkeys(name for place, name in every if place not in independent))
@@ -75,7 +75,7 @@ def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]
         rows = coupled.jacobian[0][:, joint.free]
         if not np.all(np.isfinite(rows)):
             continue
-        independent = _independent(_scaled(rows))
+        independent = independent_rows(_scaled(rows))
         if len(independent) == len(rows):
             return
         best = independent if best is None or len(independent) > len(best) else best
@@ -104,7 +104,7 @@ def _samples(joint: JointConditions, guess: Any) -> list[list[np.ndarray]]:
     return samples
 
 
-def _independent(rows: np.ndarray, power: float = HALF) -> list[int]:
+def independent_rows(rows: np.ndarray, power: float = HALF) -> list[int]:
     """The first rows of a matrix that are independent of those before."""
     basis, found = np.zeros((0, rows.shape[1])), list[int]()
     for k, row in enumerate(rows):

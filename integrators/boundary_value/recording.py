@@ -20,8 +20,10 @@ from .interpolation import Interpolant
 from .legendre import Concave, concave, concave_words
 from .outcome import outcomes
 from .posed import Posed
+from .reach import unmoved_words
 from .solution import Solution, Statistics
 
+STUCK = "singular", "too_many_iterations", "no_improvement", "infeasible"  # as where equations of the end are dependent
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
 VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why there is no success
 
@@ -93,12 +95,22 @@ class Recording:
         """Which members have success, and the results of all of them in words."""
         success, results = outcomes(found, tolerance)
         notes = found.notes or [""] * len(results)
-        excesses = [_excesses(posed, found, k, tolerance) for k in range(len(results))]
-        results = [reasoned(words + more, note) for words, more, note in zip(results, excesses, notes, strict=True)]
+        stuck = [sentence(name) for name in STUCK]
+        for k, words in enumerate(results):
+            more = self._unmoved(posed, found, k) if words in stuck else ""
+            results[k] = reasoned(words + more + _excesses(posed, found, k, tolerance), notes[k])
         for k, one in concave(posed, found, stages, held, success).items():
             success[k] = False
             results[k] = f"{sentence('concave')} {self._where(one, k, trajectories, stages)}"
         return success, results
+
+    def _unmoved(self, posed: Posed, found: Found, k: int) -> str:
+        """What is said where part of the end follows from the rest, by the names that its user knows."""
+        if posed.conditions.joint:
+            return ""
+        own = self.quantities if self.formulation is None else self.formulation.own.quantities
+        names = [name for quantity in own.states for name in quantity.columns]
+        return unmoved_words(posed.conditions, found.assembled, k, names)
 
     def _where(self, one: Concave, k: int, fields: dict[str, Any], stages: AtStages) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""

@@ -29,21 +29,24 @@ LOWERING = SOLVED, LESS, FASTER, REACHED, TELLS
 class Barrier(NamedTuple):
     """Units of the cost per time, shape (B,), and of the inequalities, (B, c); which of these no iterate leaves.
 
-    The price of an excess of the latter, which are bounds of what is free, is infinite.
+    ``firm``: by how much the first prices, and the square of the first barrier, exceed the usual ones, shape (B,). The
+    price of an excess of the bounds of what is free, which no iterate leaves, is infinite.
     """
 
     rate: np.ndarray
     limits: np.ndarray
     kept: np.ndarray
+    firm: np.ndarray
 
     @classmethod
-    def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray, kept: np.ndarray) -> "Barrier":
+    def of(cls, held: Held, sizes: np.ndarray, rate: np.ndarray, kept: np.ndarray, firm: float = 1.0) -> "Barrier":
         """The units where the unknowns of the points have these sizes: what these change an inequality by to first
         order, or its value where that is next to nothing, as that of a ball where its derivative vanishes."""
         size = (np.abs(held.jacobian) * sizes[:, :, :, None]).sum(axis=4).max(axis=(1, 2))
         value = np.abs(held.values).max(axis=(1, 2))
         size = np.where(size > VALUE * value, size, value)  # what is next to nothing tells nothing of how it bends
-        return cls(rate, np.where((size > 0) & np.isfinite(size), size, 1.0), np.broadcast_to(kept, size.shape))
+        limits = np.where((size > 0) & np.isfinite(size), size, 1.0)
+        return cls(rate, limits, np.broadcast_to(kept, size.shape), np.full_like(rate, firm))
 
     @property
     def unit(self) -> np.ndarray:
@@ -58,7 +61,12 @@ class Barrier(NamedTuple):
     @property
     def price(self) -> np.ndarray:
         """The unit of the prices."""
-        return np.where(self.kept[:, None, None], np.inf, self.multiplier)
+        return np.where(self.kept[:, None, None], np.inf, self.multiplier * self.firm[:, None, None, None])
+
+    @property
+    def highest(self) -> np.ndarray:
+        """The first barrier."""
+        return FIRST * self.rate * np.sqrt(self.firm)
 
     def _inside(self, held: Held) -> Held:
         """The inequalities, of which those that no iterate leaves hold by rounding at least."""
@@ -70,7 +78,7 @@ class Barrier(NamedTuple):
         """The slacks to begin with: those of inequalities that do not hold by enough are elastic."""
         held = self._inside(held)
         price = np.where(held.values < -INSIDE * self.unit, np.inf, PRICE * self.price)
-        return central(held, FIRST * self.rate, price)
+        return central(held, self.highest, price)
 
     def lacks(self, held: Held, slacks: np.ndarray, multipliers: np.ndarray) -> np.ndarray:
         """By how much a slack or a multiplier is below zero, in its unit, shape (B,)."""
@@ -100,7 +108,7 @@ class Barrier(NamedTuple):
         """The slacks with all inequalities elastic in some members."""
         price = np.where(where[:, None, None, None], np.minimum(slacks.price, PRICE * self.price), slacks.price)
         fresh = central(
-            self._inside(held), np.where(where, np.maximum(slacks.barrier, FIRST * self.rate), slacks.barrier), price
+            self._inside(held), np.where(where, np.maximum(slacks.barrier, self.highest), slacks.barrier), price
         )
         return Slacks(
             *(np.where(where.reshape(-1, *(1,) * (a.ndim - 1)), a, b) for a, b in zip(fresh, slacks, strict=True))

@@ -27,13 +27,13 @@ def in_units(conditions: "Conditions", guess: Iterate, paid: Paid | None = None)
     return (resting if guess.slacks is None else guess), assembled
 
 
-def started(conditions: "Conditions", first: Iterate, assembled: Assembled) -> Iterate:
+def started(conditions: "Conditions", first: Iterate, assembled: Assembled, firm: float) -> Iterate:
     """The first iterate with the slacks of its inequalities, if it has any, none of which is known."""
     if first.slacks is None:
         return first
     held, rate = assembled.blocks.inequalities, conditions.measured.cost / conditions.mean_step
     sizes = conditions.transcription.sizes(conditions.measured)
-    conditions.barrier = Barrier.of(held, sizes, rate, conditions.transcription.kept)
+    conditions.barrier = Barrier.of(held, sizes, rate, conditions.transcription.kept, firm)
     return first._replace(slacks=conditions.barrier.first(held))
 
 

@@ -159,17 +159,17 @@ class Conditions:
         """What the compiled pass of a trial takes, if there is one."""
         return Setting.of(self)
 
-    def begin(self, guess: Iterate) -> tuple[Iterate, Assembled]:
-        """The first iterate with its system; takes the units from it.
+    def begin(self, guess: Iterate, firm: float = 1.0) -> tuple[Iterate, Assembled]:
+        """The first iterate with its system; takes the units from it; ``firm``: see ``Barrier``.
 
         Multipliers of inequalities that do not fit tell nothing, nor do the costates that came with them.
         """
         first, assembled = in_units(self, guess)
         if first.slacks is None:
             return first, assembled
-        iterate, fits = warmed(self, guess, started(self, first, assembled), [assembled])
+        iterate, fits = warmed(self, guess, started(self, first, assembled, firm), [assembled])
         if not fits.all():
-            return self.begin(merged(fits, guess, forgotten(self, guess)))
+            return self.begin(merged(fits, guess, forgotten(self, guess)), firm)
         return iterate, self.assemble(iterate)
 
     def appraised(self, iterate: Iterate, assembled: Assembled) -> Appraisal:

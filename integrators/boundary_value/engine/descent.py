@@ -53,10 +53,11 @@ class Descent:
         callback: Callable[[Iteration], Any] | None,
         as_it_is: bool = False,
         width: float = WIDE,
+        firm: float = 1.0,
     ) -> None:
         self.conditions, self.tolerance = conditions, tolerance
         self.max_iterations, self.callback = max_iterations, callback
-        self.funnel = Funnel(tolerance, width)
+        self.funnel, self.firm = Funnel(tolerance, width), firm
         self.as_it_is, self.lost = as_it_is, np.zeros(0, bool)  # which guesses are moved aside
         self.state: State | None = None
         self._own: tuple[np.ndarray, Conditions] | None = None
@@ -136,7 +137,7 @@ class Descent:
     def begun(self, given: Iterate, known: tuple[Iterate, Assembled] | None = None) -> State:
         """The state at the guess, with a first step; ``known``: the guess with its system, whose units are taken."""
         conditions = self.conditions
-        guess, assembled = bare = known or conditions.begin(given)
+        guess, assembled = bare = known or conditions.begin(given, self.firm)
         count = len(assembled.cost)
         zero, one, no = np.zeros(count), np.ones(count), np.zeros(count, bool)
         # The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal.

@@ -79,14 +79,14 @@ class JointConditions:
         masks = ((phase.ends.start_coordinates, phase.ends.end_coordinates) for phase in self.phases)
         return np.concatenate([mask == 0 for pair in masks for mask in pair])
 
-    def begin(self, guess: JointIterate) -> tuple[JointIterate, JointAssembled]:
-        """The first iterate with its system; takes the units from it."""
+    def begin(self, guess: JointIterate, firm: float = 1.0) -> tuple[JointIterate, JointAssembled]:
+        """The first iterate with its system; takes the units from it; ``firm``: see ``Barrier``."""
         first = self.in_units(guess)
-        parts = tuple(started(phase, *own) for phase, own in zip(self.phases, first, strict=True))
+        parts = tuple(started(phase, *own, firm) for phase, own in zip(self.phases, first, strict=True))
         iterate, fits = warmed(self, guess, JointIterate(parts, guess.multipliers), [own[1] for own in first])
         if not fits.all():
             bare = tuple(forgotten(phase, part) for phase, part in zip(self.phases, guess.parts, strict=True))
-            return self.begin(merged(fits, guess, JointIterate(bare, np.zeros_like(guess.multipliers))))
+            return self.begin(merged(fits, guess, JointIterate(bare, np.zeros_like(guess.multipliers))), firm)
         return iterate, self.assemble(iterate)
 
     def in_units(self, guess: JointIterate) -> list[tuple[Iterate, Assembled]]:

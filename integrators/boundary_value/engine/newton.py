@@ -16,7 +16,9 @@ from .found import Found, Iteration
 from .kkt_system import Iterate
 from .own_units import judged_loosely
 from .restoration import NARROW, Restoration
+from .rollout import rolled_out
 
+FIRM = 1e2  # times the usual price of an excess
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 AGAIN = 3  # times at most that a success is judged in other units
 OF_MEMBERS = (
@@ -36,14 +38,15 @@ def newton(
 
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its
     square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
-    one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and
-    the cheaper success counts; one that ends without success is moved aside where its controls hardly move what
-    they have to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
+    one is claimed only if the trajectory has kept its size. A guess that was moved aside is tried as it is too, and the
+    cheaper success counts; one that ends without success is moved aside where its controls hardly move what they have
+    to, and where it violates inequalities: it may run through the middle of what it has to go around. Where
     inequalities contradict each other near the guess, or the ends, the trajectory that violates them least is a guess
     once more: its jam may be of the way there. Last comes a feasibility phase, from whose trajectory a search sets out
     in a narrow funnel: nothing is contradictory where it has met everything. Without controls it comes wherever no
-    minimum was found. Success is judged in units of what is found: where these are far less than those of the guess,
-    that is a guess once more.
+    minimum was found. After it come the states to which the controls of the guess lead from its start, then the guess
+    with dear excesses and a high barrier. Success is judged in units of what is found: where these are far less than
+    those of the guess, that is a guess once more.
     """
     search = Descent(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
@@ -58,6 +61,7 @@ def newton(
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
     found = _restored(search, _crawled(search, found), guess)
+    found = _firmly(search, _rolled_out(search, found, guess), guess)
     for _ in range(AGAIN):
         loose = judged_loosely(search.conditions, found)
         if not loose.size or found.stopped:
@@ -109,6 +113,38 @@ def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
     return found._replace(contradictory=contradictory)
 
 
+def _rolled_out(search: Descent, found: Found, guess: Iterate) -> Found:
+    """What is found from the states to which the controls of the guesses lead, where nothing else has found anything.
+
+    On these the steps meet, and only the end is missed: states of a guess that do not fit its controls, as of a
+    constant height, may lie where no control is felt.
+    """
+    members = np.flatnonzero(_unsettled(found))
+    if found.stopped or not members.size:
+        return found
+    try:
+        led, finite = rolled_out(search.conditions.of(members), taken(guess, members))
+    except KeyboardInterrupt:
+        return found._replace(stopped=True)
+    return _tried(search, found, taken(led, np.flatnonzero(finite)), members[finite])
+
+
+def _firmly(search: Descent, found: Found, guess: Iterate) -> Found:
+    """What is found from the guesses with dear excesses and a high barrier, where nothing else has found anything.
+
+    With the usual ones the cost may drive what is free to its bounds before the steps meet, and the excesses grow.
+    """
+    if found.iterate.slacks is None:
+        return found
+    members = np.flatnonzero(_unsettled(found))
+    return _tried(search, found, taken(guess.bare, members), members, firm=FIRM)
+
+
+def _unsettled(found: Found) -> np.ndarray:
+    """Where nothing has found anything, and the cost has a lower bound."""
+    return ~(found.claimed | _is_near(found) | found.falling)
+
+
 def _seen(search: Descent, members: np.ndarray) -> Callable[[Iteration], Any] | None:
     """The callback of some members."""
     callback = search.callback
@@ -128,13 +164,14 @@ def _tried(
     members: np.ndarray,
     anything: np.ndarray | bool = False,
     width: float = WIDE,
+    firm: float = 1.0,
 ) -> Found:
     """What is found where some members begin once more from their guesses, if that is a success and costs less, or
     anything; ``width``: of the funnel."""
     if found.stopped or not members.size:
         return found
     options = search.tolerance, search.max_iterations, _seen(search, members)
-    alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width)
+    alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width, firm=firm)
     again = alone.ended(guess)
     counts = found.iterations.copy()
     counts[members] += again.iterations

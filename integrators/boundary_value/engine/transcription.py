@@ -18,6 +18,7 @@ from ...layout import Layout, parameter_layout
 from ...problem import OptimalControlProblem
 from ...stages import ControlStage
 from .inequalities import Held, Slacks, raised
+from .rollout import RollOut
 from .scaling import Units
 
 ASIDE = 1e-3  # of the chord
@@ -336,6 +337,11 @@ class Nodes:
     def _middle(self) -> Evaluated:
         """Traced where ends are far apart for the first time; it reads nothing but the manifold."""
         return Automatic().values(self._middle_of, self.layout.size, self.layout.size)
+
+    @cached_property
+    def roll_out(self) -> RollOut:
+        """Traced where a guess is rolled out for the first time."""
+        return RollOut(self.problem, default_retraction(self.problem.manifold), self.parameter)
 
     def _middle_of(self, a: Array, b: Array) -> tuple[Array]:
         """The point of the manifold next to the middle of the chord, by a few steps along its tangential part.

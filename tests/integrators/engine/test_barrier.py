@@ -32,7 +32,7 @@ def test_the_stiffness_is_what_a_multiplier_changes_by(price):
 @pytest.mark.parametrize("value", [-0.5, -1e-3, 1e-3, 0.5])
 def test_excesses_cost_more_where_a_problem_is_solved_with_multipliers_near_their_price(value, error):
     """Central slacks leave nothing but the error, which is in units of what counts as solved."""
-    barrier, given = Barrier(np.ones(1), np.ones((1, 1)), np.zeros((1, 1), bool)), held(np.array([value]))
+    barrier, given = Barrier(np.ones(1), np.ones((1, 1)), np.zeros((1, 1), bool), np.ones(1)), held(np.array([value]))
     slacks = central(given, MU, np.full((1, 1, 1, 1), PRICE))
     found = Surveyed(*barrier.surveyed(given, slacks))
     lower, cheap = barrier.lowered(found, slacks, error * SOLVED * MU, 1e-8, barrier.dear(found))
@@ -51,7 +51,7 @@ def dearer(slacks, factor):
 def test_what_excesses_cost_is_judged_below_a_barrier_at_whatever_price(share):
     """Beside multipliers and a barrier that have grown with the price: the error that counts as solved is
     relative."""
-    barrier, given = Barrier(np.ones(1), np.ones((1, 1)), np.zeros((1, 1), bool)), held(np.array([0.5]))
+    barrier, given = Barrier(np.ones(1), np.ones((1, 1)), np.zeros((1, 1), bool), np.ones(1)), held(np.array([0.5]))
     for factor in 3.0 ** np.arange(11):
         for error in (0.9, 1.1):
             mu = share * TELLS * np.ones(1)
@@ -65,7 +65,7 @@ def test_what_excesses_cost_is_judged_below_a_barrier_at_whatever_price(share):
 
 def test_the_barrier_of_dear_excesses_falls_to_its_last_value_where_errors_are_rounding():
     barrier, given, tolerance = (
-        Barrier(np.ones(1), np.ones((1, 1)), np.zeros((1, 1), bool)),
+        Barrier(np.ones(1), np.ones((1, 1)), np.zeros((1, 1), bool), np.ones(1)),
         held(np.array([-0.5])),
         1e-11,
     )
@@ -80,7 +80,7 @@ def test_the_barrier_of_dear_excesses_falls_to_its_last_value_where_errors_are_r
 
 def test_what_is_left_over_at_the_highest_price_contradicts_where_nothing_is_left_to_lower():
     """Through the tolerance, and through its root, above which an excess tells before the last barrier."""
-    barrier, tolerance = Barrier(np.ones(1), np.ones((1, 1)), np.zeros((1, 1), bool)), 1e-8
+    barrier, tolerance = Barrier(np.ones(1), np.ones((1, 1)), np.zeros((1, 1), bool), np.ones(1)), 1e-8
     for mu in (1e-1, 1e-6, 0.1 * tolerance):
         for left in (0.5, 2.0, 1e2, 1e5):
             given = held(np.array([left * tolerance]))
