@@ -13,15 +13,32 @@ sys.path.insert(0, str(HERE / "_site"))
 import docstrings  # noqa: E402
 import gallery  # noqa: E402
 import links  # noqa: E402
+import problem_pages  # noqa: E402
 import reference  # noqa: E402
+import search  # noqa: E402
 from retrax import __version__  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 mpl.use("Agg")
 
-project, author, copyright = "retrax", "The retrax authors", "The retrax authors"
+project, author, copyright = (
+    "retrax",
+    "The retrax authors",
+    "The retrax authors",
+)
 version = release = __version__
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx_gallery.gen_gallery"]
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.mathjax",
+    # MathJax as a package of pip, copied into the site: the one from npm would need Node where the site is built.
+    "sphinx-mathjax-offline",
+    "sphinx_gallery.gen_gallery",
+]
+myst_enable_extensions = ["dollarmath", "amsmath"]
+mathjax3_config = {
+    "chtml": {"mtextInheritFont": True}
+}  # the packaged release is 3.2.2
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_site", "_gallery"]
 html_theme, html_title = "furo", f"retrax {__version__}"
@@ -52,6 +69,7 @@ suppress_warnings = ["config.cache"]
 
 gallery.prepare(HERE.parent / "examples", HERE / "_gallery")
 reference.write(HERE / "api")
+problem_pages.write(HERE / "library")
 
 
 def setup(app):
@@ -59,3 +77,4 @@ def setup(app):
     app.connect("autodoc-process-docstring", docstrings.process)
     app.connect("autodoc-process-signature", docstrings.sign)
     app.connect("build-finished", links.check)
+    app.connect("build-finished", search.check)

@@ -1,18 +1,24 @@
-"""Abnormal extremals: the line x = 0 of the Martinet distribution, which is also normal in a flat metric, and not in a
-bent one.
+r"""Abnormal extremals
 
-    q' = u_1 X_1 + u_2 X_2,    X_1 = d/dx,    X_2 = (d/dy + x^2/2 d/dz) / (1 + epsilon x),    cost (u_1^2 + u_2^2) / 2
+Abnormal extremals: the line :math:`x = 0` of the Martinet distribution, which is also normal in a flat metric, and
+not in a bent one.
 
-Abnormal extremals do not see the metric. ``classify`` finds p_1 = 0, p_2 + p_3 x^2/2 = 0 and then x u_1 = x u_2 = 0,
-whose solutions are not one manifold: curves that rest (u = 0) at any x, and the surface x = 0 with omega_f of rank 2,
-whose kernel d/dy is the direction of the abnormal line; the free control u_2 is its speed. The two pieces cross where x
-= 0 and u = 0: there equations are irregular, and the numeric algorithm counts the starts that come to it but reads no
-ranks, while the symbolic one finds it inside both pieces. All are cones: with p also c p is an extremal, and p = 0 is
-excluded. The piece with the lines is chosen, and one of them integrated on it.
+    \dot q = u_1 X_1 + u_2 X_2, \qquad X_1 = \partial_x, \qquad
+    X_2 = \frac{\partial_y + \frac{x^2}{2}\,\partial_z}{1 + \epsilon x}, \qquad
+    \text{cost } \tfrac12 (u_1^2 + u_2^2)
 
-In the flat case (epsilon = 0) the normal geodesics are Jacobi's elliptic functions, and the line is a geodesic too, for
-every p_3. Otherwise x = 0 is no normal extremal: those that start along it turn back at x = 2 epsilon / p_3, where
-their velocity is along d/dy again: 1 + p_3 x^2/2 = 1 + epsilon x. The line is their limit as p_3 grows, with p / |p|
+Abnormal extremals do not see the metric. ``classify`` finds :math:`p_1 = 0`, :math:`p_2 + p_3 x^2/2 = 0` and then
+:math:`x u_1 = x u_2 = 0`, whose solutions are not one manifold: curves that rest (:math:`u = 0`) at any :math:`x`,
+and the surface :math:`x = 0` with :math:`\omega_f` of rank 2, whose kernel :math:`\partial_y` is the direction of the
+abnormal line; the free control :math:`u_2` is its speed. The two pieces cross where :math:`x = 0` and :math:`u = 0`:
+there equations are irregular, and the numeric algorithm counts the starts that come to it but reads no ranks, while
+the symbolic one finds it inside both pieces. All are cones: with :math:`p` also :math:`c p` is an extremal, and
+:math:`p = 0` is excluded. The piece with the lines is chosen, and one of them integrated on it.
+
+In the flat case (:math:`\epsilon = 0`) the normal geodesics are Jacobi's elliptic functions, and the line is a
+geodesic too, for every :math:`p_3`. Otherwise :math:`x = 0` is no normal extremal: those that start along it turn
+back at :math:`x = 2\epsilon/p_3`, where their velocity is along :math:`\partial_y` again:
+:math:`1 + p_3 x^2/2 = 1 + \epsilon x`. The line is their limit as :math:`p_3` grows, with :math:`p/\lvert p\rvert`
 abnormal. It is shortest between points near enough nevertheless [Liu, Sussmann, Memoirs of the AMS 564, 1995, where
 abnormal extremals of this kind are treated; Agrachev, Bonnard, Chyba, Kupka, ESAIM: COCV 2, 1997, for the flat case].
 

@@ -1,11 +1,14 @@
-"""The singular problem of the paper: classified, and integrated on its final constraint manifold.
+r"""The paper's singular problem
 
-    x' = f(x) + u1,  y' = y,     min int (x^2 + y^2 + u1^2)/2 + x u1 + y u2  dt
+The singular problem of the paper: classified, and integrated on its final constraint manifold.
 
-``P_f = {y = 0}`` carries a presymplectic form of rank 2 with kernel d/dp_y; ``u1 = p_x - x`` is determined and ``u2``
-is gauge. For ``f = 0``, ``f = x/2`` and ``f = sin`` the solutions are known in closed form or to seven digits, and the
-scheme that the paper prints is the general machinery to rounding. [Barbero-Linan, Martin de Diego, Presymplectic
-integrators for optimal control problems via retraction maps, section 5.1]
+    \dot x = f(x) + u_1, \quad \dot y = y, \qquad \min \int \tfrac12 (x^2 + y^2 + u_1^2) + x u_1 + y u_2\,dt
+
+:math:`P_f = \{y = 0\}` carries a presymplectic form of rank 2 with kernel :math:`\partial/\partial p_y`;
+:math:`u_1 = p_x - x` is determined and :math:`u_2` is gauge. For :math:`f = 0`, :math:`f = x/2` and :math:`f = \sin`
+the solutions are known in closed form or to seven digits, and the scheme that the paper prints is the general
+machinery to rounding. [Barbero-Linan, Martin de Diego, Presymplectic integrators for optimal control problems via
+retraction maps, section 5.1]
 
     python examples/academic_singular.py [--output examples/output]
 """

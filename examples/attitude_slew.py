@@ -1,10 +1,13 @@
-"""Rest-to-rest slew of a spacecraft: 150 degrees about (1, 2, -2)/3 in 60 seconds with least torque.
+r"""Rest-to-rest slew
 
-    R' = R hat(w),    J w' + w x J w = u,    minimise  1/2 int |u|^2 dt
+Rest-to-rest slew of a spacecraft: 150 degrees about (1, 2, -2)/3 in 60 seconds with least torque.
 
-on SO(3) x R^3. Inertia J = diag(5621, 4547, 2364) kg m^2: the spacecraft of the minimum-time reorientation problem in
-J. T. Betts, "Practical Methods for Optimal Control and Estimation Using Nonlinear Programming", SIAM 2010, section 6.8.
-The reference optimum is the limit of the discrete ones as the steps shrink, 2504.24655710 N^2 m^2 s.
+    \dot R = R\,\hat w, \qquad J\dot w + w \times Jw = u, \qquad \text{minimise } \tfrac12 \int \lvert u\rvert^2\,dt
+
+on :math:`SO(3) \times \mathbb R^3`. Inertia :math:`J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}`: the
+spacecraft of the minimum-time reorientation problem in J. T. Betts, "Practical Methods for Optimal Control and
+Estimation Using Nonlinear Programming", SIAM 2010, section 6.8. The reference optimum is the limit of the discrete
+ones as the steps shrink, 2504.24655710 N^2 m^2 s.
 
 Run it to solve, print the report, compare with the reference, and write two figures and the solution:
 

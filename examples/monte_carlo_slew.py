@@ -1,7 +1,9 @@
-"""What a slew takes when neither the spacecraft nor the target is known for sure: 1000 optimal slews, and their
+r"""Monte Carlo of slews
+
+What a slew takes when neither the spacecraft nor the target is known for sure: 1000 optimal slews, and their
 percentiles.
 
-    R' = R hat(w),    J w' + w x J w = u,    minimise  1/2 int |u|^2 dt
+    \dot R = R\,\hat w, \qquad J\dot w + w \times Jw = u, \qquad \text{minimise } \tfrac12 \int \lvert u\rvert^2\,dt
 
 Each spacecraft has an inertia of its own, off by 3 % on each axis, and a target attitude off by 2 degrees about each
 axis (standard deviations, normal), and is slewed in the way that is optimal for it: what torque must the wheels be

@@ -1,7 +1,9 @@
-"""Where a slew ends when the spacecraft is not the one it was computed for: mean and principal directions of 500
+r"""Open-loop dispersion of slews
+
+Where a slew ends when the spacecraft is not the one it was computed for: mean and principal directions of 500
 attitudes.
 
-    R' = R hat(w),    J w' + w x J w = u,    minimise  1/2 int |u|^2 dt
+    \dot R = R\,\hat w, \qquad J\dot w + w \times Jw = u, \qquad \text{minimise } \tfrac12 \int \lvert u\rvert^2\,dt
 
 The optimal torques for the nominal inertia are played back, open loop, on spacecraft whose inertia is off by 2 % on
 each axis and whose first rate is off by 0.5 mrad/s (standard deviations). Their last attitudes are points of SO(3):

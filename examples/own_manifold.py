@@ -1,11 +1,13 @@
-"""Three manifolds of one's own, each checked by the conformance kit and used in a solved control problem.
+r"""Three custom manifolds
+
+Three manifolds of one's own, each checked by the conformance kit and used in a solved control problem.
 
 1. a torus, from one function;
 2. an ellipsoid, with a retraction and its inverse in closed form;
 3. the Heisenberg group, from its Lie algebra.
 
-Each problem is to minimise ``int |u|^2 / 2 dt`` over a unit time, and its optimum is known. docs/own_manifold.md tells
-the story.
+Each problem is to minimise :math:`\tfrac12 \int \lvert u\rvert^2\,dt` over a unit time, and its optimum is known.
+docs/own_manifold.md tells the story.
 
     python examples/own_manifold.py [--steps 50] [--output examples/output]
 """

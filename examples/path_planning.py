@@ -1,15 +1,20 @@
-"""A rigid body moves between two poses past an obstacle: a path planned by pymanopt starts the optimal control solver.
+r"""Path planning around an obstacle
 
-    x' = x hat(xi),    minimise  int (J |omega|^2 + m |v|^2) / 2 + b(t) dt,    xi = (omega, v),    x = (R, t)
+A rigid body moves between two poses past an obstacle: a path planned by pymanopt starts the optimal control solver.
 
-on SE(3): the kinetic energy of the motion, and a barrier b = W exp(S (1 - |t - c|^2 / r^2)) around a ball of radius r,
-which the straight way would cross.
+    \dot x = x\,\hat\xi, \qquad
+    \text{minimise } \int \tfrac12 (J \lvert\omega\rvert^2 + m \lvert v\rvert^2) + b(t)\,dt, \qquad
+    \xi = (\omega, v), \quad x = (R, t)
+
+on SE(3): the kinetic energy of the motion, and a barrier :math:`b = W \exp(S (1 - \lvert t - c\rvert^2/r^2))` around
+a ball of radius :math:`r`, which the straight way would cross.
 
 First the path: the nodes between start and end are one point of Power(SE(3), N - 1). Riemannian trust regions of
 pymanopt minimise its discrete energy plus the barrier over them. Without the barrier the minimum is the geodesic, a
-straight line turned at a constant rate, with the energy J N^2 (1 - cos(angle / N)) + m |d|^2 / 2: the first number that
-is checked. `solve` takes the path, with the twists between its nodes, as its guess. The second number: the way is not
-shorter than a string pulled taut around the ball, two tangents and an arc, and little longer.
+straight line turned at a constant rate, with the energy
+:math:`J N^2 (1 - \cos(\alpha/N)) + \tfrac12 m \lvert d\rvert^2`: the first number that is checked. `solve` takes the
+path, with the twists between its nodes, as its guess. The second number: the way is not shorter than a string pulled
+taut around the ball, two tangents and an arc, and little longer.
 
     python examples/path_planning.py [--steps 40] [--output examples/output]
 """
@@ -124,9 +129,6 @@ def plot(solution, paths, path):
     """The ways around the ball with the body's axes on the optimal one, and the distances to the ball."""
     figure = plt.figure(figsize=(11, 5), layout="constrained")
     space, axis = figure.add_subplot(1, 2, 1, projection="3d"), figure.add_subplot(1, 2, 2)
-    polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
-    ball = np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)], axis=-1)
-    space.plot_wireframe(*np.moveaxis(CENTRE + RADIUS * ball, -1, 0), color="0.8", linewidth=0.5)
     widths = 1.5, 5.0, 1.5  # the last two ways are nearly the same
     for (name, poses), colour, width in zip(paths.items(), ("C0", "#ffbf7f", "C2"), widths, strict=True):
         if poses is not solution.states:
@@ -134,7 +136,7 @@ def plot(solution, paths, path):
         away = np.linalg.norm(positions(poses) - CENTRE, axis=1)
         axis.plot(np.linspace(0, 1, len(poses)), away, color=colour, linewidth=width, label=name)
     space.set_prop_cycle(color=["tab:green"])
-    plotting.path(solution, ax=space)
+    plotting.path(solution, ax=space, obstacles=[(CENTRE, RADIUS)])
     space.view_init(50, -70)
     space.set(title="the optimal motion, with body axes x red, y green, z blue")
     space.title.set_fontsize("medium")

@@ -1,17 +1,24 @@
-"""Balls that roll without slipping on a plane: nonholonomic systems, integrated as Dirac systems on T*(SO(3) x R^2).
+r"""Rolling balls
 
-    H = mu . J^-1 mu / 2 + |p|^2 / 2 - slope . x,    x' = a w x e_3 + Omega e_3 x x    unit mass and radius a = 1, w
-    spatial
+Balls that roll without slipping on a plane: nonholonomic systems, integrated as Dirac systems on
+:math:`T^*(SO(3) \times \mathbb R^2)`.
 
-* A homogeneous ball, J = 2/5, on a table that turns with Omega rolls on circles, with 2/7 of Omega [Earnshaw, 1844].
+    H = \tfrac12\, \mu \cdot J^{-1}\mu + \tfrac12 \lvert p\rvert^2 - s \cdot x, \qquad
+    \dot x = a\,w \times e_3 + \Omega\, e_3 \times x
+
+Mass and radius :math:`a` are 1, the rate :math:`w` is spatial and :math:`s` the slope.
+
+* A homogeneous ball, :math:`J = 2/5`, on a table that turns with :math:`\Omega` rolls on circles, with :math:`2/7` of
+  :math:`\Omega` [Earnshaw, 1844].
 * On a plane at rest whose gravity along itself is ``slope`` it accelerates by 5/7 of it, on a parabola.
-* A ball with three different moments of inertia [Chaplygin, 1903] keeps its angular momentum K = m + a e_3 x p about
-  the point of contact: three symmetries whose generators satisfy the constraints.
+* A ball with three different moments of inertia [Chaplygin, 1903] keeps its angular momentum
+  :math:`K = m + a\,e_3 \times p` about the point of contact: three symmetries whose generators satisfy the
+  constraints.
 
-Kept to rounding: the constraints, and K. Not kept: the energy, with an error of O(h^2) that stays bounded here, where
-the motion is reversible and integrable, as it need not elsewhere; and the symplectic form, which the flow does not keep
-either. On the turning table the energy itself is no constant of motion, but the moving energy H - Omega e_3 . (x x p +
-m) is.
+Kept to rounding: the constraints, and :math:`K`. Not kept: the energy, with an error of :math:`O(h^2)` that stays
+bounded here, where the motion is reversible and integrable, as it need not elsewhere; and the symplectic form, which
+the flow does not keep either. On the turning table the energy itself is no constant of motion, but the moving energy
+:math:`H - \Omega\,e_3 \cdot (x \times p + m)` is.
 
     python examples/rolling_ball.py [--steps 10000] [--output examples/output]
 """

@@ -1,15 +1,19 @@
-"""Attitude control with a cost-free or a failed actuator: singular extremals on SO(3) x R^3, integrated on P_f.
+r"""Singular attitude control
 
-    R' = R hat(w),    J w' + w x J w = u
+Attitude control with a cost-free or a failed actuator: singular extremals on :math:`SO(3) \times \mathbb R^3`,
+integrated on :math:`P_f`.
 
-Two problems: with a third torque that costs nothing, ``min int (u1^2 + u2^2)/2 + |w|^2``, and with the third actuator
-failed and the other two free of cost, ``min int |w|^2``. Pontryagin's Hamiltonian does not determine the free torques;
-its extremals live on a symplectic ``P_f``, of dimension 10 and 8 in the 12 of ``T*Q``. RATTLE keeps ``P_f`` and its
-form to rounding, and the spatial angular costate, a momentum of the symmetry of both problems, as well.
+    \dot R = R\,\hat w, \qquad J\dot w + w \times Jw = u
+
+Two problems: with a third torque that costs nothing, :math:`\min \int \tfrac12 (u_1^2 + u_2^2) + \lvert w\rvert^2`,
+and with the third actuator failed and the other two free of cost, :math:`\min \int \lvert w\rvert^2`. Pontryagin's
+Hamiltonian does not determine the free torques; its extremals live on a symplectic :math:`P_f`, of dimension 10 and 8
+in the 12 of :math:`T^*Q`. RATTLE keeps :math:`P_f` and its form to rounding, and the spatial angular costate, a
+momentum of the symmetry of both problems, as well.
 
 With the failed actuator, rotations near the middle axis stay near it, and the energy error oscillates. With the free
-one extremals are saddles, as those of a linear quadratic regulator: they come near rest about two axes and leave again.
-The start is of one that stays for a while, and its energy error comes and goes with the rates.
+one extremals are saddles, as those of a linear quadratic regulator: they come near rest about two axes and leave
+again. The start is of one that stays for a while, and its energy error comes and goes with the rates.
 
     python examples/singular_attitude.py [--output examples/output]
 """

@@ -1,13 +1,16 @@
-"""A gallery of singular problems: what the integrability algorithm finds, beside what is known, and the motion on P_f.
+r"""Gallery of singular problems
 
-- Aly and Chan's problem: on P_f an oscillator, u = -sin t from (0, 1), cost 0 at pi/2.
-- Chains of n integrators: P_f is the origin, after 2 n levels.
-- A charged particle without mass, p = A(q): two primary equations of second class; it drifts along the level lines of
-  its potential energy, q' = (-2y, x) / curl A.
-- Brown's Lagrangian of four degrees of freedom: all four classes of equations. The difference d = q4 - q2 is an
-  oscillator, whatever the gauge control is.
-- H = p1 x2 + p2 u: P_f = {p = 0} with zero form, so that the control is free: every motion with x1' = x2 is an
-  extremal.
+A gallery of singular problems: what the integrability algorithm finds, beside what is known, and the motion on
+:math:`P_f`.
+
+- Aly and Chan's problem: on :math:`P_f` an oscillator, :math:`u = -\sin t` from (0, 1), cost 0 at :math:`\pi/2`.
+- Chains of :math:`n` integrators: :math:`P_f` is the origin, after :math:`2n` levels.
+- A charged particle without mass, :math:`p = A(q)`: two primary equations of second class; it drifts along the level
+  lines of its potential energy, :math:`\dot q = (-2y, x)/\operatorname{curl} A`.
+- Brown's Lagrangian of four degrees of freedom: all four classes of equations. The difference :math:`d = q_4 - q_2`
+  is an oscillator, whatever the gauge control is.
+- :math:`H = p_1 x_2 + p_2 u`: :math:`P_f = \{p = 0\}` with zero form, so that the control is free: every motion with
+  :math:`\dot x_1 = x_2` is an extremal.
 - Two problems without extremals.
 
     python examples/singular_gallery.py [--only aly-chan brown] [--steps 120] [--output examples/output]

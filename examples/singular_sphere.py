@@ -1,9 +1,12 @@
-"""A singular problem on the sphere: RATTLE on its final constraint manifold, beside a projection method.
+r"""Singular arcs on the sphere
 
-    q' = f(q) + u e3 x q on S^2,     min int F(q) dt
+A singular problem on the sphere: RATTLE on its final constraint manifold, beside a projection method.
 
-The control has no cost. ``P_f`` is a curved surface in ``T*S^2`` with a symplectic form. RATTLE keeps both to rounding;
-a projection method keeps ``P_f`` alone, changes its form by O(h^3) a step, and its energy drifts.
+    \dot q = f(q) + u\,e_3 \times q \text{ on } S^2, \qquad \min \int F(q)\,dt
+
+The control has no cost. :math:`P_f` is a curved surface in :math:`T^*S^2` with a symplectic form. RATTLE keeps both
+to rounding; a projection method keeps :math:`P_f` alone, changes its form by :math:`O(h^3)` a step, and its energy
+drifts.
 
     python examples/singular_sphere.py [--steps 100000] [--output examples/output]
 """

@@ -1,10 +1,13 @@
-"""The spherical pendulum on T*S^2 for 100 000 steps, beside a method of the same order that knows no geometry.
+r"""The spherical pendulum
 
-    H(q, p) = |p|^2 / 2 + q_3        unit mass, length and gravity
+The spherical pendulum on :math:`T^*S^2` for 100 000 steps, beside a method of the same order that knows no geometry.
 
-The midpoint map of the projection retraction, lifted to the cotangent bundle, gives a symplectic integrator of order 2.
-It conserves the vertical angular momentum to rounding, because the retraction commutes with rotations, and its energy
-error stays bounded. The explicit midpoint rule on the embedded equations, projected to T*S^2 after every step, drifts.
+    H(q, p) = \tfrac12 \lvert p\rvert^2 + q_3 \qquad \text{(unit mass, length and gravity)}
+
+The midpoint map of the projection retraction, lifted to the cotangent bundle, gives a symplectic integrator of order
+2. It conserves the vertical angular momentum to rounding, because the retraction commutes with rotations, and its
+energy error stays bounded. The explicit midpoint rule on the embedded equations, projected to :math:`T^*S^2` after
+every step, drifts.
 
     python examples/spherical_pendulum.py [--steps 100000] [--output examples/output]
 """

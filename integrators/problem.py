@@ -127,10 +127,11 @@ class OptimalControlProblem(Module):
         for name, flag in (("abnormal", abnormal), ("time_dependent", time_dependent)):
             if not isinstance(flag, bool | np.bool_):
                 raise InvalidInputError(f"{name} must be True or False, got {flag!r}")
-        self.quantities = Quantities.of(self.manifold, self.controls, labels, units)
         given: Any = constraints
         is_made = isinstance(given, Inequalities)
         self.limits = given if is_made else Inequalities.of(control_bounds, given, node_constraints, self.controls)
+        named = Quantities.of(self.manifold, self.controls, labels, units)
+        self.quantities = named.bounded(self.limits.lower, self.limits.upper)
         self.boundary = BoundaryConditions.of(boundary_constraints, periodic, self.limits.every_name)
         expected = (
             ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")

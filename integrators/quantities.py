@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any, Self, final
 
@@ -30,12 +30,15 @@ class Quantity:
         Names of the entries, row by row; by default their indices, such as ``1`` or ``0,2``.
     space : str
         Its manifold, such as ``SO(3)``.
+    bounds : tuple of pairs of float
+        The least and the largest value of each entry of a bounded control; empty without bounds.
     """
 
     name: str
     units: tuple[str, ...]
     entries: tuple[str, ...]
     space: str
+    bounds: tuple[tuple[float, float], ...] = ()
 
     @property
     def unit(self) -> str:
@@ -127,6 +130,18 @@ class Quantities:
             return tuple(Quantity(name, ("",), _places(shape), "") for name, shape in pairs)
 
         return cls(own("q", states), own("u", controls))
+
+    def bounded(self, lower: tuple[float, ...], upper: tuple[float, ...]) -> Self:
+        """These quantities with the bounds of the entries of the control.
+
+        Parameters
+        ----------
+        lower, upper : tuple of float
+            The bounds of all entries, infinite where there is none; empty without bounds.
+        """
+        bounds = tuple(zip(lower, upper, strict=True))
+        is_fit = len(self.controls) == 1 and len(bounds) in (0, len(self.controls[0].entries))
+        return replace(self, controls=(replace(self.controls[0], bounds=bounds),)) if is_fit else self
 
     def factors(self, count: int) -> list[str]:
         """The names of the factors of a state: their labels, or ``factor 0`` for a factor without one.
@@ -294,4 +309,7 @@ def _read(value: Any) -> Quantity:
     units, entries = (tuple(_word(name, word) for word in value[name]) for name in ("units", "entries"))
     if len(units) not in (1, len(entries)):
         raise ValueError(f"{len(units)} units of {len(entries)} entries")
-    return Quantity(_word("name", value["name"]), units, entries, _word("space", value["space"]))
+    bounds = tuple((float(low), float(high)) for low, high in value.get("bounds", ()))  # absent in former files
+    if len(bounds) not in (0, len(entries)):
+        raise ValueError(f"{len(bounds)} bounds of {len(entries)} entries")
+    return Quantity(_word("name", value["name"]), units, entries, _word("space", value["space"]), bounds)

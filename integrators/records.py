@@ -297,3 +297,15 @@ def _words(value: Any) -> str:
     if isinstance(value, dict | tuple):
         return f"a {type(value).__name__} of {len(value)}"
     return f"{brief(value)}"
+
+
+def write_protect(value: Any) -> None:
+    """Make the arrays in nested tuples, lists and dictionaries read-only."""
+    if isinstance(value, np.ndarray):
+        value.flags.writeable = False
+    elif isinstance(value, dict):
+        for part in value.values():
+            write_protect(part)
+    elif isinstance(value, (tuple, list)):
+        for part in value:
+            write_protect(part)

@@ -15,20 +15,30 @@ from tests.support.pages import Pages
 ROOT = Path(__file__).parents[1]
 SLOW = (
     "README.md",
+    "accuracy.md",
+    "boundary_conditions.md",
     "conformance.md",
+    "constraints.md",
     "conventions.md",
     "dirac.md",
     "from_casadi.md",
     "from_geometry.md",
     "integration.md",
+    "integration_batches.md",
+    "minimum_time.md",
     "new_manifold.md",
+    "obstacles.md",
     "optimal_control.md",
     "own_manifold.md",
     "paper.md",
+    "paper_control.md",
+    "parameter_studies.md",
+    "phases.md",
     "pictures.md",
     "problems.md",
     "singular.md",
     "sweeps.md",
+    "warm_starts.md",
 )
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 
@@ -91,6 +101,39 @@ def test_messages_of_the_troubleshooting_page_are_those_of_the_library():
     assert len(messages) > 30
     missing = [message for message in messages if not re.search(re.escape(message).replace(r"\.\.\.", ".*"), library)]
     assert not missing, missing
+
+
+@pytest.mark.parametrize("page", PAGES[1:], ids=lambda page: page.name)
+def test_a_page_has_six_screens_at_most_and_code_of_80_columns(page):
+    lines = page.read_text().splitlines()
+    assert sum(max(1, -(-len(line) // 100)) for line in lines) <= 6 * 60
+    assert [line for block in blocks(page, "python") for line in block.splitlines() if len(line) > 80] == []
+
+
+def test_words_of_the_field_are_headings_and_index_entries_of_their_pages(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    search = importlib.import_module("search")
+    texts = {
+        page.stem: re.sub(r"^```python\n.*?^```", "", page.read_text(), flags=re.DOTALL | re.M) for page in PAGES[1:]
+    }
+    headings = {title: name for name, text in texts.items() for title in re.findall(r"^#+ (.*)$", text, re.M)}
+    entries = {
+        entry.strip().removeprefix("! "): (name, entry.strip().startswith("! "))
+        for name, text in texts.items()
+        for line in re.findall(r"^```{index} (.*)$", text, re.M)
+        for entry in line.split(",")
+    }
+    for word, page in search.WORDS.items():
+        assert entries.get(word) == (page, True), word
+        assert any(word.lower() in title.lower() and name == page for title, name in headings.items()), word
+    docnames = [*texts]
+    index = {
+        "docnames": docnames,
+        "alltitles": {title: [[docnames.index(name), ""]] for title, name in headings.items()},
+        "indexentries": {text: [[docnames.index(name), "", main]] for text, (name, main) in entries.items()},
+    }
+    assert search.missed(index) == []
+    assert search.missed({**index, "indexentries": {}, "alltitles": {}})
 
 
 def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):

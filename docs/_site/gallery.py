@@ -29,7 +29,7 @@ def prepare(source: Path, target: Path) -> None:
         title, _, rest = written.partition("\n")
         body = set_off(rest)
         underlined = f"{title}\n{'=' * len(title)}\n{body}"
-        text = text.replace(f'"""{written}"""', f'r"""{underlined}"""', 1)
+        text = text.removeprefix("r").replace(f'"""{written}"""', f'r"""{underlined}"""', 1)
         (target / script.name).write_text(as_page(text))
 
 
@@ -43,12 +43,12 @@ def as_page(text: str) -> str:
 
 
 def set_off(text: str) -> str:
-    """The text with its indented lines as literal blocks, and signs of mathematics that are no markup; lists stay
-    lists."""
+    """The text with its indented lines as formulas, and its commands as literal blocks; signs of mathematics outside of
+    roles are no markup, and lists stay lists."""
     lines: list[str] = []
     for line in text.split("\n"):
         if line.startswith("    ") and not (lines and lines[-1].strip()):
-            lines += ["::", ""]
+            lines += ["::" if line.startswith("    python ") else ".. math::", ""]
         marker = "* " if line.startswith("* ") else ""
         lines.append(line if line.startswith("    ") else marker + escaped(line.removeprefix(marker)))
     return "\n".join(lines)

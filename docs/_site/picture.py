@@ -31,7 +31,7 @@ def main() -> None:
         right.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)  # off the curves
         figure.savefig(ROOT / "docs" / "slew.png", dpi=200)
     with Image.open(ROOT / "docs" / "slew.png") as picture:  # few colours, a third of the size
-        picture.convert("RGB").quantize(64).save(ROOT / "docs" / "slew.png", optimize=True)
+        picture.convert("RGB").quantize(128).save(ROOT / "docs" / "slew.png", optimize=True)
 
 
 if __name__ == "__main__":

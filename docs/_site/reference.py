@@ -1,4 +1,4 @@
-"""Pages of the API reference: every public name of every room, by its own docstring."""
+"""Pages of the API reference: one for every public name, by its own docstring, and tables of the names of a room."""
 
 import importlib
 import inspect
@@ -7,10 +7,11 @@ import shutil
 from pathlib import Path
 from types import ModuleType
 
+import retrax
 import tables
-from docstrings import escaped
+from docstrings import LITERAL, escaped
 from retrax.retractions import RetractionFamily
-from uses import used
+from uses import MOST, used
 
 ROOMS = {
     "manifolds": "Manifolds",
@@ -27,19 +28,74 @@ ROOMS = {
 }
 
 
+TIERS = {
+    "Everyday": "Names that ``import retrax`` has, or that three pages or examples use.",
+    "Advanced": "",
+    "For subclasses": "Abstract classes, from which a class of yours can inherit.",
+}
+
+
 def write(folder: Path) -> None:
-    """Write a page for each room, the table of manifolds and retractions, and the page that lists them."""
+    """Write a page for each public name, for each room its tables, and the page that lists the rooms."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
     for room, title in ROOMS.items():
         module = importlib.import_module(f"retrax.{room}")
-        lines = [title, "=" * len(title), "", f".. module:: retrax.{room}", ""]
-        for name in sorted(own(module), key=str.lower):
-            lines += entry(module, name)
+        names = sorted(own(module), key=str.lower)
+        for name in names:
+            lines = [":orphan:", "", *heading(name), f".. currentmodule:: retrax.{room}", "", *entry(module, name)]
+            lines += [f"More of :doc:`{title} <{room}>`."]
+            (folder / f"{document(room, name, names)}.rst").write_text("\n".join(lines) + "\n")
+        lines = [*heading(title), f".. module:: retrax.{room}", ""]
+        for kind, words in TIERS.items():
+            here = [name for name in names if tier(module, name) == kind]
+            alone = len(here) == len(names)
+            lines += listed(module, here, names, "All names" if alone else kind, "" if alone else words) if here else []
         (folder / f"{room}.rst").write_text("\n".join(lines) + "\n")
     (folder / "table.rst").write_text("\n".join(tables.table()) + "\n")
     rows = "\n".join(f"   {page}" for page in (*ROOMS, "table"))
-    (folder / "index.rst").write_text(f"Reference\n=========\n\n.. toctree::\n   :maxdepth: 1\n\n{rows}\n")
+    (folder / "index.rst").write_text(
+        "\n".join([*heading("Reference"), ".. toctree::", "   :maxdepth: 1", "", rows, ""])
+    )
+
+
+def heading(title: str) -> list[str]:
+    """A title and the line below it."""
+    return [title, "=" * len(title), ""]
+
+
+def document(room: str, name: str, names: list[str]) -> str:
+    """The page of a name; file systems that ignore case need another one for a function with the name of a class."""
+    alike = any(other != name and other.lower() == name.lower() for other in names)
+    return f"{room}.{name}" + ("-function" if alike and name.islower() else "")
+
+
+def tier(module: ModuleType, name: str) -> str:
+    """The table in which a public name is."""
+    if inspect.isabstract(getattr(module, name)):
+        return "For subclasses"
+    everyday = name in retrax.__all__ or len(used(module.__name__.partition(".")[2], name)) == MOST
+    return "Everyday" if everyday else "Advanced"
+
+
+def listed(module: ModuleType, here: list[str], names: list[str], kind: str, words: str) -> list[str]:
+    """The table of a tier: names with links to their pages, and their first sentences."""
+    room = module.__name__.removeprefix("retrax.")
+    lines = [kind, "-" * len(kind), "", words, "", ".. list-table::", "   :widths: 30 70", ""]
+    for name in here:
+        lines += [f"   * - :doc:`{name} <{document(room, name, names)}>`", f"     - {summary(module, name)}"]
+    return [*lines, ""]
+
+
+def summary(module: ModuleType, name: str) -> str:
+    """The first sentence of what documents a public name."""
+    thing = getattr(module, name)
+    if inspect.isclass(thing) or inspect.isroutine(thing):
+        first = " ".join((inspect.getdoc(thing) or "").split("\n\n")[0].split())
+        parts = LITERAL.split(first)  # text and, in turn, literals and formulas, in which no sentence ends
+        end = next((k for k in range(0, len(parts), 2) if re.search(r"[.:;](\s|$)", parts[k])), len(parts) - 1)
+        return escaped("".join(parts[:end]) + re.split(r"[.:;](?=\s|$)", parts[end])[0] + ".")
+    return described(module, name)
 
 
 def own(module: ModuleType) -> set[str]:
@@ -53,22 +109,20 @@ def own(module: ModuleType) -> set[str]:
 def entry(module: ModuleType, name: str) -> list[str]:
     """What documents a public name."""
     thing, path = getattr(module, name), f"{module.__name__}.{name}"
-    places = [link(place) for place in used(module.__name__.partition(".")[2], name)]
-    where = [f"   Used in {', '.join(places)}.", ""] if places else []
+    places = [f":doc:`{place}`" for place in used(module.__name__.partition(".")[2], name)]
+    where = [f"Used in {', '.join(places)}.", ""] if places else []
     if inspect.isclass(thing) or inspect.isroutine(thing):
         return [f".. auto{'class' if inspect.isclass(thing) else 'function'}:: {path}", "", *where]
+    return [f".. data:: {name}", "", f"   {described(module, name)}", "", *where]
+
+
+def described(module: ModuleType, name: str) -> str:
+    """A sentence on a constant or a family of retractions."""
+    thing = getattr(module, name)
     if isinstance(thing, RetractionFamily):
         kinds = ", ".join(kind.__name__ for kind in thing._members)
-        words = f"The ``RetractionFamily`` of this name, for {kinds}, and products and powers."
-    else:
-        words = escaped(comment(module, name))
-    return [f".. data:: {name}", "", f"   {words}", "", *where]
-
-
-def link(document: str) -> str:
-    """A link to a page by its title, to an example by its file: titles of examples are sentences."""
-    folder, _, name = document.rpartition("/")
-    return f":doc:`{name}.py <{document}>`" if folder == "/examples" else f":doc:`{document}`"
+        return f"The ``RetractionFamily`` of this name, for {kinds}, and products and powers."
+    return escaped(comment(module, name))
 
 
 def comment(module: ModuleType, name: str) -> str:

@@ -1,21 +1,14 @@
-"""The table of manifolds and retractions: what the classes say of themselves, and what they cost where the site is
-built."""
+"""The table of manifolds and retractions: what the classes say of themselves."""
 
 import inspect
 import re
-import timeit
-from collections.abc import Callable
 
-import jax
-import numpy as np
 from docstrings import escaped, prose
 from retrax import manifolds as m
 from retrax import retractions as r
 from retrax.manifolds import Manifold
 from retrax.retractions import DifferentiatedRetraction, MidpointRetraction, Retraction
 
-BATCH = 1000
-FEWEST, MOST, SECONDS = 3, 50, 0.2  # calls of which the quickest counts, as many as fit into this time
 FAMILIES = {name: getattr(r, name) for name in ("Exponential", "Cayley", "Projection", "Polar", "QR")}
 EXAMPLES: tuple[Manifold, ...] = (
     m.Euclidean(3),
@@ -41,7 +34,7 @@ OTHERS: dict[type[Manifold], tuple[type[Retraction], ...]] = {  # that no family
     m.Stiefel: (r.StiefelCanonicalExponential,),
     m.FixedRank: (r.FixedRankOrthographic,),
 }
-HEAD = f"""Manifolds and retractions
+HEAD = """Manifolds and retractions
 =========================
 
 ``Cayley(M)`` is the retraction of that name on a manifold, ``default_retraction(M)`` the first of Exponential,
@@ -49,10 +42,9 @@ Projection, Cayley, Polar and QR that there is; products are taken factor by fac
 set, and any other manifold with a ``restore``, has ``Projection`` or ``ProjectionByNewton`` by Newton's method.
 
 Closed forms: of the inverse (i), of the domain (d), of midpoints (m), which ``Midpoint(R).inverse`` needs, and of
-derivatives (D); the others are derived, by Newton's method, a round trip and automatic differentiation. The last two
-columns are microseconds of the map and of its inverse for a point, on the manifold in the heading, in a compiled batch
-of {BATCH}, on the computer on which this page was made: compare them with each other. The sentences on images, those of
-``R_x``, and on domains come from the classes; :doc:`/conformance` has the rule for all domains.
+derivatives (D); the others are derived, by Newton's method, a round trip and automatic differentiation. The sentences
+on images, those of :math:`R_x`, and on domains come from the classes; :doc:`/conformance` has the rule for all domains,
+and :doc:`/benchmarks` what retractions cost.
 """
 
 
@@ -62,14 +54,13 @@ def table() -> list[str]:
     for manifold in EXAMPLES:
         members = retractions(manifold)
         title = f"{manifold}"
-        lines += [title, "-" * len(title), "", ".. list-table::", "   :header-rows: 1", "   :widths: 20 55 9 8 8", ""]
-        lines += row("retraction", "what it is", "closed", "map", "inverse")
+        lines += [title, "-" * len(title), "", ".. list-table::", "   :header-rows: 1", "   :widths: 22 66 12", ""]
+        lines += row("retraction", "what it is", "closed")
         for retraction, names in members.items():
             kind = type(retraction)
             name = f":class:`~{kind.__module__.split('.')[0]}.retractions.{kind.__name__}`"
             called = f" {', '.join(names)}" if names else ""
-            costs = [f"{cost:.2g}" for cost in measured(retraction)]
-            lines += row(name + called, words(kind), closed(retraction), *costs)
+            lines += row(name + called, words(kind), closed(retraction))
         lines.append("")
     return lines
 
@@ -108,25 +99,3 @@ def closed(retraction: Retraction) -> str:
         "D": isinstance(retraction, DifferentiatedRetraction),
     }
     return " ".join(letter for letter, there in own.items() if there)
-
-
-def measured(retraction: Retraction) -> tuple[float, float]:
-    """Microseconds a point of the map and of its inverse."""
-    manifold, keys = retraction.manifold, jax.random.split(jax.random.key(0), BATCH)
-    x = jax.jit(jax.vmap(manifold.random_point))(keys)
-    v = jax.jit(jax.vmap(lambda key, x: 0.2 * manifold.random_tangent(key, x)))(keys, x)
-    map_, inverse = jax.jit(jax.vmap(retraction)), jax.jit(jax.vmap(retraction.preimage))
-    y = map_(x, v)
-    return cost(map_, x, v), cost(inverse, x, y)
-
-
-def cost(function: Callable, *batch: jax.Array) -> float:
-    """The least time of some calls, in microseconds a member; compiled before."""
-
-    def call() -> None:
-        jax.block_until_ready(function(*batch))
-
-    call()
-    once = timeit.timeit(call, number=1)
-    repeats = int(np.clip(SECONDS / once, FEWEST, MOST))
-    return min(once, *timeit.repeat(call, number=1, repeat=repeats)) / BATCH * 1e6

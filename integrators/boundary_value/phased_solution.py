@@ -108,6 +108,23 @@ class PhasedSolution:
         """A print of the figures of the solution."""
         print(self)
 
+    def plot(self, degrees: bool = False) -> Any:
+        """The histories of all phases as Matplotlib axes; see ``retrax.plotting.histories``.
+
+        Parameters
+        ----------
+        degrees : bool
+            Whether angles and their rates are drawn in degrees instead of radians.
+
+        Returns
+        -------
+        ndarray of matplotlib axes
+            One for each array of the state, then one for each array of the controls.
+        """
+        from ...plotting import histories
+
+        return histories(self, degrees=degrees)
+
     def __repr__(self) -> str:
         """The essential numbers."""
         spans = ", ".join(f"{a:.6g}..{b:.6g}" for a, b in zip(self.times, self.times[1:], strict=False))

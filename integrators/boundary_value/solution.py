@@ -1,6 +1,6 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from difflib import get_close_matches
 from html import escape
@@ -13,7 +13,7 @@ from ...manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifol
 from ...manifolds.numerics.tolerances import ACTIVE
 from ...retractions import Retraction
 from ..quantities import Quantities
-from ..records import Along, RecordFile, Values, not_finite, shapes
+from ..records import Along, RecordFile, Values, not_finite, shapes, write_protect
 from .checks import RegularChecks, SingularArc, SingularChecks, Statistics
 from .guess import Guess
 from .interpolation import Interpolant, Sample
@@ -104,7 +104,7 @@ class Solution:
     quantities: Quantities | Any = None
 
     def __post_init__(self) -> None:
-        _write_protect(vars(self))
+        write_protect(vars(self))
 
     @property
     def status(self) -> Status:
@@ -282,23 +282,37 @@ class Solution:
 
         return to_pandas(self, at)
 
-    def plot(self) -> Any:
-        """The histories of states and controls as a Matplotlib figure; see ``retrax.plotting.histories``."""
+    def plot(self, degrees: bool = False) -> Any:
+        """The histories of states and controls as Matplotlib axes; see ``retrax.plotting.histories``.
+
+        Parameters
+        ----------
+        degrees : bool
+            Whether angles and their rates are drawn in degrees instead of radians.
+        """
         from ...plotting import histories
 
-        return histories(self)
+        return histories(self, degrees=degrees)
 
-    def to_html(self, path: str | Path, mesh: tuple[Any, Any] | None = None, title: str = "") -> None:
+    def to_html(
+        self,
+        path: str | Path,
+        mesh: tuple[Any, Any] | None = None,
+        title: str = "",
+        degrees: bool = False,
+        cones: Sequence[Any] = (),
+        obstacles: Sequence[Any] = (),
+    ) -> None:
         """A page in one file that shows the solution in motion; see ``retrax.plotting.to_html``.
 
         Parameters
         ----------
-        path, mesh, title
+        path, mesh, title, degrees, cones, obstacles
             As in ``retrax.plotting.to_html``.
         """
         from ...plotting import to_html
 
-        to_html(self, path, mesh, title)
+        to_html(self, path, mesh, title, degrees=degrees, cones=cones, obstacles=obstacles)
 
     def save(self, path: str | Path) -> None:
         """An ``.npz`` file with the solution, which ``load_solution`` reads.
@@ -327,18 +341,6 @@ def _in_tuples(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: _in_tuples(part) for key, part in value.items()}
     return tuple(map(_in_tuples, value)) if isinstance(value, tuple | list) else value
-
-
-def _write_protect(value: Any) -> None:
-    """Make the arrays in nested tuples, lists and dictionaries read-only."""
-    if isinstance(value, np.ndarray):
-        value.flags.writeable = False
-    elif isinstance(value, dict):
-        for part in value.values():
-            _write_protect(part)
-    elif isinstance(value, (tuple, list)):
-        for part in value:
-            _write_protect(part)
 
 
 _SCHEMA = {name: hint for name, hint in get_type_hints(Solution, include_extras=True).items() if name not in IN_TEXT}

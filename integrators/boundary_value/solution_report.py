@@ -99,7 +99,7 @@ def _turns(solution: Solution) -> Iterator[tuple[str, str]]:
         largest = float(np.max(own))
         yield (
             "turn",
-            f"{_labelled(name, solution)}: {np.degrees(whole):.4g} degrees from start to end, at most "
+            f"{labelled(name, solution)}: {np.degrees(whole):.4g} degrees from start to end, at most "
             f"{np.degrees(largest):.3g} degrees in one step",
         )
         if largest > LONGEST_TURN:
@@ -119,7 +119,7 @@ def _residuals(solution: Solution) -> Iterator[tuple[str, str]]:
 def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
     checks = solution.checks
     for equation, violation in checks.violations.items():
-        yield "constraint error", f"{_labelled(equation, solution)}: {violation:.1e}"
+        yield "constraint error", f"{labelled(equation, solution)}: {violation:.1e}"
     share = checks.hamiltonian_spread / checks.hamiltonian_size if checks.hamiltonian_size else 0.0
     yield (
         "Hamiltonian",
@@ -129,7 +129,7 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
         yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
     for name, momentum in solution.momenta.items() if solution.success else ():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
-        label = _labelled(name, solution)
+        label = labelled(name, solution)
         conserved, count = checks.conserved[name], momentum.shape[1]
         constant = f"constant along this extremal: {conserved or 'none'} of {count} components"
         if not conserved:
@@ -142,7 +142,7 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
         yield title, f"{label}: {first}, size {size:.3g}; {constant}{kept}"
 
 
-def _labelled(name: str, solution: Solution) -> str:
+def labelled(name: str, solution: Solution) -> str:
     """A name that begins with ``factor k``, with the label of that factor instead."""
     states, quantities = solution.states, solution.quantities
     if not isinstance(states, tuple) or quantities is None:

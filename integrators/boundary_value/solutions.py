@@ -99,6 +99,23 @@ class Solutions(Sequence[Solution]):
         """
         save_batch(self, path)
 
+    def plot(self, degrees: bool = False) -> Any:
+        """The histories of all members as Matplotlib axes; see ``retrax.plotting.histories``.
+
+        Parameters
+        ----------
+        degrees : bool
+            Whether angles and their rates are drawn in degrees instead of radians.
+
+        Returns
+        -------
+        ndarray of matplotlib axes
+            One for each array of the state, then one for each array of the controls.
+        """
+        from ...plotting import histories
+
+        return histories(self, degrees=degrees)
+
     @property
     def status(self) -> np.ndarray:
         """The status of each member, ``"minimum"``, ``"stationary"`` or ``"failed"``, shape (B,)."""

@@ -1,5 +1,6 @@
 """The arrays of a record as real columns with names and units: what pictures draw, and what tables hold."""
 
+import re
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -14,17 +15,19 @@ from .manifolds import Euclidean, InvalidInputError, Manifold
 
 ROTATIONS, POSES, SPHERE = ("SO(2)", "SO(3)"), ("SE(2)", "SE(3)"), "Sphere(2)"
 BODY = ("SO(3)", "SE(3)")
+RADIANS = re.compile(r"^rad(?![\w^*])")  # units of angles, their rates and accelerations
 SAME = 1e-6  # of a step: rounding of its times
 About = OptimalControlProblem | Manifold | None  # what has the names, or at least the spaces, of the arrays of a record
 
 
 class Channel(NamedTuple):
-    """A history: its name, the names and units of its entries, and its values, shape ``(N, k)``."""
+    """A history: its name, the names and units of its entries, its values, shape ``(N, k)``, and their bounds."""
 
     name: str
     entries: tuple[str, ...]
     units: tuple[str, ...]
     values: np.ndarray
+    bounds: tuple[tuple[float, float], ...] = ()
 
     @property
     def unit(self) -> str:
@@ -47,6 +50,15 @@ class Channel(NamedTuple):
         units = self.units if len(self.units) > 1 and not self.unit else [""] * len(self.entries)
         return [with_unit(*pair) for pair in zip(self.entries, units, strict=True)]
 
+    @property
+    def in_degrees(self) -> "Channel":
+        """The history with its angles and rates of angles in degrees."""
+        is_angle = [bool(RADIANS.match(unit)) for unit in self.units]
+        factors = np.where(np.broadcast_to(is_angle, len(self.entries)), np.degrees(1.0), 1.0)
+        bounds = tuple((low * factor, high * factor) for (low, high), factor in zip(self.bounds, factors, strict=False))
+        units = tuple(RADIANS.sub("deg", unit) for unit in self.units)
+        return self._replace(units=units, values=self.values * factors, bounds=bounds)
+
 
 class View(NamedTuple):
     """Times, states and costates at the nodes, and controls at the stages, of a solution or a trajectory, array by
@@ -63,6 +75,11 @@ class View(NamedTuple):
     controls: list[np.ndarray]
     quantities: Quantities
     is_held: bool = False
+
+    def only(self, array: int) -> "View":
+        """The view of one array of the state."""
+        own = replace(self.quantities, states=self.quantities.states[array : array + 1])
+        return self._replace(states=self.states[array : array + 1], quantities=own)
 
 
 def view(record: Any, problem: About = None) -> View:
@@ -152,7 +169,7 @@ def raw(quantity: Quantity, values: np.ndarray) -> Channel:
         entries = tuple(f"{part} {entry}" for entry in entries for part in ("Re", "Im"))
         rows = np.stack([rows.real, rows.imag], axis=2).reshape(len(rows), -1)
         return Channel(quantity.name, entries, quantity.units[:1], rows)
-    return Channel(quantity.name, entries, quantity.units, rows)
+    return Channel(quantity.name, entries, quantity.units, rows, quantity.bounds)
 
 
 def _turn(name: str, matrices: np.ndarray) -> Channel:
@@ -179,7 +196,12 @@ def rotation_vectors(matrices: np.ndarray) -> np.ndarray:
 
 
 def rotations(found: View, array: int | None = None) -> np.ndarray:
-    """The attitudes of a record, shape ``(N, 3, 3)``: of the array at a place, or of the first that has a rotation.
+    """The attitudes of a record, shape ``(N, 3, 3)``: of the array at a place, or of the first that has a rotation."""
+    return attitude_of(found, array)[1]
+
+
+def attitude_of(found: View, array: int | None = None) -> tuple[str, np.ndarray]:
+    """The name and the attitudes of the array at a place, or of the first that has a rotation.
 
     Raises ``InvalidInputError`` where it has none.
     """
@@ -187,7 +209,7 @@ def rotations(found: View, array: int | None = None) -> np.ndarray:
     chosen = range(len(spaces)) if array is None else [array]
     for place in chosen:
         if place in range(len(spaces)) and spaces[place] in BODY:
-            return found.states[place][:, :3, :3]
+            return found.quantities.states[place].name, found.states[place][:, :3, :3]
     what = "no array" if array is None else f"no array {array}"
     raise InvalidInputError(
         f"the record has {what} of states on SO(3) or SE(3), it has "

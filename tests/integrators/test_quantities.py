@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Quantities, load_solution, solve
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Power, Product, Sphere, TangentBundle, hat
-from retrax.retractions import Cayley, Gauss, Midpoint
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 
 SPACES = [
     Euclidean(()),
@@ -79,6 +79,22 @@ def test_entries_of_a_vector_have_names_and_units_if_there_are_as_many(count):
 def test_other_labels_and_units_are_refused(labels, units):
     with pytest.raises(InvalidInputError, match=r"labels|units"):
         OptimalControlProblem(SO(3) * Euclidean(2), lambda q, u: q, lambda q, u: 0.0, 2, labels=labels, units=units)
+
+
+@pytest.mark.parametrize("horizon", [1.0, Free(1.0)])
+def test_bounds_of_controls_are_known_to_solutions_and_files(horizon, tmp_path):
+    line = Euclidean(1)
+    bounds = (np.array([-np.inf, -3.0]), 2.0)
+    problem = OptimalControlProblem(line, lambda q, u: u[:1] + u[1:], lambda q, u: 1 + u @ u, 2, control_bounds=bounds)
+    solution = solve(problem, 0.0, 1.0, horizon, method=Gauss(1, Addition(line)), steps=3)
+    solution.save(tmp_path / "solution.npz")
+    for found in (problem, solution, load_solution(tmp_path / "solution.npz")):
+        assert found.quantities.controls[0].bounds == ((-np.inf, 2.0), (-3.0, 2.0))
+    assert OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u, 1).quantities.controls[0].bounds == ()
+    former = solution.quantities.text.replace('"bounds"', '"unknown"')
+    assert Quantities.from_text(former).controls[0].bounds == ()
+    with pytest.raises(InvalidInputError, match="1 bounds of 2 entries"):
+        Quantities.from_text(solution.quantities.text.replace(", [-3.0, 2.0]", ""))
 
 
 @pytest.mark.parametrize(

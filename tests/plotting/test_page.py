@@ -6,15 +6,16 @@ import json
 import re
 import shutil
 import sys
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax import plotting
-from retrax.integrators import OptimalControlProblem, Result, Trajectory, solve
+from retrax.integrators import OptimalControlProblem, PhasedSolution, Result, Trajectory, solve
 from retrax.interop import MissingPackageError
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Sphere, hat
-from retrax.retractions import Cayley, Midpoint
+from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 from scipy.spatial.transform import Rotation
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -43,12 +44,12 @@ def data_of(path):
 
 
 PAGES = {
-    "SO(3)": (TURNS, SO(3), {"rotations", "positions", "mesh", "scale", "arm", "sphere"}),
-    "SE(3)": (poses(), SE(3), {"rotations", "positions", "mesh", "scale", "arm", "sphere"}),
-    "S^2": (TURNS[:, :, 1], Sphere(2), {"points", "name", "sphere"}),
-    "R^3": (TURNS[:, :, 1], Euclidean(3), {"points", "name", "sphere"}),
-    "R^2": (TURNS[:, :2, 1], Euclidean(2), {"points", "name", "sphere"}),
-    "R^5": (np.ones((31, 5)), Euclidean(5), set()),
+    "SO(3)": (TURNS, SO(3), {"rotations", "positions", "mesh", "scale", "arm", "sphere", "cones"}),
+    "SE(3)": (poses(), SE(3), {"rotations", "positions", "mesh", "scale", "arm", "sphere", "balls"}),
+    "S^2": (TURNS[:, :, 1], Sphere(2), {"points", "name", "unit", "sphere", "plane", "cones"}),
+    "R^3": (TURNS[:, :, 1], Euclidean(3), {"points", "name", "unit", "sphere", "plane", "balls"}),
+    "R^2": (TURNS[:, :2, 1], Euclidean(2), {"points", "name", "unit", "sphere", "plane", "balls"}),
+    "R^5": (np.ones((31, 5)), Euclidean(5), {"balls"}),
 }
 
 
@@ -57,7 +58,7 @@ def test_a_page_holds_the_motion_in_one_file(space, tmp_path):
     values, manifold, expected = PAGES[space]
     plotting.to_html(record(values), tmp_path / "page.html", problem=manifold, title="<b>motion</b>")
     text, data = data_of(tmp_path / "page.html")
-    assert set(data) == {"times", "clock", "histories"} | expected
+    assert set(data) == {"times", "clock", "histories", "borders"} | expected
     assert data["times"] == pytest.approx(np.linspace(0, 3, 31), rel=1e-8)
     for name, held in (("rotations", TURNS), ("points", np.pad(values.reshape(31, -1), ((0, 0), (0, 3)))[:, :3])):
         if name in data:
@@ -79,12 +80,77 @@ def test_a_solution_is_shown_between_its_nodes_with_its_report(tmp_path):
     times = np.array(data["times"])
     assert len(times) > 100
     np.testing.assert_allclose(data["rotations"], solution(np.clip(times, 0, 2)).states, atol=1e-8)
-    np.testing.assert_allclose(data["histories"][1]["columns"], solution.controls.T, atol=1e-8)
+    attitude, rate = data["histories"]
+    assert (attitude["held"], rate["held"]) == (False, True)
+    np.testing.assert_allclose(np.array(rate["columns"])[:, :-1], solution.controls.T, atol=1e-8)
+    np.testing.assert_allclose(rate["times"], solution.times, atol=1e-8)
+    between = np.clip(attitude["times"], 0, 2)
+    assert len(between) > 400
+    vectors = Rotation.from_matrix(solution(between).states).as_rotvec()
+    np.testing.assert_allclose(np.transpose(attitude["columns"]), vectors, atol=1e-8)
     assert data["histories"][1]["title"] == "</script>"
     assert data["clock"] == "time [s]"
     assert "strict local minimum" in text
     assert data["mesh"] == {"vertices": [[0, 0, 0], [2, 0, 0], [0, 1, 0]], "faces": [[0, 1, 2]]}
     assert 2 * data["scale"] < 1, "the body is inside the sphere"
+
+
+def test_nothing_is_uploaded(tmp_path):
+    """The button of Plotly that sends a chart to its servers is off, in every drawing of the page."""
+    plotting.to_html(record(TURNS), tmp_path / "page.html", problem=SO(3))
+    script = data_of(tmp_path / "page.html")[0].split("</head>")[1]
+    assert re.findall(r"showSendToCloud: (\w+)", script) == ["false"]
+    (options,) = re.findall(r"options = (\{[^}]*\})", script)
+    assert "showSendToCloud" in options
+    newly = re.findall(r"Plotly\.newPlot\((?:[^()]|\([^()]*\))*?(\w+)\)", script)
+    assert len(newly) == script.count("Plotly.newPlot(") == 2
+    assert set(newly) == {"options"}
+
+
+def test_histories_are_in_degrees_and_have_bounds_where_they_are_asked_for(tmp_path):
+    plane = Euclidean(1)
+    rates = {"units": {"controls": "rad/s", "time": "s"}, "labels": {"controls": "rate"}}
+    problem = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: u @ u, 1, control_bounds=(-2.0, 1.5), **rates)
+    solution = solve(problem, 0.0, 1.0, 1.0, method=Gauss(2, Addition(plane)), steps=4)
+    for degrees, factor, unit in ((False, 1.0, "rad/s"), (True, 180 / np.pi, "deg/s")):
+        solution.to_html(tmp_path / "page.html", degrees=degrees)
+        rate = data_of(tmp_path / "page.html")[1]["histories"][1]
+        assert rate["title"] == f"rate [{unit}]"
+        assert rate["bounds"] == pytest.approx([-2.0 * factor, 1.5 * factor])
+        np.testing.assert_allclose(rate["columns"], factor * np.ones((1, len(rate["times"]))), rtol=1e-7)
+
+
+def test_cones_and_obstacles_are_in_the_scene(tmp_path):
+    file = tmp_path / "page.html"
+    for space in ("SO(3)", "S^2"):
+        plotting.to_html(record(PAGES[space][0]), file, problem=PAGES[space][1], cones=[([0, 3.0, 4.0], 0.5)])
+        (rim,) = data_of(file)[1]["cones"]
+        np.testing.assert_allclose(np.array(rim) @ [0, 0.6, 0.8], np.cos(0.5), atol=1e-8)
+        np.testing.assert_allclose(np.linalg.norm(rim, axis=1), 1, atol=1e-8)
+    for space, n in (("R^2", 2), ("R^3", 3), ("SE(3)", 3)):
+        centre = [1.0, 2.0, 3.0][:n]
+        plotting.to_html(record(PAGES[space][0]), file, problem=PAGES[space][1], obstacles=[(centre, 0.5)])
+        assert data_of(file)[1]["balls"] == [[[*centre, 0.0][:3], 0.5]]
+        with pytest.raises(InvalidInputError, match="obstacles must be pairs"):
+            plotting.to_html(record(PAGES[space][0]), file, problem=PAGES[space][1], obstacles=[([1.0], 0.5)])
+
+
+def test_phases_are_one_motion(tmp_path):
+    problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3)
+    first = solve(problem, np.eye(3), TURNS[8], 2.0, method=Midpoint(Cayley(SO(3))), steps=3)
+    second = replace(first, times=3 * first.times, stage_times=3 * first.stage_times)
+    phased = PhasedSolution.of([first, second], {})
+    plotting.to_html(phased, tmp_path / "page.html")
+    data = data_of(tmp_path / "page.html")[1]
+    assert data["borders"] == pytest.approx([2.0])
+    assert data["times"][-1] == pytest.approx(8.0)
+    assert len(data["times"]) == len(data["rotations"])
+    steps = np.diff(data["times"])
+    assert np.max(steps) < 1.1 * np.median(steps), "of the same speed everywhere"
+    for k in (20, len(steps) // 2, len(steps)):
+        t = data["times"][k]
+        np.testing.assert_allclose(data["rotations"][k], phased.phases[int(t > 2)](min(t, 8.0)).states, atol=1e-7)
+    assert len(data["histories"]) == 2
 
 
 @pytest.mark.parametrize(
@@ -170,6 +236,31 @@ def test_in_a_browser_the_slider_moves_the_body_and_play_goes_on(space, browser,
     page.wait_for_timeout(300)
     assert page.evaluate("document.body.dataset.time") == paused
     assert wrong == []
+    page.close()
+
+
+@pytest.mark.slow
+@IN_A_BROWSER
+@pytest.mark.parametrize("width", [340, 500, 1200])
+def test_in_a_browser_the_page_shows_the_values_at_its_time_on_every_width(width, browser, tmp_path):
+    plotting.to_html(record(TURNS), tmp_path / "page.html", problem=SO(3))
+    page = browser.new_page(viewport={"width": width, "height": 800})
+    page.goto((tmp_path / "page.html").as_uri())
+    page.wait_for_selector("body[data-ready=true]", timeout=60_000)
+    page.fill("#time", "20")
+    page.wait_for_selector("#histories .hoverlayer .legend", timeout=30_000)
+    told = page.text_content("#histories .hoverlayer").replace("\N{MINUS SIGN}", "-")
+    values = [float(found) for found in re.findall(r"q, rotation vector [xyz]: (-?[\d.]+)", told)]
+    assert values == pytest.approx(Rotation.from_matrix(TURNS[20]).as_rotvec(), abs=1e-4)
+    titles = page.evaluate("[...document.querySelectorAll('[data-title]')].map(button => button.dataset.title)")
+    assert titles
+    assert not any("hare" in title or "loud" in title for title in titles)
+    assert page.evaluate("document.documentElement.scrollWidth") <= width, "nothing is cut off at the right"
+    boxes = page.evaluate(
+        "['scene', 'histories'].map(id => { const b = document.getElementById(id).getBoundingClientRect();"
+        " return [b.left, b.right, b.top, b.bottom]; })"
+    )
+    assert (boxes[1][2] >= boxes[0][3]) == (width < 800), "below each other on a narrow screen"
     page.close()
 
 

@@ -1,5 +1,6 @@
 """Every problem of the library is solved from its default guess, in one call, or is listed here with the reason."""
 
+import importlib
 import re
 from functools import cache
 from pathlib import Path
@@ -14,7 +15,7 @@ from retrax.manifolds import InvalidInputError, Product, RetraxError
 
 pytestmark = pytest.mark.usefixtures("traced_once")
 
-PAGE = Path(__file__).parents[2] / "docs" / "problems.md"
+SITE = Path(__file__).parents[2] / "docs" / "_site"
 QUICK = (
     "kinematic-slew",
     "sphere-geodesic",
@@ -65,6 +66,7 @@ def test_a_record_is_complete(name):
     entry = entries()[name]
     assert entry.name == name
     assert entry.title
+    assert entry.equations
     assert entry.source
     assert entry.origin
     assert entry.states
@@ -108,8 +110,31 @@ def test_a_name_that_no_problem_has_is_refused():
         problems.get("bets")
 
 
-def test_the_page_has_every_problem_with_its_optimum():
-    rows = re.findall(r"^\| `([^`]+)`( \*)? \|.*?\| (\S+) \|", PAGE.read_text(), re.MULTILINE)
-    shown = {name: f"{entry.optimum:.{min(entry.digits, 10)}g}" for name, entry in entries().items()}
-    assert {name: optimum for name, _, optimum in rows} == shown
-    assert {name for name, star, _ in rows if star} == set(UNSOLVED)
+@pytest.fixture
+def pages(monkeypatch):
+    monkeypatch.syspath_prepend(str(SITE))
+    return importlib.import_module("problem_pages")
+
+
+def test_the_index_of_the_site_has_every_problem_with_its_optimum(pages):
+    rows = re.findall(r"^\| \[([^]]+)\]\(\1\.md\) \|.*?\| (\S+) \|", pages.index(), re.MULTILINE)
+    assert dict(rows) == {name: f"{e.optimum:.{min(e.digits, 10)}g}" for name, e in entries().items()}
+    assert len(rows) == len(entries())
+
+
+@pytest.mark.parametrize("name", problems.names())
+def test_the_page_of_a_problem_states_it_in_latex(name, pages):
+    """Braces are balanced, each symbol of the record is in the equations, and so is what limits the controls."""
+    entry = entries()[name]
+    page, said = pages.page(entry, None), " ".join(entry.equations)
+    assert said.startswith(r"\text{minimise }")
+    for text in (*entry.equations, entry.formula):
+        assert text.count("{") == text.count("}")
+        assert text.count(r"\left") == text.count(r"\right")
+    for row in re.findall(r"^\| (?:state|control) \$([^$]+)\$ \|", page, re.MULTILINE):
+        for symbol in row.replace("_{", "_").replace("}", "").split(", "):
+            letter = re.sub(r"\\dot |_\w+", "", symbol)
+            assert re.search(rf"(?<![a-zA-Z\\]){letter}(?![a-zA-Z])", said.replace(r"\dot", r"\dot ")), symbol
+    assert not re.search(r"\$\s*\$|\bnan\b", page.replace("$$", ""))
+    if entry.problem.control_bounds is not None or entry.problem.constraints:
+        assert r"\le" in said or r"\ge" in said

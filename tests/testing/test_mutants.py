@@ -18,7 +18,7 @@ from retrax.testing.checks import (
 
 from .mutants import MUTANTS
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance_checks.md"
 SUITES = {
     "manifold": MANIFOLD_CHECKS,
     "Lie group": LIE_GROUP_CHECKS[len(MANIFOLD_CHECKS) :],

@@ -1,16 +1,20 @@
-"""Axes that are given, or made; and how a history is drawn on them."""
+"""Axes that are given, or made; and how histories are drawn on them."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from ..channels import Channel, View
+from ..channels import Channel
 from ..integrators.quantities import with_unit
 from ..integrators.text import brief
 from ..manifolds import InvalidInputError
+from .drawn import Panel, Shown
 
 PANEL = 4.6, 3.2  # inches
 MANY = 12  # entries that a legend still names
+STYLES = "-", "--", ":", "-."  # of records in one picture
+CROWD = {"linewidth": 0.8, "alpha": 0.6}  # of more records than styles, or of records without names
 
 
 def one(ax: Any, projection: str | None = None) -> Any:
@@ -30,19 +34,19 @@ def one(ax: Any, projection: str | None = None) -> Any:
 
 def several(ax: Any, count: int, columns: int | None = None, panel: tuple[float, float] = PANEL) -> np.ndarray:
     """As many axes with a common horizontal axis as there are panels: those given, or those of a new figure, row by
-    row."""
+    row; the last panel fills its row."""
     if ax is None:
         from matplotlib import pyplot
 
-        columns = columns or (1 if count < 3 else 2)
+        columns = columns or (1 if count < 4 else 2)
         rows = -(-count // columns)
-        size = (panel[0] * columns, panel[1] * rows)
-        figure, made = pyplot.subplots(rows, columns, figsize=size, sharex=True, squeeze=False, layout="constrained")
-        for each in made.flat:  # every panel names its time, and there may be none below it
-            each.tick_params(labelbottom=True)
-        for spare in made.flat[count:]:
-            figure.delaxes(spare)
-        return made.flat[:count]
+        figure = pyplot.figure(figsize=(panel[0] * columns, panel[1] * rows), layout="constrained")
+        grid, made = figure.add_gridspec(rows, columns), []
+        for k in range(count):
+            row, column = divmod(k, columns)
+            place = grid[row, column:] if k == count - 1 else grid[row, column]
+            made.append(figure.add_subplot(place, sharex=made[0] if made else None))
+        return np.array(made, dtype=object)
     given = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
     if len(given) != count:
         raise InvalidInputError(
@@ -51,47 +55,78 @@ def several(ax: Any, count: int, columns: int | None = None, panel: tuple[float,
     return np.array([one(each) for each in given], dtype=object)
 
 
-def draw(ax: Any, times: np.ndarray, channel: Channel, found: View, **style: Any) -> Any:
-    """A history with its name, units and the names of its entries."""
-    _lines(ax, times, channel, channel.labels, **style)
-    ax.set_ylabel(channel.title)
-    time_axis(ax, found)
+def draw(ax: Any, panel: Panel, every: Shown, name: str = "") -> Any:
+    """Histories of some records: entries in colours, records in line styles, bounds dashed.
+
+    Of channels with several titles each line has the name of its channel, and the axis that which is given.
+    """
+    titles = list(dict.fromkeys(history.channel.title for own in panel for history in own))
+    first = next(history.channel for own in panel for history in own)
+    is_one = len(titles) == 1 and first.labels == [""]  # a colour for each record
+    colours: dict[tuple[str, int, int], str] = {}
+    for record, (own, style) in enumerate(zip(panel, styles(every), strict=True)):
+        for history in own:
+            names = [every.names[record]] if is_one else _names(history.channel, len(titles) > 1)
+            for k, values in enumerate(history.channel.values.T):
+                key = history.channel.title, k, record if is_one else 0
+                is_named = key not in colours and names[k] and max(len(names), len(panel) * is_one) <= MANY
+                more: dict[str, Any] = {"color": colours[key]} if key in colours else {}
+                more |= {"drawstyle": "steps-post"} if history.is_held else {}
+                (line,) = ax.plot(history.times, values, label=names[k] if is_named else None, **style, **more)
+                colours[key] = line.get_color()
+    _bounds(ax, {bound for own in panel for history in own for pair in history.channel.bounds for bound in pair})
+    ax.set_ylabel(titles[0] if len(titles) == 1 else name)
+    time_axis(ax, every.time, every.borders)
+    legend(ax, [] if is_one else record_handles(every))
     return ax
 
 
-def draw_controls(ax: Any, channels: list[Channel], found: View) -> Any:
-    """Histories of controls: as steps where each step has one, which holds along it. Of several arrays each line has
-    the name."""
-    if len(channels) == 1:
-        draw(ax, *_held(channels[0], found), found, **_style(found))
-        return ax
-    for channel in channels:
-        names = [with_unit(f"{channel.name} {label}".rstrip(), channel.unit) for label in channel.labels]
-        _lines(ax, *_held(channel, found), names, **_style(found))
-    ax.set_ylabel("controls")
-    time_axis(ax, found)
-    return ax
+def time_axis(ax: Any, unit: str, borders: Sequence[float] = ()) -> None:
+    """The name and unit of the time, and lines where phases meet."""
+    ax.set_xlabel(with_unit("time", unit))
+    for border in borders:
+        ax.axvline(border, color="0.7", linewidth=0.8, zorder=0)
 
 
-def _held(channel: Channel, found: View) -> tuple[np.ndarray, Channel]:
-    """Times and values of controls: those of a step from its beginning on."""
-    if not found.is_held:
-        return found.stage_times, channel
-    return found.times, channel._replace(values=np.concatenate([channel.values, channel.values[-1:]]))
+def styles(every: Shown) -> list[dict[str, Any]]:
+    """The style of each record: solid of one, lines that differ of a few with names, thin lines of many."""
+    count = len(every.names)
+    if count == 1 or (count <= len(STYLES) and any(every.names)):
+        return [{"linestyle": style} for style in STYLES[:count]]
+    return [CROWD] * count
 
 
-def _style(found: View) -> dict[str, str]:
-    return {"drawstyle": "steps-post"} if found.is_held else {}
+def record_handles(every: Shown) -> list[Any]:
+    """Lines of a legend that name the records."""
+    from matplotlib.lines import Line2D
+
+    if len(every.names) == 1 or len(every.names) > len(STYLES):
+        return []
+    pairs = zip(every.names, styles(every), strict=True)
+    return [Line2D([], [], color="0.3", label=name, **style) for name, style in pairs if name]
 
 
-def _lines(ax: Any, times: np.ndarray, channel: Channel, names: list[str], **style: Any) -> None:
-    shown = len(names) <= MANY and any(names)
-    for column, name in zip(channel.values.T, names, strict=True):
-        ax.plot(times, column, label=name if shown else None, **style)
-    if shown:
-        ax.legend(fontsize="small")
+def legend(ax: Any, more: Sequence[Any] = ()) -> None:
+    """The legend beside flat axes and below those in space, where it hides no curve; none without names."""
+    handles = [*ax.get_legend_handles_labels()[0], *more]
+    beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.3}
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 0.3, "ncols": 3}
+    if handles:
+        ax.legend(handles=handles, fontsize="small", **(below if hasattr(ax, "get_zlim") else beside))
 
 
-def time_axis(ax: Any, found: View) -> None:
-    """The name and unit of the time."""
-    ax.set_xlabel(with_unit("time", found.quantities.time))
+def _names(channel: Channel, is_mixed: bool) -> list[str]:
+    """The names of the entries of a channel, with its own where there are others."""
+    if not is_mixed:
+        return channel.labels
+    return [with_unit(f"{channel.name} {label}".rstrip(), channel.unit) for label in channel.labels]
+
+
+def _bounds(ax: Any, bounds: set[float]) -> None:
+    """Dashed lines at bounds; a distant bound does not change the scale of the axis."""
+    from matplotlib.lines import Line2D
+
+    across = ax.get_yaxis_transform()
+    for bound in filter(np.isfinite, bounds):
+        line = Line2D([0, 1], [bound, bound], transform=across, color="0.4", linestyle="--", linewidth=0.8, zorder=1)
+        ax.add_artist(line)

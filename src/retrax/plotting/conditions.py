@@ -1,19 +1,22 @@
 """What the conditions of optimality say along a solution: what is conserved, switching functions, multipliers."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import jax
 import numpy as np
 
-from ..channels import Channel, control_channels, raw, view
+from ..channels import raw, view
 from ..integrators import OptimalControlProblem, Quantity, Solution
+from ..integrators.boundary_value.solution_report import labelled
+from ..integrators.constraints import LOWER, UPPER
 from ..integrators.functions import require_concrete
 from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.tolerances import ACTIVE, EPS
 from ..reading import reads_once
-from .axes import draw, draw_controls, one, several, time_axis
-from .drawn import drawn
+from .axes import draw, legend, one, several, time_axis
+from .drawn import History, Shown, as_one, of_controls, panels_of, shown
 
 
 def conserved(solution: Solution, ax: Any = None) -> Any:
@@ -45,12 +48,12 @@ def conserved(solution: Solution, ax: Any = None) -> Any:
     for name, momentum in solution.momenta.items():
         if checks.conserved[name] == momentum.shape[1]:
             change = np.max(np.abs(momentum - momentum[0]), axis=1) / (np.max(np.abs(momentum)) or 1.0)
-            axis.semilogy(found.times, np.maximum(change, EPS), label=f"momentum, {name}")
+            axis.semilogy(found.times, np.maximum(change, EPS), label=f"momentum, {labelled(name, solution)}")
     for name, values in _violations(solution).items():
-        axis.semilogy(found.times, np.maximum(values, EPS), label=name)
+        axis.semilogy(found.times, np.maximum(values, EPS), label=labelled(name, solution))
     axis.set_ylabel("error")
-    time_axis(axis, found)
-    axis.legend(fontsize="small")
+    time_axis(axis, found.quantities.time)
+    legend(axis)
     return axis
 
 
@@ -96,14 +99,28 @@ def multipliers(solution: Solution, ax: Any = None) -> Any:
     for every, times, style in ((at_stages, found.stage_times, "-"), (at_nodes, found.times, ".")):
         for name, rows in every.items():
             least = ACTIVE * np.max(rows, initial=0.0)
-            for k, column in enumerate(rows.T):
-                words = f"{name}[{k}]" if rows.shape[1] > 1 else name
+            for column, words in zip(rows.T, _entry_names(name, rows.shape[1], found.quantities.controls), strict=True):
                 axis.plot(times, column, style, label=words if active.get(name) and np.max(column) > least else None)
     axis.set_ylabel("multiplier")
-    time_axis(axis, found)
-    if axis.get_legend_handles_labels()[1]:
-        axis.legend(fontsize="small")
+    time_axis(axis, found.quantities.time)
+    legend(axis)
     return axis
+
+
+def _entry_names(name: str, count: int, controls: tuple[Quantity, ...]) -> list[str]:
+    """The names of the entries of an inequality: bounds have those of the controls."""
+    side = {LOWER: 0, UPPER: 1}.get(name)
+    if side is not None:
+        bounds = [(f"{own.name} {label}".rstrip(), pair[side]) for own in controls for label, pair in _bounded(own)]
+        found = [f"{('lower', 'upper')[side]} bound of {words}" for words, bound in bounds if np.isfinite(bound)]
+        if len(found) == count:
+            return found
+    return [f"{name}[{k}]" for k in range(count)] if count > 1 else [name]
+
+
+def _bounded(quantity: Quantity) -> Iterator[tuple[str, tuple[float, float]]]:
+    """The names of the entries of a control as pictures show them, and their bounds."""
+    return zip(raw(quantity, np.zeros((1, len(quantity.entries)))).labels, quantity.bounds, strict=False)
 
 
 @reads_once
@@ -146,50 +163,49 @@ def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None
     Pontryagin et al., The Mathematical Theory of Optimal Processes, 1962.
     """
     found, axis = view(_checked(solution), problem), one(ax)
+    own = []
     for quantity, values in zip(found.quantities.controls, switching_functions(problem, solution), strict=True):
-        axis.axhline(0.0, color="0.6", linewidth=0.8)
         bare = Quantity(f"dH/d({quantity.name})", ("",), quantity.entries, quantity.space)
-        draw(axis, found.stage_times, raw(bare, values), found)
-    return axis
+        own.append(History(found.stage_times, raw(bare, values)))
+    axis.axhline(0.0, color="0.6", linewidth=0.8)
+    return draw(axis, [own], Shown([""], [[found]], []), "dH/du")
 
 
-def optimality(solution: Solution, problem: OptimalControlProblem | None = None, ax: Any = None) -> np.ndarray:
-    """The controls, their switching functions and the multipliers, in panels.
+def optimality(
+    solution: Solution, problem: OptimalControlProblem | None = None, ax: Any = None, degrees: bool = False
+) -> np.ndarray:
+    """The controls, under them their switching functions, and the multipliers where an inequality is active.
 
     Parameters
     ----------
     solution : Solution
-        The solution.
+        The extremal.
     problem : OptimalControlProblem, optional
-        The problem, for switching functions and dashed bounds.
-    ax : array of matplotlib Axes, optional
-        As many axes as panels; by default new axes.
+        The problem of the solution; without it there are no switching functions.
+    ax : array of matplotlib axes, optional
+        As many axes as there are panels, in this order; by default a new figure.
+    degrees : bool
+        Whether controls that are angles, or their rates, are drawn in degrees instead of radians.
 
     Returns
     -------
-    array of shape (panels,)
-        The axes.
+    ndarray of matplotlib axes
+        One to three axes.
+
+    Raises
+    ------
+    InvalidInputError
+        For anything but a ``Solution``, another problem, or another number of axes.
     """
-    _, found = drawn(_checked(solution), problem)
-    has_multipliers = bool(solution.stage_multipliers or solution.node_multipliers)
-    rows = 1 + (problem is not None) + has_multipliers
-    axes = several(ax, rows, columns=1, panel=(6.4, 2.6))
-    channels = control_channels(found)
-    draw_controls(axes[0], channels, found)
-    for channel in channels:
-        _bounds(axes[0], problem, channel)
+    every = shown(_checked(solution), problem)
+    has_multipliers = any(getattr(solution.checks, "active", {}).values())
+    axes = several(ax, 1 + (problem is not None) + has_multipliers, columns=1, panel=(6.4, 2.6))
+    draw(axes[0], as_one(panels_of(every, of_controls, degrees)), every, "controls")
     if problem is not None:
         switching(problem, solution, axes[1])
     if has_multipliers:
         multipliers(solution, axes[-1])
     return axes
-
-
-def _bounds(axis: Any, problem: OptimalControlProblem | None, channel: Channel) -> None:
-    if problem is None or problem.control_bounds is None or len(channel.entries) != problem.control_bounds[0].size:
-        return
-    for bound in {float(b) for side in problem.control_bounds for b in side.ravel() if np.isfinite(b)}:
-        axis.axhline(bound, color="0.4", linestyle="--", linewidth=0.8)
 
 
 def _checked(solution: Any) -> Solution:

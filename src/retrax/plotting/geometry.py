@@ -1,14 +1,17 @@
 """Curves in space: body axes on the sphere of directions, and paths on S^2 and in the plane and space."""
 
-from typing import Any
+from collections.abc import Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..channels import POSES, SPHERE, About, rotations
+from ..channels import POSES, SPHERE, About, View, rotations
 from ..integrators.quantities import with_unit
 from ..manifolds import InvalidInputError
-from .axes import one
-from .drawn import drawn
+from .axes import legend, one, record_handles, styles
+from .drawn import shown
+from .marks import checked_cones, checked_pairs
 
 FRAMES = 8
 ARM = 0.08  # length of the axes of a frame, of the extent of the path
@@ -20,80 +23,137 @@ OFFSET = 21.0, 30.0  # of names from a box, in points of a cube: that of matplot
 OPEN, FULL = (7, 3.0), (4.5, 3.1)  # sizes and layers of dots: a full one is seen inside of an open one
 
 
-def body_axes(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
-    """The three body axes as curves on the sphere of directions of the inertial frame, from an open to a full dot.
+def body_axes(
+    record: Any, array: int | None = None, problem: About = None, ax: Any = None, cones: Sequence[Any] = ()
+) -> Any:
+    """The three body axes, columns of the attitude, as curves on the sphere of directions of the inertial frame.
 
     Parameters
     ----------
-    record : Solution or Trajectory
-        A record with an attitude; ``InvalidInputError`` for another one.
+    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+        The records, as in ``histories``.
     array : int, optional
-        The index of the array in a point; by default the first attitude.
+        The index of the array with the attitude in the state; by default the first array on SO(3) or SE(3).
     problem : OptimalControlProblem or Manifold, optional
         The names and units of a trajectory, or its manifold.
-    ax : matplotlib Axes3D, optional
-        The axes; by default new axes.
+    ax : matplotlib axes, optional
+        Axes in three dimensions; by default those of a new figure.
+    cones : sequence of pairs
+        Cones to draw: the direction of the axis in the inertial frame, shape ``(3,)``, and the half-angle in rad.
 
     Returns
     -------
-    matplotlib Axes3D
-        The axes.
+    matplotlib axes
+        The axes of the picture, in three dimensions.
+
+    Raises
+    ------
+    InvalidInputError
+        For a record without an attitude, and for other cones.
+
+    Notes
+    -----
+    Each curve leads from an open to a full dot, and is faint behind the sphere. The axes x, y, z are inertial.
     """
-    attitudes, axis = rotations(drawn(record, problem)[0], array), one(ax, "3d")
-    sphere(axis)
-    for k in range(3):
-        curve(axis, attitudes[:, :, k], f"body axis {'xyz'[k]}")
-    bare(axis)
-    axis.legend(loc="upper left", fontsize="small")
+    every = shown(record, problem)
+    attitudes = [[rotations(found, array) for found in parts] for parts in every.parts]
+    axis = _sphere(one(ax, "3d"), cones)
+    for number, (own, style) in enumerate(zip(attitudes, styles(every), strict=True)):
+        for k in range(3):
+            for part, matrices in enumerate(own):
+                name = f"body axis {'xyz'[k]}" if number == part == 0 else None
+                curve(axis, matrices[:, :, k], name, on_sphere=True, color=f"C{k}", **style)
+    legend(axis, record_handles(every))
     return axis
 
 
-def path(record: Any, array: int | None = None, problem: About = None, frames: int = FRAMES, ax: Any = None) -> Any:
-    """The path of a point on S^2, of a position in R^2 or R^3, or of a pose with some of its body axes.
+def path(
+    record: Any,
+    array: int | None = None,
+    problem: About = None,
+    frames: int = FRAMES,
+    ax: Any = None,
+    cones: Sequence[Any] = (),
+    obstacles: Sequence[Any] = (),
+) -> Any:
+    """The path of a point on S^2, of a position in R^2 or R^3, or of a pose.
 
     Parameters
     ----------
-    record : Solution or Trajectory
-        A record with a path; ``InvalidInputError`` for another one.
+    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+        The records, as in ``histories``.
     array : int, optional
-        The index of the array in a point; by default the first array with a path.
+        The index of the array in the state; by default the first array that has a path.
     problem : OptimalControlProblem or Manifold, optional
         The names and units of a trajectory, or its manifold.
     frames : int
-        The number of body axes of a pose along its path.
-    ax : matplotlib Axes, optional
-        The axes; by default new axes.
+        The number of places along the path of a pose at which its body axes are drawn.
+    ax : matplotlib axes, optional
+        Axes in three dimensions for S^2 and R^3, otherwise flat; by default those of a new figure.
+    cones : sequence of pairs
+        Cones to draw on S^2: the direction of the axis, shape ``(3,)``, and the half-angle in rad.
+    obstacles : sequence of pairs
+        Discs or balls to draw in R^2 or R^3: the centre, and the radius in the unit of the path.
 
     Returns
     -------
-    matplotlib Axes
-        The axes.
+    matplotlib axes
+        The axes of the picture.
+
+    Raises
+    ------
+    InvalidInputError
+        For a record without a path, for paths in different spaces, and for other cones or obstacles.
     """
-    found, _ = drawn(record, problem)
+    every = shown(record, problem)
+    paths = [[_path(found, array) for found in parts] for parts in every.parts]
+    first = paths[0][0]
+    n = first.points.shape[1]
+    if len({(each.on_sphere, each.points.shape[1]) for own in paths for each in own}) > 1:
+        raise InvalidInputError("the records have paths in different spaces; try array= for the array to draw")
+    axis = one(ax, "3d" if n == 3 else None)
+    if first.on_sphere:
+        _sphere(axis, cones)
+    _add_obstacles(axis, checked_pairs("obstacles", () if first.on_sphere else obstacles, n))
+    for number, (own, style, name) in enumerate(zip(paths, styles(every), every.names, strict=True)):
+        colour = {"color": f"C{number}"} if first.on_sphere else {}
+        for part, each in enumerate(own):
+            words = name if name and part == 0 else None
+            colour = {"color": curve(axis, each.points, words, first.on_sphere, **style, **colour)}
+            if each.poses is not None:
+                places = np.linspace(0, len(each.poses) - 1, max(1, frames)).round().astype(int)
+                _frames(axis, each.poses[places], np.ptp(each.points, axis=0).max())
+    legend(axis)
+    if not first.on_sphere:
+        _name_sides(axis, first.unit, n)
+    return axis
+
+
+class _Path(NamedTuple):
+    points: np.ndarray
+    poses: np.ndarray | None
+    unit: str
+    on_sphere: bool
+
+
+def _path(found: View, array: int | None) -> _Path:
+    """The path of the array at a place, or of the first array that has a path."""
     place = _place([q.space for q in found.quantities.states], found.states, array)
     quantity, values = found.quantities.states[place], found.states[place]
-    is_pose = quantity.space in POSES
-    n = values.shape[1] - 1 if is_pose else values.shape[1]
-    points = values[:, :n, n] if is_pose else values
-    axis = one(ax, "3d" if n == 3 else None)
-    if quantity.space == SPHERE:
-        sphere(axis)
-    curve(axis, points, None)
-    if is_pose:
-        _frames(axis, values[:: max(1, len(values) // frames)], np.ptp(points, axis=0).max())
-    if quantity.space == SPHERE:
-        bare(axis)
-        return axis
-    for name, set_label in zip(
-        "xyz", (axis.set_xlabel, axis.set_ylabel, getattr(axis, "set_zlabel", None)), strict=True
-    ):
-        if set_label is not None:
-            set_label(with_unit(name, quantity.unit))
+    if quantity.space in POSES:
+        n = values.shape[1] - 1
+        return _Path(values[:, :n, n], values, quantity.unit, on_sphere=False)
+    return _Path(values, None, quantity.unit, quantity.space == SPHERE)
+
+
+def _name_sides(axis: Any, unit: str, n: int) -> None:
+    """Equal scales, and names with units."""
+    for name in "xyz"[:n]:
+        getattr(axis, f"set_{name}label")(with_unit(name, unit))
     if n == 3:
         _fit_box(axis)
     else:
         axis.set_aspect("equal", "datalim")
-    return axis
 
 
 def _place(spaces: list[str], states: list[np.ndarray], array: int | None) -> int:
@@ -113,27 +173,40 @@ def _place(spaces: list[str], states: list[np.ndarray], array: int | None) -> in
     )
 
 
-def sphere(axis: Any) -> None:
-    """The unit sphere as wires."""
-    polar, azimuth = np.mgrid[0 : np.pi : 19j, 0 : 2 * np.pi : 37j]
-    points = np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), np.cos(polar)
-    axis.computed_zorder = False  # else wires are drawn over curves that lie on them
-    axis.plot_wireframe(*points, color="0.85", linewidth=0.5, zorder=0)
+def _sphere(axis: Any, cones: Any) -> Any:
+    """The axes with the unit sphere and cones."""
+    from .sphere import add_sphere
+
+    add_sphere(axis, checked_cones(cones))
+    return axis
 
 
-def curve(axis: Any, points: np.ndarray, name: str | None) -> None:
-    """A curve from an open dot to a full one."""
-    (drawn,) = axis.plot(*points.T, label=name)
-    colour = drawn.get_color()
+def _add_obstacles(axis: Any, obstacles: list[tuple[np.ndarray, float]]) -> None:
+    """Discs in the plane, balls as wires in space."""
+    for centre, radius in obstacles:
+        if len(centre) == 2:
+            from matplotlib.patches import Circle
+
+            axis.add_patch(Circle((centre[0], centre[1]), radius, facecolor="0.85", edgecolor="0.4", zorder=0))
+        else:
+            from .sphere import wires
+
+            wires(axis, centre, radius, color="0.8")
+
+
+def curve(axis: Any, points: np.ndarray, name: str | None, on_sphere: bool, **style: Any) -> Any:
+    """A curve from an open dot to a full one, which is faint behind the sphere if it is on one; returns its colour."""
+    add = axis.plot
+    if on_sphere:
+        from .sphere import plot
+
+        add = partial(plot, axis)
+    (line,) = add(*points.T, label=name, **style)
+    colour = line.get_color()
     for place, face, (size, layer) in ((0, "white", OPEN), (-1, colour, FULL)):
-        axis.plot(*points[[place]].T, "o", color=colour, markerfacecolor=face, markersize=size, zorder=layer)
-
-
-def bare(axis: Any) -> None:
-    """A cube about the unit sphere, with equal scales, and nothing but the picture."""
-    axis.set(xlim=(-1, 1), ylim=(-1, 1), zlim=(-1, 1))
-    axis.set_box_aspect((1, 1, 1), zoom=1.4)
-    axis.set_axis_off()
+        dot = {"marker": "o", "linestyle": "none", "markerfacecolor": face, "markersize": size, "zorder": layer}
+        add(*points[[place]].T, color=colour, **dot)
+    return colour
 
 
 def _fit_box(axis: Any) -> None:

@@ -4,120 +4,148 @@ from typing import Any
 
 import numpy as np
 
-from ..channels import About, Channel, control_channels, rotation_vectors, rotations, state_channels
+from ..channels import About, Channel, View, attitude_of, rotation_vectors
 from ..manifolds import InvalidInputError
-from .axes import draw, draw_controls, one, several
-from .drawn import drawn
+from .axes import draw, one, several
+from .drawn import History, as_one, every_panel, of_controls, of_states, panels_of, shown
 
 
-def histories(record: Any, problem: About = None, ax: Any = None) -> np.ndarray:
-    """The states and controls of a record against time, one panel for each.
+def histories(record: Any, problem: About = None, ax: Any = None, degrees: bool = False) -> np.ndarray:
+    """States and controls against time, one panel for each.
 
     Parameters
     ----------
-    record : Solution or Trajectory
-        The record; ``InvalidInputError`` for another one.
+    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+        One record; the members of a batch; or records to compare, in a dictionary with their names. Four named records
+        have line styles of their own, more are thin lines.
     problem : OptimalControlProblem or Manifold, optional
-        The names and units of a trajectory, or its manifold; a solution has its own.
-    ax : array of matplotlib Axes, optional
-        As many axes as panels; by default new axes.
+        The names and units of a trajectory, or its spaces; a solution has its own.
+    ax : array of matplotlib axes, optional
+        As many axes as there are panels; by default a new figure.
+    degrees : bool
+        Whether angles and their rates are drawn in degrees instead of radians.
 
     Returns
     -------
-    array of matplotlib Axes of shape (panels,)
-        The axes.
+    ndarray of matplotlib axes
+        One for each array of the state, then one for each array of the controls; two for a pose.
+
+    Raises
+    ------
+    InvalidInputError
+        For another record, or another number of axes.
 
     Notes
     -----
-    Rotations are rotation vectors; poses are rotation vectors and positions. Controls are steps if each step has one
-    control. A solution is drawn between its nodes by its polynomials. Three unnamed entries with one unit are x, y, z.
+    Rotations are drawn as rotation vectors, poses as rotation vectors and positions. A solution is drawn between its
+    nodes by its polynomials, and controls within their bounds, which are dashed; a control that holds along a step is
+    drawn as a step. Vertical lines are the ends of phases. Three entries with one unit and without names are x, y, z.
     """
-    found, of_controls = drawn(record, problem)
-    states, own = state_channels(found), control_channels(of_controls)
-    axes = several(ax, len(states) + len(own))
-    for axis, channel in zip(axes[: len(states)], states, strict=True):
-        draw(axis, found.times, channel, found)
-    for axis, channel in zip(axes[len(states) :], own, strict=True):
-        draw_controls(axis, [channel], of_controls)
+    every = shown(record, problem)
+    panels = every_panel(every, degrees)
+    axes = several(ax, len(panels))
+    for axis, panel in zip(axes, panels, strict=True):
+        draw(axis, panel, every)
     return axes
 
 
-def state(record: Any, array: int = 0, problem: About = None, ax: Any = None) -> Any:
-    """The history of one array of a state; a pose is drawn as attitude and, dashed, position.
+def state(record: Any, array: int = 0, problem: About = None, ax: Any = None, degrees: bool = False) -> Any:
+    """The history of one array of the state; of a pose its attitude and its position.
 
     Parameters
     ----------
-    record : Solution or Trajectory
-        The record.
+    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+        The records, as in ``histories``.
     array : int
-        The index of the array in a point; ``InvalidInputError`` for another one.
-    problem, ax
+        The index of the array in the state.
+    problem, ax, degrees
         As in ``histories``, with one ``Axes``.
 
     Returns
     -------
-    matplotlib Axes
-        The axes.
+    matplotlib axes
+        The axes of the picture.
+
+    Raises
+    ------
+    InvalidInputError
+        For another record, and for a place that no array has.
     """
-    found, _ = drawn(record, problem)
-    if array not in range(len(found.states)):
-        raise InvalidInputError(
-            f"array must be a place of one of the {len(found.states)} arrays of a state, got {array!r}"
-        )
-    single = found.quantities.states[array : array + 1]
-    part = found._replace(states=found.states[array : array + 1], quantities=_only(found.quantities, single))
-    axis = one(ax)
-    for channel, style in zip(state_channels(part), ("-", "--"), strict=False):
-        draw(axis, found.times, channel, found, linestyle=style)
-    return axis
+
+    def own(found: View) -> list[History]:
+        if array not in range(len(found.states)):
+            raise InvalidInputError(
+                f"array must be a place of one of the {len(found.states)} arrays of a state, got {array!r}"
+            )
+        return of_states(found.only(array))
+
+    every = shown(record, problem)
+    return draw(one(ax), as_one(panels_of(every, own, degrees)), every, "state")
 
 
-def controls(record: Any, problem: About = None, ax: Any = None) -> Any:
-    """The controls against time: the polynomials of each step, or steps if each step has one control.
+def controls(record: Any, problem: About = None, ax: Any = None, degrees: bool = False) -> Any:
+    """The controls against time, within their bounds, which are dashed.
 
     Parameters
     ----------
-    record : Solution or Trajectory
-        A record with controls; ``InvalidInputError`` for another one. Of a trajectory, lines through the controls of
-        the stages.
-    problem, ax
+    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+        The records, as in ``histories``.
+    problem, ax, degrees
         As in ``histories``, with one ``Axes``.
 
     Returns
     -------
-    matplotlib Axes
-        The axes.
+    matplotlib axes
+        The axes of the picture.
+
+    Raises
+    ------
+    InvalidInputError
+        For another record, and where there are no controls.
+
+    Notes
+    -----
+    The polynomials of each step are drawn, or steps where each step has one control; of a trajectory lines through the
+    controls of the stages.
     """
-    _, found = drawn(record, problem)
-    channels = control_channels(found)
-    if not channels:
+    every = shown(record, problem)
+    panels = panels_of(every, of_controls, degrees)
+    if not panels:
         raise InvalidInputError(
             "the trajectory has no controls, it is one of Hamilton's equations; try plotting.histories"
         )
-    return draw_controls(one(ax), channels, found)
+    return draw(one(ax), as_one(panels), every, "controls")
 
 
-def attitude(record: Any, array: int | None = None, problem: About = None, ax: Any = None) -> Any:
-    """The attitude as a rotation vector in rad, without a jump at half a turn.
+def attitude(
+    record: Any, array: int | None = None, problem: About = None, ax: Any = None, degrees: bool = False
+) -> Any:
+    """The attitude as a rotation vector, without a jump at half a turn.
 
     Parameters
     ----------
-    record : Solution or Trajectory
-        A record with an attitude; ``InvalidInputError`` for another one.
+    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+        The records, as in ``histories``.
     array : int, optional
-        The index of the array in a point; by default the first attitude.
-    problem, ax
+        The index of the array with the attitude in the state; by default the first array on SO(3) or SE(3).
+    problem, ax, degrees
         As in ``histories``, with one ``Axes``.
 
     Returns
     -------
-    matplotlib Axes
-        The axes.
+    matplotlib axes
+        The axes of the picture.
+
+    Raises
+    ------
+    InvalidInputError
+        For a record without an attitude.
     """
-    found, _ = drawn(record, problem)
-    vectors = rotation_vectors(rotations(found, array))
-    return draw(one(ax), found.times, Channel("rotation vector", tuple("xyz"), ("rad",), vectors), found)
 
+    def own(found: View) -> list[History]:
+        name, matrices = attitude_of(found, array)
+        vectors = rotation_vectors(matrices)
+        return [History(found.times, Channel(f"{name}, rotation vector", tuple("xyz"), ("rad",), vectors))]
 
-def _only(quantities: Any, states: tuple) -> Any:
-    return type(quantities)(states, quantities.controls, quantities.time, quantities.cost)
+    every = shown(record, problem)
+    return draw(one(ax), as_one(panels_of(every, own, degrees)), every, "rotation vector")

@@ -10,12 +10,14 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..channels import BODY, SPHERE, About, Channel, View, control_channels, state_channels, view
-from ..integrators import Solution
+from ..channels import BODY, SPHERE, About, View, view
+from ..integrators import PhasedSolution, Solution
 from ..integrators.quantities import with_unit
 from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..optional import needed
+from .drawn import History, every_panel, shown
+from .marks import checked_cones, checked_pairs, circle
 
 FRAMES = 241
 BODY_SIZE, ARM = 0.62, 1.0  # of the body on the sphere of directions, and of its axes
@@ -41,43 +43,60 @@ SIDES = [
 Mesh = tuple[Any, Any]
 
 
-def to_html(record: Any, path: str | Path, mesh: Mesh | None = None, title: str = "", problem: About = None) -> None:
+def to_html(
+    record: Any,
+    path: str | Path,
+    mesh: Mesh | None = None,
+    title: str = "",
+    problem: About = None,
+    degrees: bool = False,
+    cones: Sequence[Any] = (),
+    obstacles: Sequence[Any] = (),
+) -> None:
     """Write a page that shows a solution or a trajectory in motion, in one file that needs no network.
 
     Parameters
     ----------
-    record : Solution or Trajectory
-        The record.
+    record : Solution, PhasedSolution or Trajectory
+        The record to show.
     path : str or Path
-        The file, of at least 4.8 MB: it contains the library Plotly.
-    mesh : tuple of arrays, optional
-        Vertices in the body frame, shape ``(V, 3)``, and triangles of their indices, shape ``(F, 3)``; by default a
-        box. For poses the vertices are in the unit of the position; otherwise their scale has no effect.
+        The file to write.
+    mesh : pair of array_like, optional
+        Vertices in the body frame, shape ``(V, 3)``, and triangles of their numbers, shape ``(F, 3)``; by default a
+        box. For poses in the unit of the position; for attitudes the size plays no part.
     title : str
-        The title of the page.
+        The title of the page; by default the class of the record.
     problem : OptimalControlProblem or Manifold, optional
-        The names and units of a trajectory, or its manifold.
+        The names and units of a trajectory, or its spaces; a solution has its own.
+    degrees : bool
+        Whether angles and their rates are shown in degrees instead of radians.
+    cones : sequence of pairs
+        Cones to draw on the sphere: the direction of the axis, shape ``(3,)``, and the half-angle in rad.
+    obstacles : sequence of pairs
+        Discs or balls to draw beside a path in R^2 or R^3: the centre, and the radius in the unit of the path.
 
     Raises
     ------
     InvalidInputError
-        For another record or mesh.
+        For another record, mesh, cone or obstacle.
     MissingPackageError
         Without plotly.
 
     Notes
     -----
-    An attitude is a body that rotates, with the traces of its axes on the sphere of directions. A pose is a body that
-    moves. A point on S^2, or in R^2 or R^3, moves on its path. Beside it are the histories with a cursor, below it the
-    report. Play the time, drag the slider, or click on a history. A solution is drawn between its nodes by its
-    polynomials.
+    An attitude is shown as a body that turns, with the traces of its axes on the sphere of directions of the inertial
+    frame; a pose as a body that moves; a point on S^2, or in R^2 or R^3, on its path. Beside it are the histories with
+    the values at the cursor, below it is the report. A slider drags the time, and a click on a history goes to its
+    time. Solutions are drawn between their nodes by their polynomials, controls within their bounds. The library that
+    draws is Plotly's, 4.8 MB of the file; its button that uploads a chart is off.
     """
-    found = view(record, problem)
-    body = _checked(mesh)
+    every, body = shown([record], problem), _checked(mesh)
     plotly = needed("plotly.offline", "to_html").get_plotlyjs()
-    times, states = _frames(record, found)
-    scene = _scene(found, states, body)
-    data = {"times": times, "clock": with_unit("time", found.quantities.time), **scene, "histories": _histories(found)}
+    times, scene = _motion(record, problem, body)
+    marks = _marks(scene, checked_cones(cones), obstacles)
+    panels = [_panel(rows[0]) for rows in every_panel(every, degrees)]
+    data = {"times": times, "clock": with_unit("time", every.time), **scene, **marks}
+    data |= {"histories": panels, "borders": every.borders}
     words = {
         "title": html.escape(title or type(record).__name__),
         "report": html.escape(str(record)),
@@ -114,12 +133,38 @@ def _checked(mesh: Any) -> _Body:
     return _Body(vertices, faces, given=True)
 
 
-def _frames(record: Any, found: View) -> tuple[np.ndarray, list[np.ndarray]]:
+def _motion(record: Any, problem: About, body: _Body) -> tuple[np.ndarray, dict[str, Any]]:
+    """Times of the frames, and what is drawn in space at each; of phases in one space only."""
+    phases = record.phases if isinstance(record, PhasedSolution) else [record]
+    whole = record.horizon if isinstance(record, PhasedSolution) else None
+    times, views = [], []
+    for phase in phases:
+        found = view(phase, problem)
+        count = FRAMES if whole is None else 1 + max(1, round((FRAMES - 1) * phase.horizon / whole))
+        own, states = _frames(phase, found, count)
+        times.append(own)
+        views.append(found._replace(times=own, states=states))
+    if any(each.quantities.states != views[0].quantities.states for each in views):
+        return np.concatenate(times), {}
+    states = [np.concatenate(rows) for rows in zip(*(each.states for each in views), strict=True)]
+    return np.concatenate(times), _scene(views[0], states, body)
+
+
+def _frames(record: Any, found: View, count: int) -> tuple[np.ndarray, list[np.ndarray]]:
     """Times and states of the frames: of a solution between its nodes where it has polynomials, else the nodes."""
     if isinstance(record, Solution) and record.interpolant is not None and record.success:
-        times = np.linspace(found.times[0], found.times[-1], FRAMES)
+        times = np.linspace(found.times[0], found.times[-1], count)
         return times, [np.asarray(leaf) for leaf in jax.tree.leaves(record(times).states)]
     return found.times, found.states
+
+
+def _marks(scene: dict[str, Any], cones: list[tuple[np.ndarray, float]], obstacles: Any) -> dict[str, Any]:
+    """Circles of cones on the sphere, or balls beside a path, a disc in the plane being a flat one."""
+    if scene.get("sphere"):
+        return {"cones": [circle(*cone).T for cone in cones]}
+    flat = scene.get("plane", False)
+    balls = checked_pairs("obstacles", obstacles, 2 if flat else 3)
+    return {"balls": [(np.pad(centre, (0, 3 - len(centre))), radius) for centre, radius in balls]}
 
 
 def _scene(found: View, states: list[np.ndarray], body: _Body) -> dict[str, Any]:
@@ -133,7 +178,8 @@ def _scene(found: View, states: list[np.ndarray], body: _Body) -> dict[str, Any]
     flat = [(q, v) for q, v in pairs if v.ndim == 2 and v.shape[1] in (2, 3) and np.isrealobj(v)]
     for quantity, values in sorted(flat, key=lambda pair: pair[0].space != SPHERE):
         points = np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
-        return {"points": points, "name": quantity.name, "sphere": quantity.space == SPHERE}
+        kind = {"sphere": quantity.space == SPHERE, "plane": values.shape[1] == 2}
+        return {"points": points, "name": quantity.name, "unit": quantity.unit, **kind}
     return {}
 
 
@@ -152,14 +198,17 @@ def _of_body(values: np.ndarray, body: _Body, moves: bool) -> dict[str, Any]:
     }
 
 
-def _histories(found: View) -> list[dict[str, Any]]:
-    panels = [(found.stage_times, channel) for channel in control_channels(found)]
-    panels = [(found.times, channel) for channel in state_channels(found)] + panels
-    return [_panel(times, channel) for times, channel in panels]
-
-
-def _panel(times: np.ndarray, channel: Channel) -> dict[str, Any]:
-    return {"title": channel.title, "times": times, "names": channel.labels, "columns": channel.values.T}
+def _panel(own: list[History]) -> dict[str, Any]:
+    """A panel of histories with one title, those of phases one behind the other."""
+    first = own[0].channel
+    return {
+        "title": first.title,
+        "times": np.concatenate([history.times for history in own]),
+        "names": first.labels,
+        "columns": np.concatenate([history.channel.values for history in own]).T,
+        "held": own[0].is_held,
+        "bounds": sorted({bound for pair in first.bounds for bound in pair if np.isfinite(bound)}),
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -10,7 +10,7 @@ from ..retractions import Retraction
 from ..testing.checks.retraction import LENGTHS, short_errors
 from ..testing.checks.retraction_facts import RetractionFacts
 from ..testing.facts import SEEDS
-from .axes import one
+from .axes import legend, one
 
 
 def slopes(retraction: Retraction, seeds: Iterable[int] = SEEDS, ax: Any = None) -> Any:
@@ -48,5 +48,5 @@ def slopes(retraction: Retraction, seeds: Iterable[int] = SEEDS, ax: Any = None)
     axis.set_xlabel("t")
     axis.set_ylabel("|R(x, t u) - x - t u|")
     axis.set_title(str(retraction), fontsize="medium")
-    axis.legend(fontsize="small")
+    legend(axis)
     return axis

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.tolerances import EPS
-from .axes import one
+from .axes import legend, one
 
 if TYPE_CHECKING:
     from ..interop.discrete_problem import DiscreteProblem
@@ -44,7 +44,7 @@ def convergence(iterations: Sequence[Any], member: int = 0, ax: Any = None) -> A
     axis.set_xlabel("iteration")
     axis.set_ylabel("relative residual")
     axis.xaxis.get_major_locator().set_params(integer=True)
-    axis.legend(fontsize="small")
+    legend(axis)
     return axis
 
 

@@ -10,7 +10,7 @@ from ..integrators import Trajectory
 from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..reading import reads_once
-from .axes import one
+from .axes import legend, one
 
 
 @reads_once
@@ -51,8 +51,7 @@ def energy(
     axis.ticklabel_format(axis="y", scilimits=(-2, 3))
     axis.set_xlabel("time")
     axis.set_ylabel("energy error")
-    if label:
-        axis.legend(fontsize="small")
+    legend(axis)
     return axis
 
 

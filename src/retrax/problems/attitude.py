@@ -46,6 +46,11 @@ def rest_to_rest_slew() -> KnownProblem:
     return KnownProblem(
         name="rest-to-rest-slew",
         title="150 degrees about (1, 2, -2)/3 in 60 s with least torque",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot R = R\,\hat w, \quad J\dot w + w \times Jw = u, \quad R \in SO(3)",
+            r"J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}",
+        ),
         problem=OptimalControlProblem(RIGID, rigid_body(INERTIA), energy, 3),
         start=(IDENTITY, REST),
         end=(TARGET, REST),
@@ -79,6 +84,11 @@ def failed_actuator() -> KnownProblem:
     return KnownProblem(
         name="failed-actuator",
         title="the same in 120 s without the torque about the third axis",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
+            r"\dot R = R\,\hat w, \quad J\dot w + w \times Jw = (u_1, u_2, 0), \quad R \in SO(3)",
+            r"J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}",
+        ),
         problem=OptimalControlProblem(RIGID, rigid_body(INERTIA, IDENTITY[:, :2]), energy, 2),
         start=(IDENTITY, REST),
         end=(TARGET, REST),
@@ -107,6 +117,11 @@ def limited_slew() -> KnownProblem:
     return KnownProblem(
         name="limited-slew",
         title="150 degrees about (1, 2, -2)/3 in 60 s with torques of at most 10 N m",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot R = R\,\hat w, \quad J\dot w + w \times Jw = u, \quad R \in SO(3)",
+            r"\lvert u_i\rvert \le 10, \quad J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}",
+        ),
         problem=OptimalControlProblem(RIGID, rigid_body(INERTIA), energy, 3, control_bounds=(-limit, limit)),
         start=(IDENTITY, REST),
         end=(TARGET, REST),
@@ -139,6 +154,13 @@ def keep_out_cone() -> KnownProblem:
     return KnownProblem(
         name="keep-out-cone",
         title="120 degrees in 60 s, the first body axis at least 25 degrees from the Sun",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot R = R\,\hat w, \quad J\dot w + w \times Jw = u, \quad R \in SO(3)",
+            r"\langle s, R\,e_1\rangle \le \cos 25^\circ,",
+            r"s \text{ along } (\cos 60^\circ, \sin 60^\circ, 0.1),",
+            r"J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}",
+        ),
         problem=OptimalControlProblem(
             RIGID, rigid_body(INERTIA), energy, 3, constraints={"Sun": lambda q, u: sun @ q[0][:, 0] - apart}
         ),
@@ -177,6 +199,12 @@ def reaction_wheels() -> KnownProblem:
     return KnownProblem(
         name="reaction-wheels",
         title="the slew by three wheels of at most 150 N m s, with a total momentum of 23 N m s",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot R = R\,\hat w, \quad \dot h = -u, \quad w = J^{-1}(R^{\mathsf T} k - h), \quad R \in SO(3)",
+            r"\lvert h_i\rvert \le 150, \quad k = (20, -10, 5),",
+            r"J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}",
+        ),
         problem=OptimalControlProblem(
             RIGID, lambda q, u: (q[0] @ hat(rate(q)), -u), energy, 3, constraints={"wheel momentum": momentum}
         ),
@@ -206,6 +234,10 @@ def detumbling() -> KnownProblem:
     return KnownProblem(
         name="detumbling",
         title="a tumbling rigid body is brought to rest with least torque",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"J\dot w + w \times Jw = u, \quad J = \mathrm{diag}(1, 1.7, 2.3)",
+        ),
         problem=OptimalControlProblem(Euclidean(3), lambda w, u: (u - jnp.cross(w, inertia * w)) / inertia, energy, 3),
         start=rate,
         end=REST,
@@ -216,7 +248,7 @@ def detumbling() -> KnownProblem:
         optimum=float(np.sum((inertia * rate) ** 2) / (2 * horizon)),
         digits=12,
         origin="closed form: u = -J w / (T - t)",
-        formula="|J w_0|^2 / (2 T)",
+        formula=r"\frac{\lvert J w_0\rvert^2}{2T}",
     )
 
 
@@ -239,6 +271,11 @@ def betts() -> KnownProblem:
     return KnownProblem(
         name="betts",
         title="150 degrees about x in least time, torques of at most 50 N m",
+        equations=(
+            r"\text{minimise } T",
+            r"\dot R = R\,\hat w, \quad J\dot w + w \times Jw = u, \quad R \in SO(3)",
+            r"\lvert u_i\rvert \le 50, \quad J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}",
+        ),
         problem=OptimalControlProblem(RIGID, rigid_body(INERTIA), lambda q, u: 1.0, 3, control_bounds=(-50.0, 50.0)),
         start=(IDENTITY, REST),
         end=(Rotation.from_rotvec([np.deg2rad(150), 0, 0]).as_matrix(), REST),
@@ -265,6 +302,11 @@ def bilimoria_wie() -> KnownProblem:
     return KnownProblem(
         name="bilimoria-wie",
         title="half a turn of a sphere in least time, three independent torques",
+        equations=(
+            r"\text{minimise } T",
+            r"\dot R = R\,\hat w, \quad \dot w = u, \quad R \in SO(3)",
+            r"\lvert u_i\rvert \le 1",
+        ),
         problem=OptimalControlProblem(
             RIGID, lambda q, u: (q[0] @ hat(q[1]), u), lambda q, u: 1.0, 3, control_bounds=(-1.0, 1.0)
         ),

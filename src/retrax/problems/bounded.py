@@ -17,6 +17,11 @@ def least_time() -> KnownProblem:
     return KnownProblem(
         name="least-time",
         title="the double integrator from rest to rest in least time",
+        equations=(
+            r"\text{minimise } T",
+            r"\dot x = v, \quad \dot v = u",
+            r"\lvert u\rvert \le 1",
+        ),
         problem=OptimalControlProblem(PLANE, double_integrator, time, 1, control_bounds=(-1.0, 1.0)),
         start=np.zeros(2),
         end=np.array([1.0, 0.0]),
@@ -27,7 +32,7 @@ def least_time() -> KnownProblem:
         optimum=2.0,
         digits=12,
         origin="closed form: u = 1 until half-time, then -1",
-        formula="2 sqrt(d)",
+        formula=r"2\sqrt d",
         error=1e-8,
     )
 
@@ -38,6 +43,11 @@ def turnpike() -> KnownProblem:
     return KnownProblem(
         name="turnpike",
         title="to a singular arc and away from it",
+        equations=(
+            r"\text{minimise } \int_0^T x^2\,dt",
+            r"\dot x = u",
+            r"\lvert u\rvert \le 1",
+        ),
         problem=OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, control_bounds=(-1.0, 1.0)),
         start=np.ones(1),
         end=np.array([0.5]),
@@ -50,7 +60,7 @@ def turnpike() -> KnownProblem:
         optimum=3 / 8,
         digits=12,
         origin="closed form: u = -1, 0, 1 with switches at 1 and 3/2",
-        formula="3 / 8",
+        formula=r"\tfrac38",
     )
 
 
@@ -64,6 +74,11 @@ def aly_chan() -> KnownProblem:
     return KnownProblem(
         name="aly-chan",
         title="a control that is singular all along",
+        equations=(
+            r"\text{minimise } x_3(T)",
+            r"\dot x_1 = x_2, \quad \dot x_2 = u, \quad \dot x_3 = \tfrac12 (x_2^2 - x_1^2)",
+            r"\lvert u\rvert \le 1",
+        ),
         problem=OptimalControlProblem(
             Euclidean(3), dynamics, lambda q, u: 0.0 * q[0], 1, terminal_cost=lambda q: q[2], control_bounds=(-1.0, 1.0)
         ),
@@ -90,6 +105,11 @@ def bryson_denham() -> KnownProblem:
     return KnownProblem(
         name="bryson-denham",
         title="the double integrator below a ceiling",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u^2\,dt",
+            r"\dot x = v, \quad \dot v = u",
+            r"x \le \tfrac19",
+        ),
         problem=OptimalControlProblem(
             PLANE, double_integrator, energy, 1, constraints={"ceiling": lambda q, u: q[0] - limit}
         ),
@@ -105,7 +125,7 @@ def bryson_denham() -> KnownProblem:
         optimum=4 / (9 * limit),
         digits=12,
         origin="closed form, on the ceiling from 1/3 to 2/3",
-        formula="4 / (9 l)",
+        formula=r"\frac{4}{9 l}",
         accuracy=1e-9,
     )
 
@@ -120,6 +140,11 @@ def van_der_pol() -> KnownProblem:
     return KnownProblem(
         name="van-der-pol",
         title="van der Pol's oscillator with a limited control and a limited state",
+        equations=(
+            r"\text{minimise } \int_0^T x_1^2 + x_2^2 + u^2\,dt",
+            r"\dot x_1 = (1 - x_2^2)\,x_1 - x_2 + u, \quad \dot x_2 = x_1",
+            r"\lvert u\rvert \le 1, \quad x_1 \ge -\tfrac14",
+        ),
         problem=OptimalControlProblem(
             PLANE,
             dynamics,
@@ -150,6 +175,11 @@ def fuller() -> KnownProblem:
     return KnownProblem(
         name="fuller",
         title="infinitely many switches in finite time",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T x^2\,dt",
+            r"\dot x = v, \quad \dot v = u",
+            r"\lvert u\rvert \le 1",
+        ),
         problem=OptimalControlProblem(
             PLANE, double_integrator, lambda q, u: q[0] ** 2 / 2, 1, control_bounds=(-1.0, 1.0)
         ),
@@ -179,6 +209,11 @@ def catalyst_mixing() -> KnownProblem:
     return KnownProblem(
         name="catalyst-mixing",
         title="the best mixture of two catalysts along a reactor",
+        equations=(
+            r"\text{minimise } x_1(T) + x_2(T) - 1",
+            r"\dot x_1 = u\,(10 x_2 - x_1), \quad \dot x_2 = -u\,(10 x_2 - x_1) - (1 - u)\,x_2",
+            r"0 \le u \le 1",
+        ),
         problem=OptimalControlProblem(
             PLANE,
             dynamics,
@@ -212,6 +247,11 @@ def fishing() -> KnownProblem:
     return KnownProblem(
         name="fishing",
         title="predators and prey are fished towards their balance",
+        equations=(
+            r"\text{minimise } \int_0^T (x - 1)^2 + (y - 1)^2\,dt",
+            r"\dot x = x - x y - 0.4\,x u, \quad \dot y = -y + x y - 0.2\,y u",
+            r"0 \le u \le 1",
+        ),
         problem=OptimalControlProblem(PLANE, dynamics, lambda q, u: (q - 1) @ (q - 1), 1, control_bounds=(0.0, 1.0)),
         start=np.array([0.5, 0.7]),
         end=None,

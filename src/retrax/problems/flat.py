@@ -30,6 +30,10 @@ def regulator() -> KnownProblem:
     return KnownProblem(
         name="regulator",
         title="the scalar linear-quadratic regulator",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T x^2 + u^2\,dt",
+            r"\dot x = u",
+        ),
         problem=OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: (q @ q + u @ u) / 2, 1),
         start=np.ones(1),
         end=None,
@@ -40,7 +44,7 @@ def regulator() -> KnownProblem:
         optimum=float(np.tanh(1.0) / 2),
         digits=12,
         origin="closed form: u = -tanh(1 - t) x",
-        formula="tanh(T) / 2",
+        formula=r"\tfrac12 \tanh T",
     )
 
 
@@ -50,6 +54,10 @@ def least_effort() -> KnownProblem:
     return KnownProblem(
         name="least-effort",
         title="the double integrator from rest to rest with least effort",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u^2\,dt",
+            r"\dot x = v, \quad \dot v = u",
+        ),
         problem=OptimalControlProblem(PLANE, double_integrator, energy, 1),
         start=np.zeros(2),
         end=np.array([1.0, 0.0]),
@@ -61,7 +69,7 @@ def least_effort() -> KnownProblem:
         optimum=6.0,
         digits=12,
         origin="closed form: u = 6 - 12 t",
-        formula="6 d^2 / T^3",
+        formula=r"\frac{6 d^2}{T^3}",
     )
 
 
@@ -79,6 +87,10 @@ def brachistochrone() -> KnownProblem:
     return KnownProblem(
         name="brachistochrone",
         title="the curve of quickest descent, 10 m aside and 5 m down",
+        equations=(
+            r"\text{minimise } T",
+            r"\dot x = v \sin a, \quad \dot y = v \cos a, \quad \dot v = g \cos a, \quad g = 9.80665\ \mathrm{m/s^2}",
+        ),
         problem=OptimalControlProblem(PLANE * LINE, dynamics, time, 1),
         start=(np.zeros(2), np.zeros(1)),
         end=(np.array([across, down]), None),
@@ -93,7 +105,7 @@ def brachistochrone() -> KnownProblem:
         optimum=float(turn * np.sqrt(down / (1 - np.cos(turn)) / gravity)),
         digits=12,
         origin="closed form: a cycloid",
-        formula="a sqrt(r / g) with x = r (a - sin a), y = r (1 - cos a)",
+        formula=r"a \sqrt{r/g}, \quad x = r\,(a - \sin a), \quad y = r\,(1 - \cos a)",
     )
 
 
@@ -107,6 +119,10 @@ def rayleigh() -> KnownProblem:
     return KnownProblem(
         name="rayleigh",
         title="a tunnel diode oscillator is calmed",
+        equations=(
+            r"\text{minimise } \int_0^T u^2 + x^2\,dt",
+            r"\dot x = v, \quad \dot v = -x + v\,(1.4 - 0.14\,v^2) + 4u",
+        ),
         problem=OptimalControlProblem(PLANE, dynamics, lambda q, u: u @ u + q[0] ** 2, 1),
         start=np.array([-5.0, -5.0]),
         end=None,
@@ -129,6 +145,10 @@ def hypersensitive() -> KnownProblem:
     return KnownProblem(
         name="hypersensitive",
         title="two short arcs with a long rest between them",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T x^2 + u^2\,dt",
+            r"\dot x = u - x^3",
+        ),
         problem=OptimalControlProblem(LINE, lambda q, u: u - q**3, lambda q, u: (q @ q + u @ u) / 2, 1),
         start=np.ones(1),
         end=np.array([1.5]),
@@ -142,7 +162,7 @@ def hypersensitive() -> KnownProblem:
         optimum=float((np.sqrt(2) + np.arcsinh(1) - 1 + 2.25 * np.hypot(1, 2.25) + np.arcsinh(2.25) + 1.5**4) / 4),
         digits=12,
         origin="closed form but for exp(-T); published as 3.36206",
-        formula="int_0^1 x sqrt(1 + x^4) - x^3 dx + int_0^1.5 x sqrt(1 + x^4) + x^3 dx",
+        formula=r"\int_0^1 x \sqrt{1 + x^4} - x^3\,dx + \int_0^{3/2} x \sqrt{1 + x^4} + x^3\,dx",
     )
 
 
@@ -170,6 +190,10 @@ def hanging_chain() -> KnownProblem:
     return KnownProblem(
         name="hanging-chain",
         title="a chain of length 4 between two nails",
+        equations=(
+            r"\text{minimise } \int_0^T x \sqrt{1 + u^2}\,dt",
+            r"\dot x = u, \quad \dot s = \sqrt{1 + u^2}",
+        ),
         problem=OptimalControlProblem(PLANE, dynamics, lambda q, u: q[0] * jnp.sqrt(1 + u[0] ** 2), 1),
         start=np.array([low, 0.0]),
         end=np.array([high, length]),
@@ -182,5 +206,5 @@ def hanging_chain() -> KnownProblem:
         optimum=float(moment(1.0) - moment(0.0)),
         digits=12,
         origin="closed form: a catenary",
-        formula="int x sqrt(1 + x'^2), x = c + a cosh((t - b) / a)",
+        formula=r"\int_0^1 x \sqrt{1 + \dot x^2}\,dt, \quad x = c + a \cosh\frac{t - b}{a}",
     )

@@ -31,6 +31,12 @@ def goddard() -> KnownProblem:
     return KnownProblem(
         name="goddard",
         title="Goddard's rocket to the largest height",
+        equations=(
+            r"\text{minimise } -h(t_f)",
+            r"\dot h = v, \quad \dot v = \frac{T - D}{m} - \frac{1}{h^2}, \quad \dot m = -2T,",
+            r"D = 310\,v^2 e^{-500 (h - 1)}",
+            r"0 \le T \le 3.5",
+        ),
         problem=OptimalControlProblem(
             PLANE * LINE,
             dynamics,
@@ -67,6 +73,11 @@ def moon_landing() -> KnownProblem:
     return KnownProblem(
         name="moon-landing",
         title="a soft landing on the Moon with least fuel",
+        equations=(
+            r"\text{minimise } \int_0^T u\,dt",
+            r"\dot h = v, \quad \dot v = u - 1.5",
+            r"0 \le u \le 3",
+        ),
         problem=OptimalControlProblem(
             PLANE, lambda q, u: jnp.stack([q[1], u[0] - 1.5]), lambda q, u: u[0], 1, control_bounds=(0.0, 3.0)
         ),
@@ -82,7 +93,7 @@ def moon_landing() -> KnownProblem:
         optimum=float(np.sqrt(68.0)),
         digits=12,
         origin="closed form: free fall for (sqrt(68) - 4) / 3",
-        formula="sqrt(68)",
+        formula=r"\sqrt{68}",
         accuracy=1e-9,
     )
 
@@ -108,6 +119,10 @@ def linear_tangent_steering() -> KnownProblem:
     return KnownProblem(
         name="linear-tangent-steering",
         title="least time to height 5 and horizontal velocity 45 under constant thrust",
+        equations=(
+            r"\text{minimise } T",
+            r"\dot y = v_y, \quad \dot v_x = 100 \cos a, \quad \dot v_y = 100 \sin a",
+        ),
         problem=OptimalControlProblem(Euclidean(3), dynamics, time, 1),
         start=np.zeros(3),
         end=np.array([5.0, 45.0, 0.0]),
@@ -119,7 +134,7 @@ def linear_tangent_steering() -> KnownProblem:
         optimum=float(last(slope)),
         digits=12,
         origin="closed form; published as 0.554571",
-        formula="T = 9 k / (20 arsinh k), k = tan a0",
+        formula=r"T = \frac{9 k}{20 \operatorname{arsinh} k}, \quad k = \tan a_0",
         error=1e-8,
     )
 
@@ -143,6 +158,11 @@ def orbit_raising() -> KnownProblem:
     return KnownProblem(
         name="orbit-raising",
         title="the largest circular orbit in 193 days under a small thrust",
+        equations=(
+            r"\text{minimise } -r(T)",
+            r"\dot r = v, \quad \dot v = \frac{w^2 - 1}{r^2} + A \sin a,",
+            r"\dot w = -\frac{w v}{2 r} + \sqrt r\,A \cos a, \quad A = \frac{0.1405}{1 - 0.0749\,t}",
+        ),
         problem=OptimalControlProblem(
             LINE * PLANE * LINE, dynamics, lambda q, u: 0.0 * u[0], 1, terminal_cost=lambda q: -q[0][0]
         ),
@@ -184,6 +204,11 @@ def rendezvous() -> KnownProblem:
     return KnownProblem(
         name="rendezvous",
         title="rendezvous near a circular orbit with least effort",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot x = v, \quad \dot v_1 = 3 x_1 + 2 v_2 + u_1,",
+            r"\dot v_2 = -2 v_1 + u_2, \quad \dot v_3 = -x_3 + u_3",
+        ),
         problem=OptimalControlProblem(Euclidean(6), lambda q, u: a @ q + b @ u, energy, 3),
         start=start,
         end=np.zeros(6),
@@ -197,7 +222,7 @@ def rendezvous() -> KnownProblem:
         optimum=least(),
         digits=10,
         origin="closed form, by the Gramian W of controllability",
-        formula="d^T W^-1 d / 2",
+        formula=r"\tfrac12\,d^{\mathsf T} W^{-1} d",
     )
 
 
@@ -220,6 +245,10 @@ def low_thrust_transfer() -> KnownProblem:
     return KnownProblem(
         name="low-thrust-transfer",
         title="from a circular orbit to a wider one, inclined by 15 degrees, with least energy of the thrust",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot x = v, \quad \dot v = u - \frac{x}{\lvert x\rvert^3}, \quad x \in \mathbb R^3",
+        ),
         problem=OptimalControlProblem(Euclidean(6), dynamics, energy, 3),
         start=np.array([1.0, 0.0, 0.0, 0.0, 1.0, 0.0]),
         end=np.concatenate([radius * outward, forward / np.sqrt(radius)]),
@@ -248,6 +277,12 @@ def free_flying_robot() -> KnownProblem:
     return KnownProblem(
         name="free-flying-robot",
         title="a free-flying robot on least fuel",
+        equations=(
+            r"\text{minimise } \int_0^T u_1 + u_2 + u_3 + u_4\,dt",
+            r"\ddot x = (F_1 + F_2) \cos a, \quad \ddot y = (F_1 + F_2) \sin a, \quad \ddot a = 0.2\,(F_1 - F_2)",
+            r"F_1 = u_1 - u_2, \quad F_2 = u_3 - u_4, \quad 0 \le u_i \le 1, \quad u_1 + u_2 \le 1,",
+            r"u_3 + u_4 \le 1",
+        ),
         problem=OptimalControlProblem(
             Euclidean(6),
             dynamics,

@@ -44,6 +44,10 @@ def kinematic_slew() -> KnownProblem:
     return KnownProblem(
         name="kinematic-slew",
         title="a turn by 2.5 rad, its angular velocity as control",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert w\rvert^2\,dt",
+            r"\dot R = R\,\hat w, \quad R \in SO(3)",
+        ),
         problem=OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), energy, 3),
         start=IDENTITY,
         end=Rotation.from_rotvec(angle * AXIS).as_matrix(),
@@ -55,7 +59,7 @@ def kinematic_slew() -> KnownProblem:
         optimum=angle**2 / 2,
         digits=12,
         origin="closed form",
-        formula="a^2 / (2 T)",
+        formula=r"\frac{a^2}{2T}",
     )
 
 
@@ -66,6 +70,10 @@ def sphere_geodesic() -> KnownProblem:
     return KnownProblem(
         name="sphere-geodesic",
         title="a great circle, 2 rad of it",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot q = (I - q q^{\mathsf T})\,u, \quad q \in S^2",
+        ),
         problem=OptimalControlProblem(sphere, lambda q, u: sphere.projection(q, u), energy, 3),
         start=np.array([0.0, 0.0, 1.0]),
         end=np.array([np.sin(angle) * 0.6, np.sin(angle) * 0.8, np.cos(angle)]),
@@ -76,7 +84,7 @@ def sphere_geodesic() -> KnownProblem:
         optimum=angle**2 / 2,
         digits=12,
         origin="closed form",
-        formula="a^2 / (2 T)",
+        formula=r"\frac{a^2}{2T}",
     )
 
 
@@ -90,6 +98,10 @@ def rotation_geodesic() -> KnownProblem:
     return KnownProblem(
         name="rotation-geodesic",
         title="a rotation of R^4 by 1.2 and 0.5 rad in two planes",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert w\rvert^2\,dt",
+            r"\dot R = R\,\hat w, \quad R \in SO(4), \quad w \in \mathbb R^6",
+        ),
         problem=OptimalControlProblem(group, lambda q, u: q @ group.hat(u), energy, 6),
         start=np.eye(4),
         end=turn,
@@ -101,7 +113,7 @@ def rotation_geodesic() -> KnownProblem:
         optimum=(a**2 + b**2) / 2,
         digits=12,
         origin="closed form",
-        formula="|log R|_F^2 / (4 T)",
+        formula=r"\frac{\lVert\log R\rVert_F^2}{4T}",
     )
 
 
@@ -113,6 +125,10 @@ def half_plane_geodesic() -> KnownProblem:
     return KnownProblem(
         name="half-plane-geodesic",
         title="a geodesic of Poincare's half-plane",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
+            r"\dot x = y\,u_1, \quad \dot y = y\,u_2",
+        ),
         problem=OptimalControlProblem(Euclidean(2), lambda q, u: q[1] * u, energy, 2),
         start=np.array([x0, y0]),
         end=np.array([x1, y1]),
@@ -123,7 +139,7 @@ def half_plane_geodesic() -> KnownProblem:
         optimum=float(distance**2 / 2),
         digits=12,
         origin="closed form",
-        formula="arccosh(1 + |q1 - q0|^2 / (2 y0 y1))^2 / (2 T)",
+        formula=r"\frac{1}{2T}\,\operatorname{arcosh}^2\Bigl(1 + \frac{\lvert q_1 - q_0\rvert^2}{2 y_0 y_1}\Bigr)",
     )
 
 
@@ -134,6 +150,10 @@ def rotation_cubic() -> KnownProblem:
     return KnownProblem(
         name="rotation-cubic",
         title="a turn by 2 rad from rest to rest, its angular acceleration as control",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot R = R\,\hat w, \quad \dot w = u, \quad R \in SO(3)",
+        ),
         problem=OptimalControlProblem(space, lambda q, u: (q[0] @ hat(q[1]), u), energy, 3),
         start=(IDENTITY, np.zeros(3)),
         end=(Rotation.from_rotvec(angle * AXIS).as_matrix(), np.zeros(3)),
@@ -146,7 +166,7 @@ def rotation_cubic() -> KnownProblem:
         optimum=6 * angle**2,
         digits=12,
         origin="closed form: about the fixed axis the angle is a cubic",
-        formula="6 a^2 / T^3",
+        formula=r"\frac{6 a^2}{T^3}",
     )
 
 
@@ -162,6 +182,10 @@ def sub_riemannian_rotations() -> KnownProblem:
     return KnownProblem(
         name="sub-riemannian-rotations",
         title="a turn by 1 rad about the axis that has no control",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T w_1^2 + w_2^2\,dt",
+            r"\dot R = R\,\widehat{(w_1, w_2, 0)}, \quad R \in SO(3)",
+        ),
         problem=OptimalControlProblem(SO(3), lambda q, u: q @ hat(jnp.stack([u[0], u[1], 0 * u[0]])), energy, 2),
         start=IDENTITY,
         end=Rotation.from_rotvec([0, 0, turn]).as_matrix(),
@@ -175,7 +199,7 @@ def sub_riemannian_rotations() -> KnownProblem:
         optimum=turn * (4 * np.pi - turn) / 2,
         digits=12,
         origin="closed form",
-        formula="phi (4 pi - phi) / (2 T)",
+        formula=r"\frac{\varphi\,(4\pi - \varphi)}{2T}",
     )
 
 
@@ -190,6 +214,10 @@ def heisenberg() -> KnownProblem:
     return KnownProblem(
         name="heisenberg",
         title="Brockett's integrator: a closed plane curve around the area 1",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
+            r"\dot x = u_1, \quad \dot y = u_2, \quad \dot z = \tfrac12 (x u_2 - y u_1)",
+        ),
         problem=OptimalControlProblem(space, dynamics, energy, 2),
         start=np.zeros(3),
         end=np.array([0.0, 0.0, 1.0]),
@@ -201,7 +229,7 @@ def heisenberg() -> KnownProblem:
         optimum=2 * np.pi,
         digits=12,
         origin="closed form: a circle of length 2 sqrt(pi z)",
-        formula="2 pi z / T",
+        formula=r"\frac{2\pi z}{T}",
     )
 
 
@@ -211,6 +239,10 @@ def grushin() -> KnownProblem:
     return KnownProblem(
         name="grushin",
         title="along the singular line of Grushin's plane",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
+            r"\dot x = u_1, \quad \dot y = x\,u_2",
+        ),
         problem=OptimalControlProblem(Euclidean(2), lambda q, u: jnp.stack([u[0], q[0] * u[1]]), energy, 2),
         start=np.zeros(2),
         end=np.array([0.0, 1.0]),
@@ -222,7 +254,7 @@ def grushin() -> KnownProblem:
         optimum=np.pi,
         digits=12,
         origin="closed form: x = sqrt(2 y / pi) sin(pi t)",
-        formula="pi y / T",
+        formula=r"\frac{\pi y}{T}",
     )
 
 
@@ -236,6 +268,10 @@ def three_levels() -> KnownProblem:
     return KnownProblem(
         name="three-levels",
         title="transfer between the outer levels of three, real amplitudes on S^2",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
+            r"\dot c_1 = -u_1 c_2, \quad \dot c_2 = u_1 c_1 - u_2 c_3, \quad \dot c_3 = u_2 c_2, \quad c \in S^2",
+        ),
         problem=OptimalControlProblem(Sphere(2), dynamics, energy, 2),
         start=np.array([1.0, 0.0, 0.0]),
         end=np.array([0.0, 0.0, 1.0]),
@@ -248,7 +284,7 @@ def three_levels() -> KnownProblem:
         optimum=3 * np.pi**2 / 8,
         digits=12,
         origin="closed form",
-        formula="3 pi^2 / (8 T)",
+        formula=r"\frac{3\pi^2}{8T}",
     )
 
 
@@ -266,6 +302,10 @@ def phase_gate() -> KnownProblem:
     return KnownProblem(
         name="phase-gate",
         title="a phase gate of one qubit, SU(2), by fields along x and y",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
+            r"\dot U = U\,\widehat{(u_1, u_2, 0)}, \quad U \in SU(2)",
+        ),
         problem=OptimalControlProblem(group, lambda q, u: q @ group.hat(jnp.stack([u[0], u[1], 0 * u[0]])), energy, 2),
         start=np.eye(2, dtype=complex),
         end=turned(np.ones(1))[0],
@@ -278,7 +318,7 @@ def phase_gate() -> KnownProblem:
         optimum=phi * (4 * np.pi - phi) / 2,
         digits=12,
         origin="closed form",
-        formula="phi (4 pi - phi) / (2 T)",
+        formula=r"\frac{\varphi\,(4\pi - \varphi)}{2T}",
     )
 
 
@@ -289,6 +329,11 @@ def unicycle() -> KnownProblem:
     return KnownProblem(
         name="unicycle",
         title="one unit sideways by rolling and turning, SE(2)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
+            r"\dot g = g\,\widehat{(u_2, u_1, 0)} \text{ in } SE(2):",
+            r"\dot x = u_1 \cos a, \quad \dot y = u_1 \sin a, \quad \dot a = u_2",
+        ),
         problem=OptimalControlProblem(group, lambda q, u: q @ group.hat(jnp.stack([u[1], u[0], 0 * u[0]])), energy, 2),
         start=np.eye(3),
         end=np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),

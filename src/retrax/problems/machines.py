@@ -50,6 +50,10 @@ def spherical_pendulum() -> KnownProblem:
     return KnownProblem(
         name="spherical-pendulum",
         title="a spherical pendulum swings up in time 3 with least force, TS^2",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot q = v, \quad \dot v = (I - q q^{\mathsf T})(u - e_3) - \lvert v\rvert^2 q, \quad (q, v) \in TS^2",
+        ),
         problem=OptimalControlProblem(TangentBundle(sphere), dynamics, energy, 3),
         start=(np.array([np.sin(0.5), 0.0, -np.cos(0.5)]), np.array([0.0, 0.5, 0.0])),
         end=(UP, np.zeros(3)),
@@ -76,6 +80,10 @@ def pendulum() -> KnownProblem:
     return KnownProblem(
         name="pendulum",
         title="a pendulum swings up in time 5 with least torque, S^1 x R",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u^2\,dt",
+            r"\dot c = -w s, \quad \dot s = w c, \quad \dot w = u - s, \quad c^2 + s^2 = 1",
+        ),
         problem=OptimalControlProblem(Sphere(1) * Euclidean(1), dynamics, energy, 1),
         start=(np.array([1.0, 0.0]), np.zeros(1)),
         end=(np.array([-1.0, 0.0]), np.zeros(1)),
@@ -107,6 +115,14 @@ def cart_pole() -> KnownProblem:
     return KnownProblem(
         name="cart-pole",
         title="a pole on a cart swings up in 2 s and 1 m aside with least force",
+        equations=(
+            r"\text{minimise } \int_0^T u^2\,dt",
+            r"\dot x = v, \quad \dot v = \frac{u + m l w^2 \sin a + m g \sin a \cos a}{M + m \sin^2 a}",
+            r"\dot a = w,",
+            r"\dot w = -\frac{u \cos a + m l w^2 \sin a \cos a + (M + m) g \sin a}{l\,(M + m \sin^2 a)}",
+            r"\lvert u\rvert \le 20, \quad M = 1\ \mathrm{kg}, \quad m = 0.3\ \mathrm{kg},",
+            r"l = 0.5\ \mathrm{m}, \quad g = 9.81\ \mathrm{m/s^2}",
+        ),
         problem=OptimalControlProblem(Euclidean(4), dynamics, lambda z, u: u @ u, 1, control_bounds=(-20.0, 20.0)),
         start=np.zeros(4),
         end=np.array([1.0, np.pi, 0.0, 0.0]),
@@ -141,6 +157,13 @@ def quadrotor() -> KnownProblem:
     return KnownProblem(
         name="quadrotor",
         title="a quadrotor from hover to hover, 3 m aside and 1 m up, turned by 90 degrees, in 2 s, SE(3)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \tfrac1{100} (f - m\gamma)^2 + \lvert M\rvert^2\,dt",
+            r"\dot g = g\,\widehat{(w, v)}, \quad g = (R, x) \in SE(3)",
+            r"J\dot w + w \times Jw = M, \quad m(\dot v + w \times v) = f e_3 - m\gamma R^{\mathsf T} e_3",
+            r"m = 4.34\ \mathrm{kg}, \quad \gamma = 9.81\ \mathrm{m/s^2},",
+            r"J = \mathrm{diag}(0.0820, 0.0845, 0.1377)\ \mathrm{kg\,m^2}",
+        ),
         problem=OptimalControlProblem(RIGID, dynamics, cost, 4),
         start=(np.eye(4), np.zeros(6)),
         end=(pose([0, 0, np.pi / 2], [3.0, 0.0, 1.0]), np.zeros(6)),
@@ -173,6 +196,12 @@ def docking() -> KnownProblem:
     return KnownProblem(
         name="docking",
         title="a spacecraft moves by 10 m and turns by 90 degrees in 60 s, SE(3)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert f\rvert^2 + \lvert M\rvert^2\,dt",
+            r"\dot g = g\,\widehat{(w, v)}, \quad J\dot w + w \times Jw = M,",
+            r"m(\dot v + w \times v) = f, \quad g \in SE(3)",
+            r"m = 500\ \mathrm{kg}, \quad J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}",
+        ),
         problem=problem,
         start=(np.eye(4), np.zeros(6)),
         end=(pose([0, 0, np.pi / 2], shift), np.zeros(6)),
@@ -186,7 +215,7 @@ def docking() -> KnownProblem:
         optimum=float(6 * (mass**2 * (shift @ shift) + (SATELLITE[2] * np.pi / 2) ** 2) / horizon**3),
         digits=12,
         origin="closed form: the length of the force is the same in both frames, the turn is about a principal axis",
-        formula="6 (m^2 d^2 + J_3^2 a^2) / T^3",
+        formula=r"\frac{6\,(m^2 d^2 + J_3^2 a^2)}{T^3}",
     )
 
 
@@ -205,6 +234,13 @@ def docking_corridor() -> KnownProblem:
     return KnownProblem(
         name="docking-corridor",
         title="docking from the side, within 20 degrees of the axis of the port, SE(3)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert f\rvert^2 + \lvert M\rvert^2\,dt",
+            r"\dot g = g\,\widehat{(w, v)}, \quad J\dot w + w \times Jw = M,",
+            r"m(\dot v + w \times v) = f, \quad g \in SE(3)",
+            r"y^2 + z^2 \le \tan^2 20^\circ\,(x + 0.1)^2, \quad \lvert f_i\rvert, \lvert M_i\rvert \le 10",
+            r"m = 500\ \mathrm{kg}, \quad J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}",
+        ),
         problem=OptimalControlProblem(
             RIGID, dynamics, energy, 6, control_bounds=(-10.0, 10.0), constraints={"corridor": corridor}
         ),
@@ -240,6 +276,12 @@ def robot_arm() -> KnownProblem:
     return KnownProblem(
         name="robot-arm",
         title="a robot arm turns by 120 degrees in least time",
+        equations=(
+            r"\text{minimise } T",
+            r"\ddot r = \frac{u_1}{5}, \quad \ddot a = \frac{u_2}{I \sin^2 b},",
+            r"\ddot b = \frac{u_3}{I}, \quad I = \frac{(5 - r)^3 + r^3}{3}",
+            r"\lvert u_i\rvert \le 1",
+        ),
         problem=OptimalControlProblem(Euclidean(6), dynamics, lambda z, u: 1.0, 3, control_bounds=(-1.0, 1.0)),
         start=np.concatenate([[4.5, 0.0, np.pi / 4], rest]),
         end=np.concatenate([[4.5, 2 * np.pi / 3, np.pi / 4], rest]),

@@ -26,6 +26,10 @@ def hadamard_gate() -> KnownProblem:
     return KnownProblem(
         name="hadamard-gate",
         title="Hadamard's gate of a precessing qubit by one field, SU(2)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u^2\,dt",
+            r"\dot U = -\tfrac{i}{2}\,(Z + u X)\,U, \quad U \in SU(2)",
+        ),
         problem=OptimalControlProblem(group, dynamics, energy, 1),
         start=np.eye(2, dtype=complex),
         end=-1j * (X + Z) / np.sqrt(2),
@@ -56,6 +60,10 @@ def two_spins() -> KnownProblem:
     return KnownProblem(
         name="two-spins",
         title="two spins of different frequency are inverted by one pulse, S^2 x S^2",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
+            r"\dot m_1 = (u_1, u_2, 0) \times m_1, \quad \dot m_2 = (u_1, u_2, 1) \times m_2, \quad m_1, m_2 \in S^2",
+        ),
         problem=OptimalControlProblem(sphere * sphere, dynamics, energy, 2),
         start=(up, up),
         end=(-up, -up),
@@ -90,6 +98,10 @@ def two_qubit_gate() -> KnownProblem:
     return KnownProblem(
         name="two-qubit-gate",
         title="a gate of two qubits by all couplings of their spins, SU(4)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \sum_{ij} u_{ij}^2\,dt",
+            r"\dot U = -\tfrac{i}{2} \sum_{ij} u_{ij}\,(\sigma_i \otimes \sigma_j)\,U, \quad U \in SU(4)",
+        ),
         problem=OptimalControlProblem(group, lambda q, u: jnp.tensordot(u, couplings, 1) @ q, energy, 9),
         start=np.eye(4, dtype=complex),
         end=scipy.linalg.expm(-fields) @ scipy.linalg.expm(fields + shape),
@@ -106,5 +118,5 @@ def two_qubit_gate() -> KnownProblem:
         optimum=7.0,
         digits=12,
         origin="closed form; the least of all extremals that least squares find from 600 starts",
-        formula="|P|^2 / (2 T)",
+        formula=r"\frac{\lvert P\rvert^2}{2T}",
     )

@@ -24,6 +24,8 @@ class KnownProblem:
     ----------
     name, title : str
         The name in ``get``, and a title.
+    equations : tuple of str
+        The problem in LaTeX, line by line: the cost, the dynamics, limits and constants.
     problem : OptimalControlProblem
         The problem.
     start, end, horizon
@@ -39,7 +41,7 @@ class KnownProblem:
     origin : str
         The method of the verification.
     formula : str
-        The optimum in closed form, if there is one.
+        The optimum in closed form, in LaTeX, if there is one.
     time, cost : str
         The units of time and cost.
     steps, method
@@ -55,6 +57,7 @@ class KnownProblem:
 
     name: str
     title: str
+    equations: tuple[str, ...]
     problem: OptimalControlProblem
     start: Any
     end: Any

@@ -35,6 +35,11 @@ def elastica() -> KnownProblem:
     return KnownProblem(
         name="elastica",
         title="Euler's elastica of length 2 around a corner, SE(2)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T k^2\,dt",
+            r"\dot g = g\,\widehat{(k, 1, 0)} \text{ in } SE(2):",
+            r"\dot x = \cos a, \quad \dot y = \sin a, \quad \dot a = k",
+        ),
         problem=OptimalControlProblem(PLANE, steered, energy, 1),
         start=np.eye(3),
         end=planar(1.0, 1.0, np.pi / 2),
@@ -63,6 +68,10 @@ def rod() -> KnownProblem:
     return KnownProblem(
         name="rod",
         title="Kirchhoff's elastic rod of length 2 between two clamps, SE(3)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T k_1^2 + k_2^2 + \tfrac12 t^2\,ds",
+            r"g' = g\,\widehat{(k_1, k_2, t;\ 0, 0, 1)}, \quad g \in SE(3)",
+        ),
         problem=OptimalControlProblem(group, dynamics, lambda q, u: u @ (stiffness * u) / 2, 3),
         start=np.eye(4),
         end=end,
@@ -86,6 +95,12 @@ def dubins() -> KnownProblem:
     return KnownProblem(
         name="dubins",
         title="Dubins's car to (4, 1), turned by 180 degrees",
+        equations=(
+            r"\text{minimise } T",
+            r"\dot g = g\,\widehat{(k, 1, 0)} \text{ in } SE(2):",
+            r"\dot x = \cos a, \quad \dot y = \sin a, \quad \dot a = k",
+            r"\lvert k\rvert \le 1",
+        ),
         problem=OptimalControlProblem(PLANE, steered, lambda q, u: 1.0, 1, control_bounds=(-1.0, 1.0)),
         start=np.eye(3),
         end=planar(4.0, 1.0, np.pi * 0.9),
@@ -118,6 +133,10 @@ def rolling_ball() -> KnownProblem:
     return KnownProblem(
         name="rolling-ball",
         title="a ball rolls by its radius and is turned as before, R^2 x SO(3)",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot x = u, \quad \dot R = \widehat{(-u_2, u_1, 0)}\,R, \quad x \in \mathbb R^2, \quad R \in SO(3)",
+        ),
         problem=OptimalControlProblem(space, dynamics, energy, 2),
         start=(np.zeros(2), np.eye(3)),
         end=(np.array([1.0, 0.0]), np.eye(3)),
@@ -145,6 +164,10 @@ def zermelo() -> KnownProblem:
     return KnownProblem(
         name="zermelo",
         title="Zermelo's ship in a linear current, least time",
+        equations=(
+            r"\text{minimise } T",
+            r"\dot x = \cos a - y, \quad \dot y = \sin a",
+        ),
         problem=OptimalControlProblem(
             Euclidean(2), lambda q, u: jnp.stack([jnp.cos(u[0]) - q[1], jnp.sin(u[0])]), lambda q, u: 1.0, 1
         ),
@@ -180,6 +203,11 @@ def zermelo_sphere() -> KnownProblem:
     return KnownProblem(
         name="zermelo-sphere",
         title="least time on the sphere at unit airspeed, in a wind that turns about the poles",
+        equations=(
+            r"\text{minimise } \int_0^T 1 + \tfrac12 \langle q, u\rangle^2\,dt",
+            r"\dot q = (I - q q^{\mathsf T})\,u + \tfrac12\,e_3 \times q, \quad q \in S^2",
+            r"\lvert u\rvert^2 \le 1",
+        ),
         problem=OptimalControlProblem(
             sphere, dynamics, lambda q, u: 1 + (q @ u) ** 2 / 2, 3, constraints={"airspeed": lambda q, u: u @ u - 1}
         ),
@@ -195,7 +223,7 @@ def zermelo_sphere() -> KnownProblem:
         optimum=float(root_scalar(late, bracket=(0.0, 3.0), xtol=1e-15).root),
         digits=12,
         origin="closed form: a great circle in the air",
-        formula="T = arccos <exp(w T E3) q0, q1>",
+        formula=r"T = \arccos\,\langle e^{T \hat e_3/2}\,q_0, q_1\rangle",
         error=1e-8,
     )
 
@@ -218,6 +246,11 @@ def sphere_obstacle() -> KnownProblem:
     return KnownProblem(
         name="sphere-obstacle",
         title="around a cap of radius 0.5 on the sphere",
+        equations=(
+            r"\text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt",
+            r"\dot q = (I - q q^{\mathsf T})\,u, \quad q \in S^2",
+            r"\langle q, c\rangle \le \cos 0.5, \quad c = (0, \sin 0.1, \cos 0.1)",
+        ),
         problem=OptimalControlProblem(
             sphere,
             lambda q, u: sphere.projection(q, u),
@@ -237,6 +270,6 @@ def sphere_obstacle() -> KnownProblem:
         optimum=length() ** 2 / 2,
         digits=12,
         origin="closed form",
-        formula="L^2 / (2 T), L the length of two tangents and the arc between",
+        formula=r"\frac{L^2}{2T}, \quad L \text{ the length of two tangents and the arc between}",
         error=1e-8,
     )
