@@ -26,10 +26,10 @@ class ControlCurvature:
         self._curvatures: Evaluated = Automatic().values(self._curvatures_of, *sizes)
 
     def __call__(self, solution: Solution, parameters: Any) -> np.ndarray:
-        """Sums of their sizes at the stages, shape ``(N s, m)``: 0 where it is linear in an entry; on a curved space
-        nowhere."""
+        """Sums of their sizes at the stages, shape ``(N s, m)``: 0 where it is linear in an entry; not finite on a
+        curved space."""
         if not isinstance(self.problem.controls, Euclidean):
-            return np.ones((len(solution.stage_times), self.control.size))
+            return np.full((len(solution.stage_times), self.control.size), np.inf)
         layouts = (
             (self.state, solution.stage_states),
             (self.state, solution.stage_costates),

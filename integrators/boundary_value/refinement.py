@@ -27,6 +27,7 @@ ROUNDS = 25  # of refinement
 MOST_STEPS, MOST_STAGES = 5000, 6
 FEWEST = 5  # steps of a mesh to begin with
 PARTS = 4  # of a step, at most
+SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
 SLOW, PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
@@ -62,6 +63,7 @@ class Refinement:
     solver: Solver  # on the mesh to begin with
     request: Request
     accuracy: float
+    loosely: bool = True  # whether meshes that follow the first are solved no more exactly than that
 
     def __post_init__(self) -> None:
         self.problem, self.given = self.solver.problem, self.request.given
@@ -72,6 +74,8 @@ class Refinement:
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
         self._most, self._stopped = MOST_STAGES, False
         options = self.request.options
+        looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
+        self._tolerance = max(options.tolerance, looser)
         if options.callback is not None:
             self._callback = options.callback
             self.request = replace(self.request, options=options._replace(callback=self._told))
@@ -141,7 +145,9 @@ class Refinement:
         """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than
         rounding."""
         errors, checks = found.errors, found.solution.checks
-        left = (checks.defect, checks.complementarity) if isinstance(checks, RegularChecks) else (checks.defect,)
+        left = checks.defect, checks.stationarity
+        if isinstance(checks, RegularChecks):
+            left = *left, checks.complementarity
         return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))
 
     def _on(self, problem: OptimalControlProblem, steps: Any, given: Given, guess: Any) -> Solution:
@@ -151,7 +157,8 @@ class Refinement:
             solver = self._solvers[key].with_steps(steps)
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
-        return self._counted(solver, self.request.again(solver.reader, given, guess))
+        request = replace(self.request, options=self.request.options._replace(tolerance=self._tolerance))
+        return self._counted(solver, request.again(solver.reader, given, guess))
 
     def _counted(self, solver: Solver, request: Request) -> Solution:
         """The solution, with its effort added to that of all; none follows one that was stopped."""

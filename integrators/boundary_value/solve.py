@@ -122,7 +122,9 @@ def solve(
     )
     options = Options.of(tolerance, max_iterations, callback, verbose)
     request = Request.of(solver.reader, given, guess, options, classification, integrator)
-    found = solver.solved(request) if accuracy is None else Refinement(solver, request, accuracy).solve()
+    found = (
+        solver.solved(request) if accuracy is None else Refinement(solver, request, accuracy, tolerance is None).solve()
+    )
     return found.require_success() if throw else found
 
 
