@@ -1,0 +1,112 @@
+"""The library of the compiled core, called through ctypes: what ``src/core/retrax_core.h`` declares."""
+
+import ctypes
+import os
+from ctypes import POINTER, Structure, c_char_p, c_int, c_ssize_t, c_void_p
+from functools import cache
+from importlib.util import find_spec
+from typing import Any, final
+
+import numpy as np
+
+from ..errors import InvalidInputError, RetraxError
+
+VERSION = 1  # of the header that the structs below repeat
+OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
+OK = 0
+
+# Private: "tape" runs tapes on the core, while the machine that Numba compiles is still there.
+PARTS_ON_CORE = frozenset(os.environ.get("RETRAX_CORE", "").split(","))
+
+
+class MissingCoreError(RetraxError, ImportError):
+    """The compiled core is not installed, or is of another version."""
+
+
+@final
+class TapeStruct(Structure):
+    """``retrax_tape``."""
+
+    _fields_ = (
+        ("instructions", c_ssize_t),
+        ("registers", c_ssize_t),
+        ("inputs", c_ssize_t),
+        ("outputs", c_ssize_t),
+        ("codes", c_void_p),
+        ("operands", c_void_p),
+        ("values", c_void_p),
+    )
+
+
+@final
+class TapeDataStruct(Structure):
+    """``retrax_tape_data``."""
+
+    _fields_ = (
+        ("inputs", c_void_p),
+        ("input_size", c_ssize_t),
+        ("sources", c_void_p),
+        ("outputs", c_void_p),
+        ("output_size", c_ssize_t),
+        ("targets", c_void_p),
+    )
+
+
+# Result and arguments of the functions.
+_SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
+    "retrax_core_version": (c_int, []),
+    "retrax_status_message": (c_char_p, [c_int]),
+    "retrax_best_instruction_set": (c_int, []),
+    "retrax_tape_instruction_name": (c_char_p, [c_int]),
+    "retrax_tape_check": (c_int, [POINTER(TapeStruct)]),
+    "retrax_tape_check_data": (c_int, [POINTER(TapeStruct), POINTER(TapeDataStruct), *[c_ssize_t] * 3]),
+    "retrax_tape_lanes": (c_ssize_t, [POINTER(TapeStruct), c_ssize_t]),
+    "retrax_tape_run": (
+        None,
+        [POINTER(TapeStruct), POINTER(TapeDataStruct), c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
+    ),
+}
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The library, whose functions know the types of their arguments; they run without Python's lock."""
+    spec = find_spec("retrax._core")
+    if spec is None or spec.origin is None:
+        raise MissingCoreError(
+            "the compiled core of retrax is not installed: expected the file _core beside the package's modules; try: "
+            "pip install --force-reinstall --no-deps retrax"
+        )
+    found = ctypes.CDLL(spec.origin)
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(found, name)
+        function.restype, function.argtypes = result, arguments
+    if found.retrax_core_version() != VERSION:
+        raise MissingCoreError(
+            f"the compiled core has version {found.retrax_core_version()} of its interface, expected {VERSION}; try: "
+            "pip install --force-reinstall --no-deps retrax"
+        )
+    return found
+
+
+@cache
+def best_instruction_set() -> int:
+    """The best instruction set of the processor that the core knows."""
+    return library().retrax_best_instruction_set()
+
+
+def require_ok(status: int, what: str) -> None:
+    """Raise ``InvalidInputError`` where a check of the core did not pass."""
+    if status != OK:
+        raise InvalidInputError(f"{what}: {library().retrax_status_message(status).decode()}")
+
+
+def address_of(array: Any, kind: type, shape: tuple[int, ...], name: str) -> int:
+    """The address of an array for C; raises ``InvalidInputError`` unless it has this type and shape, in C order."""
+    if not (isinstance(array, np.ndarray) and array.shape == shape and array.dtype == kind and array.flags.carray):
+        got = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise InvalidInputError(
+            f"{name}: got {got}, expected an array of {np.dtype(kind)} of shape {shape}, in C order and writable; try "
+            "numpy.array(..., order='C')"
+        )
+    return array.ctypes.data
