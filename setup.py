@@ -9,7 +9,7 @@ from setuptools.command.build_ext import build_ext
 CORE = Path("src/core")
 # Products and sums are rounded where the code says so, whatever the compiler; nothing reads the errors of libm.
 FLAGS = ["/O2", "/fp:precise"] if sys.platform == "win32" else [
-    "-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden",
+    "-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-fvisibility=hidden", "-g0",
 ]  # fmt: skip
 
 

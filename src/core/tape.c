@@ -4,6 +4,14 @@
 #include <math.h>
 #include <stdbool.h>
 
+/* gcc and clang compile single functions for other instruction sets. */
+#if defined(__x86_64__) && defined(__GNUC__) && !defined(RETRAX_ONE_INSTRUCTION_SET)
+#define HAS_X86_SETS 1
+#include <cpuid.h>
+#else
+#define HAS_X86_SETS 0
+#endif
+
 /* Lanes that an instruction acts on where the registers leave the choice: enough to hide the time that it takes to
  * choose an instruction, and registers of all lanes that fit the near caches. */
 #define LEAST_LANES 64
@@ -233,12 +241,6 @@ static bool any_is_zero(const double *numbers, retrax_index count) {
 
 /* ------------------------------------------------------------------------------------------------- machine */
 
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(RETRAX_ONE_INSTRUCTION_SET)
-#define HAS_X86_SETS 1
-#else
-#define HAS_X86_SETS 0
-#endif
-
 /* Before a loop whose rounds do not depend on each other: a result is never written to one of its arguments. */
 #if defined(__clang__)
 #define INDEPENDENT _Pragma("clang loop vectorize(assume_safety) interleave(disable)")
@@ -277,13 +279,25 @@ static bool any_is_zero(const double *numbers, retrax_index count) {
 #undef FUSED
 #endif
 
+#if HAS_X86_SETS
+/* Whether the operating system keeps all registers in `mask` of extended control register 0 (XCR0). */
+static bool keeps_registers(unsigned int mask) {
+    unsigned int low, high;
+    __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
+    return (low & mask) == mask;
+}
+#endif
+
+/* Not by __builtin_cpu_supports, which some compilers resolve to "nothing" [zig 0.17]. */
 retrax_instruction_set retrax_best_instruction_set(void) {
 #if HAS_X86_SETS
-    __builtin_cpu_init();
-    if (__builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma")) {
-        const bool wide = __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512dq") &&
-                          __builtin_cpu_supports("avx512vl");
-        return wide ? RETRAX_AVX512 : RETRAX_AVX2;
+    const unsigned int ymm = 0x6, zmm = 0xe6; /* bits of XCR0 */
+    const unsigned int osxsave = 1u << 27, fma = 1u << 12, avx2 = 1u << 5;
+    const unsigned int avx512 = 1u << 16 | 1u << 17 | 1u << 31; /* F, DQ, VL */
+    unsigned int a, b, c, d;
+    if (__get_cpuid(1, &a, &b, &c, &d) && (c & osxsave) && (c & fma) && keeps_registers(ymm) &&
+        __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & avx2)) {
+        return (b & avx512) == avx512 && keeps_registers(zmm) ? RETRAX_AVX512 : RETRAX_AVX2;
     }
 #endif
     return RETRAX_PORTABLE;
