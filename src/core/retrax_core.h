@@ -145,6 +145,93 @@ RETRAX_API void retrax_tape_run(const retrax_tape *tape, const retrax_tape_data 
                                 retrax_index last, double *registers, retrax_index lanes,
                                 retrax_instruction_set set);
 
+/* ------------------------------------------------------------------------------------------------------
+ * 3. Dense linear algebra for small matrices
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Factorises a[n][n] in place as P a = L U by Gauss's elimination. A pivot is the entry of its column that is largest in
+ * proportion to its row; a row that has nothing but its diagonal is a pivot first. On return the upper triangle is U, and
+ * below the diagonal stands L, whose diagonal is 1. swaps: [n], row k was exchanged with row swaps[k] >= k; weights: [n]
+ * workspace. A singular matrix has factors that are not finite. */
+RETRAX_API void retrax_lu_factorise(retrax_index n, double *a, retrax_index *swaps, double *weights);
+
+/* Solves a x = b in place with the factors of retrax_lu_factorise; b is [n][columns]. */
+RETRAX_API void retrax_lu_solve(retrax_index n, const double *a, const retrax_index *swaps, retrax_index columns,
+                                double *b);
+
+/* Solves a' x = b in place with the same factors; x is [n]. */
+RETRAX_API void retrax_lu_solve_transposed(retrax_index n, const double *a, const retrax_index *swaps, double *x);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 4. Block elimination
+ *
+ * A Newton step along a trajectory of N stages and N + 1 nodes has unknowns d_k of the stages (their steps, z numbers
+ * each) and c_k of the nodes (their multipliers, n numbers each). With the Lagrangian's Hessians H_k and the Jacobians
+ * L_k and R_k of the node equations on either side of a stage they satisfy
+ *
+ *     (H_k + r S) d_k + L_k' c_k - R_k' c_{k+1} = -slope_k,     k = 0, ..., N - 1
+ *     L_k d_k - R_{k-1} d_{k-1}                 = -defect_k,    k = 0, ..., N
+ *
+ * without L at the last node and without R before the first. At the first and the last node each equation may be
+ * replaced by c = 0, which leaves that coordinate of the state free. r S is a regularisation, r >= 0, S diagonal.
+ *
+ * The matrix is symmetric and indefinite. If it has exactly as many negative eigenvalues as there are node equations,
+ * (N + 1) n, and no zero ones, the Hessian is positive definite on the null space of the node equations: the step
+ * is a descent direction, and at a solution the trajectory is a strict local minimum (Sylvester's law of inertia).
+ *
+ * Stage after stage d_k and c_k are eliminated, in order of magnitude N (n + z)^3 operations. A leading block of the matrix
+ * may be singular where the matrix is not: at a focal point of the trajectory up to a node. To avoid that, the cost
+ * of a stage is augmented by w (|R_k d_k|^2 - |L_k d_k|^2) / 2. By the node equations these terms cancel in the sum over
+ * the stages, so that the solution and the inertia stay.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Inertia and conditioning of a symmetric matrix, from the pivots of its factorisation. */
+typedef struct {
+    retrax_index negative; /* number of negative eigenvalues */
+    double smallest;       /* size of the smallest pivot, rows and columns being scaled to one size; NaN if one is NaN */
+} retrax_inertia;
+
+/* A linear system; all arrays belong to the caller and are only read. */
+typedef struct {
+    retrax_index stages;       /* N >= 1 */
+    retrax_index node_size;    /* n >= 1, equations of a node */
+    retrax_index stage_size;   /* z >= 1, unknowns of a stage */
+    retrax_index columns;      /* right-hand sides, at least 1 */
+    const double *hessian;     /* [N][z][z], symmetric, both triangles */
+    const double *left;        /* [N][n][z] */
+    const double *right;       /* [N][n][z] */
+    const double *slope;       /* [N][z][columns] */
+    const double *defect;      /* [N + 1][n][columns] */
+    const double *fixed_start; /* [n]: 1, or 0 where the equation of the first node is replaced by c = 0 */
+    const double *fixed_end;   /* [n]: the same of the last node */
+    const double *stage_scale; /* [z] natural sizes of d; pivots are chosen in these units */
+    const double *node_scale;  /* [n] natural sizes of the defects */
+    double cost_scale;         /* natural size of the cost of a stage */
+    double regularisation;     /* r >= 0, in units of cost_scale and stage_scale */
+    const double *regularised; /* [z] diagonal of S in the same units */
+} retrax_block_system;
+
+/* A solution; all arrays belong to the caller and are overwritten. A column that has a number which is not finite is
+ * NaN altogether. */
+typedef struct {
+    double *step;            /* [N][z][columns]: d */
+    double *multipliers;     /* [N + 1][n][columns]: c */
+    unsigned char *finite;   /* [columns]: 1 where a column is finite, else 0 */
+    double *largest_step;    /* [z]: largest |d_k| of column 0 over the stages; NaN where the column is not finite */
+    retrax_inertia inertia;  /* of the matrix */
+    double curvature;        /* sum_k d_k' (H_k + r S) d_k of column 0, in units of cost_scale */
+    double size;             /* sum_k d_k' S d_k of column 0, in units of stage_scale */
+} retrax_block_solution;
+
+/* Returns the bytes of workspace that retrax_block_eliminate needs for a system of these sizes; 0 if a size is less than
+ * 1 or the workspace would exceed the address space. */
+RETRAX_API size_t retrax_block_workspace(retrax_index stages, retrax_index node_size, retrax_index stage_size,
+                                         retrax_index columns);
+
+/* Solves a system. workspace: as many bytes as retrax_block_workspace says, aligned to 64 bytes, of any content. */
+RETRAX_API void retrax_block_eliminate(const retrax_block_system *system, retrax_block_solution *solution,
+                                       void *workspace, retrax_instruction_set set);
+
 #ifdef __cplusplus
 }
 #endif

@@ -1,16 +1,10 @@
 /* Tapes: checks, lanes, and the machine that runs them, once for each instruction set. */
 #include "tape.h"
 
+#include "instruction_sets.h"
+
 #include <math.h>
 #include <stdbool.h>
-
-/* gcc and clang compile single functions for other instruction sets. */
-#if defined(__x86_64__) && defined(__GNUC__) && !defined(RETRAX_ONE_INSTRUCTION_SET)
-#define HAS_X86_SETS 1
-#include <cpuid.h>
-#else
-#define HAS_X86_SETS 0
-#endif
 
 /* Lanes that an instruction acts on where the registers leave the choice: enough to hide the time that it takes to
  * choose an instruction, and registers of all lanes that fit the near caches. */
@@ -241,20 +235,7 @@ static bool any_is_zero(const double *numbers, retrax_index count) {
 
 /* ------------------------------------------------------------------------------------------------- machine */
 
-/* Before a loop whose rounds do not depend on each other: a result is never written to one of its arguments. */
-#if defined(__clang__)
-#define INDEPENDENT _Pragma("clang loop vectorize(assume_safety) interleave(disable)")
-#elif defined(__GNUC__)
-#define INDEPENDENT _Pragma("GCC ivdep")
-#else
-#define INDEPENDENT
-#endif
-
-#ifdef FP_FAST_FMA
-#define FUSED(x, y, z) fma(x, y, z)
-#else
-#define FUSED(x, y, z) ((x) * (y) + (z))
-#endif
+#define FUSED RETRAX_PORTABLE_FUSED
 #define MACHINE run_portable
 #define TARGET
 #include "tape_machine.h"
@@ -262,53 +243,28 @@ static bool any_is_zero(const double *numbers, retrax_index count) {
 #undef MACHINE
 #undef TARGET
 
-#if HAS_X86_SETS
-#define FUSED(x, y, z) __builtin_fma(x, y, z)
-
+#if RETRAX_HAS_X86_SETS
+#define FUSED __builtin_fma
 #define MACHINE run_avx2
-#define TARGET __attribute__((target("avx2,fma")))
+#define TARGET RETRAX_TARGET_AVX2
 #include "tape_machine.h"
 #undef MACHINE
 #undef TARGET
 
 #define MACHINE run_avx512
-#define TARGET __attribute__((target("avx512f,avx512dq,avx512vl,avx2,fma")))
+#define TARGET RETRAX_TARGET_AVX512
 #include "tape_machine.h"
 #undef MACHINE
 #undef TARGET
 #undef FUSED
 #endif
 
-#if HAS_X86_SETS
-/* Whether the operating system keeps all registers in `mask` of extended control register 0 (XCR0). */
-static bool keeps_registers(unsigned int mask) {
-    unsigned int low, high;
-    __asm__ volatile("xgetbv" : "=a"(low), "=d"(high) : "c"(0));
-    return (low & mask) == mask;
-}
-#endif
-
-/* Not by __builtin_cpu_supports, which some compilers resolve to "nothing" [zig 0.17]. */
-retrax_instruction_set retrax_best_instruction_set(void) {
-#if HAS_X86_SETS
-    const unsigned int ymm = 0x6, zmm = 0xe6; /* bits of XCR0 */
-    const unsigned int osxsave = 1u << 27, fma = 1u << 12, avx2 = 1u << 5;
-    const unsigned int avx512 = 1u << 16 | 1u << 17 | 1u << 31; /* F, DQ, VL */
-    unsigned int a, b, c, d;
-    if (__get_cpuid(1, &a, &b, &c, &d) && (c & osxsave) && (c & fma) && keeps_registers(ymm) &&
-        __get_cpuid_count(7, 0, &a, &b, &c, &d) && (b & avx2)) {
-        return (b & avx512) == avx512 && keeps_registers(zmm) ? RETRAX_AVX512 : RETRAX_AVX2;
-    }
-#endif
-    return RETRAX_PORTABLE;
-}
-
 void retrax_tape_run(const retrax_tape *tape, const retrax_tape_data *data, retrax_index first, retrax_index last,
                      double *registers, retrax_index lanes, retrax_instruction_set set) {
     for (retrax_index point = first; point < last; point += lanes) {
         const retrax_index count = last - point < lanes ? last - point : lanes;
         switch (set) {
-#if HAS_X86_SETS
+#if RETRAX_HAS_X86_SETS
             case RETRAX_AVX2:
                 run_avx2(tape, data, point, count, registers, lanes);
                 break;

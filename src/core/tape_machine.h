@@ -1,10 +1,6 @@
 /*
- * The machine of tapes, for one instruction set: tape.c includes this file once for each.
- *
- * The including file defines
- *   MACHINE            name of the function
- *   TARGET             attribute that selects the instruction set, or nothing
- *   FUSED(x, y, z)     x y + z, rounded once if the instruction set can do that
+ * The machine of tapes, for one instruction set: tape.c includes this file once for each, and names the function
+ * MACHINE. TARGET and FUSED are explained in instruction_sets.h.
  *
  * Loops over lanes are plain, and their length is a multiple of RETRAX_VECTOR that the compiler can derive: so it
  * turns each into vector instructions without a remainder. Lanes behind the last point hold arbitrary numbers.
@@ -13,7 +9,7 @@
 /* Pointer to the lanes of argument i. */
 #define LANES_OF(i) (registers + (retrax_index)r[i] * lanes)
 #define RESULT(expression)                        \
-    INDEPENDENT                                   \
+    RETRAX_INDEPENDENT                            \
     for (retrax_index j = 0; j < padded; j++) {   \
         o[j] = (expression);                      \
     }                                             \

@@ -2,7 +2,7 @@
 
 import ctypes
 import os
-from ctypes import POINTER, Structure, c_char_p, c_int, c_ssize_t, c_void_p
+from ctypes import POINTER, Structure, c_char_p, c_double, c_int, c_size_t, c_ssize_t, c_void_p
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, final
@@ -15,7 +15,7 @@ VERSION = 1  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 
-# Private: "tape" runs tapes on the core, while the machine that Numba compiles is still there.
+# Private: the parts that run on the core, "tape" and "elimination", while what Numba compiles is still there.
 PARTS_ON_CORE = frozenset(os.environ.get("RETRAX_CORE", "").split(","))
 
 
@@ -52,6 +52,52 @@ class TapeDataStruct(Structure):
     )
 
 
+@final
+class InertiaStruct(Structure):
+    """``retrax_inertia``."""
+
+    _fields_ = (("negative", c_ssize_t), ("smallest", c_double))
+
+
+@final
+class BlockSystemStruct(Structure):
+    """``retrax_block_system``."""
+
+    _fields_ = (
+        ("stages", c_ssize_t),
+        ("node_size", c_ssize_t),
+        ("stage_size", c_ssize_t),
+        ("columns", c_ssize_t),
+        ("hessian", c_void_p),
+        ("left", c_void_p),
+        ("right", c_void_p),
+        ("slope", c_void_p),
+        ("defect", c_void_p),
+        ("fixed_start", c_void_p),
+        ("fixed_end", c_void_p),
+        ("stage_scale", c_void_p),
+        ("node_scale", c_void_p),
+        ("cost_scale", c_double),
+        ("regularisation", c_double),
+        ("regularised", c_void_p),
+    )
+
+
+@final
+class BlockSolutionStruct(Structure):
+    """``retrax_block_solution``."""
+
+    _fields_ = (
+        ("step", c_void_p),
+        ("multipliers", c_void_p),
+        ("finite", c_void_p),
+        ("largest_step", c_void_p),
+        ("inertia", InertiaStruct),
+        ("curvature", c_double),
+        ("size", c_double),
+    )
+
+
 # Result and arguments of the functions.
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_core_version": (c_int, []),
@@ -64,6 +110,14 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_tape_run": (
         None,
         [POINTER(TapeStruct), POINTER(TapeDataStruct), c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
+    ),
+    "retrax_lu_factorise": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
+    "retrax_lu_solve": (None, [c_ssize_t, c_void_p, c_void_p, c_ssize_t, c_void_p]),
+    "retrax_lu_solve_transposed": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
+    "retrax_block_workspace": (c_size_t, [c_ssize_t] * 4),
+    "retrax_block_eliminate": (
+        None,
+        [POINTER(BlockSystemStruct), POINTER(BlockSolutionStruct), c_void_p, c_int],
     ),
 }
 
