@@ -18,11 +18,13 @@
 /* Arrays of an elimination. Rows of a front: d from 0, c_k from z, c_{k+1} from z + n, right-hand sides from z + 2 n. */
 typedef struct {
     const retrax_block_system *system;
-    retrax_instruction_set set;
+    const retrax_kernels *kernels;
     retrax_index n, z, rows, width; /* rows = z + 2 n, width = retrax_width(rows + columns) */
     double weight;
     retrax_front front;
+    double *column_sizes;  /* [2][width] largest entries of columns among the unknowns, and among the equations */
     double *inverse_nodes; /* [n] inverse natural sizes of defects */
+    double *defects;       /* [n][columns] of the node before a stage, in units */
     double *weighted;      /* [2 n][width] weight times rows of -L_k and R_k in units, so that products subtract */
     double *row_scales;    /* [N][width] second scaling of each front */
     double *divided;       /* [N (z + n) + n][width] factors of all stages */
@@ -44,11 +46,13 @@ static void lay_out(elimination *own, retrax_block *block, retrax_index stages, 
     own->front.columns = columns;
     own->front.width = width;
     own->front.matrix = retrax_take(block, rows, width, sizeof(double));
+    own->front.left = retrax_take(block, 1, width, sizeof(double));
     own->front.sizes = retrax_take(block, 1, width, sizeof(double));
     own->front.kept = retrax_take(block, rows, width, sizeof(double));
     own->front.known = retrax_take(block, rows, 1, sizeof(retrax_index));
-    own->front.taken = retrax_take(block, rows, 1, 1);
+    own->column_sizes = retrax_take(block, 2, width, sizeof(double));
     own->inverse_nodes = retrax_take(block, n, 1, sizeof(double));
+    own->defects = retrax_take(block, n, columns, sizeof(double));
     own->weighted = retrax_take(block, 2 * n, width, sizeof(double));
     own->row_scales = retrax_take(block, stages, width, sizeof(double));
     own->divided = retrax_take(block, pivots, width, sizeof(double));
@@ -113,7 +117,9 @@ static void write_nodes(elimination *own, retrax_index k) {
         memset(row, 0, sizeof(double) * (size_t)own->width);
         memcpy(row + z, next + last, sizeof(double) * (size_t)n);
         for (retrax_index j = 0; j < s->columns; j++) {
-            row[rows + j] = next[rows + j] - scaled_defect(own, k, a, j);
+            const double defect = scaled_defect(own, k, a, j);
+            own->defects[a * s->columns + j] = defect;
+            row[rows + j] = next[rows + j] - defect;
         }
         memset(next, 0, sizeof(double) * (size_t)own->width);
         for (retrax_index j = 0; j < z; j++) {
@@ -137,7 +143,7 @@ static void write_stage(elimination *own, retrax_index k) {
         }
         memset(row + z, 0, sizeof(double) * (size_t)(width - z));
     }
-    retrax_subtract_products(own->set, z, retrax_width(z), 2 * n, own->front.matrix, width, own->weighted, width,
+    own->kernels->subtract_products(z, retrax_width(z), 2 * n, own->front.matrix, width, own->weighted, width,
                              row_of(own, z), width);
     for (retrax_index i = 0; i < z; i++) {
         double *const row = row_of(own, i);
@@ -148,7 +154,7 @@ static void write_stage(elimination *own, retrax_index k) {
         for (retrax_index j = 0; j < columns; j++) {
             double sum = 0.0;
             for (retrax_index a = 0; a < n; a++) {
-                sum += scaled_defect(own, k, a, j) * own->weighted[a * width + i];
+                sum += own->defects[a * columns + j] * own->weighted[a * width + i];
             }
             row[rows + j] = sum - s->slope[(k * z + i) * columns + j] * (s->stage_scale[i] / s->cost_scale);
         }
@@ -168,40 +174,32 @@ static void close_front(elimination *own) {
     }
 }
 
-/* Scales the first `pivots` rows and columns of a front to one size: unknowns by their largest entries among the
- * unknowns, equations then by the unknowns in their sizes, so that weights in the Hessian do not make equations small. */
+/* Scales the first `pivots` rows and columns of a front to one size: unknowns by their largest entries, equations by
+ * the unknowns in their sizes, so that weights in the Hessian do not make equations small. */
 static void scale_front(elimination *own, retrax_index pivots, double *scales) {
-    const retrax_index z = own->z;
-    for (retrax_index j = 0; j < own->width; j++) {
-        scales[j] = 1.0;
+    const retrax_index z = own->z, width = own->width;
+    double *const of_unknowns = own->column_sizes, *const of_equations = own->column_sizes + width;
+    memset(of_unknowns, 0, sizeof(double) * (size_t)(2 * width));
+    for (retrax_index i = 0; i < pivots; i++) {
+        own->kernels->raise(width, i < z ? of_unknowns : of_equations, 1.0, row_of(own, i));
     }
     for (retrax_index j = 0; j < z; j++) {
-        double most = 0.0;
-        for (retrax_index i = 0; i < pivots; i++) {
-            const double size = fabs(row_of(own, j)[i]); /* of column j: the matrix is symmetric */
-            most = size > most ? size : most;
-        }
+        const double most = of_unknowns[j] > of_equations[j] ? of_unknowns[j] : of_equations[j];
         scales[j] = most > 0.0 ? 1.0 / sqrt(most) : 1.0;
     }
+    memset(of_unknowns, 0, sizeof(double) * (size_t)width);
+    for (retrax_index i = 0; i < z; i++) {
+        own->kernels->raise(width, of_unknowns, scales[i], row_of(own, i));
+    }
     for (retrax_index j = z; j < pivots; j++) {
-        const double *const row = row_of(own, j);
-        double of_unknowns = 0.0, of_equations = 0.0;
-        for (retrax_index i = 0; i < z; i++) {
-            const double size = scales[i] * fabs(row[i]);
-            of_unknowns = size > of_unknowns ? size : of_unknowns;
-        }
-        for (retrax_index i = z; i < pivots; i++) {
-            const double size = fabs(row[i]);
-            of_equations = size > of_equations ? size : of_equations;
-        }
-        const double root = sqrt(of_equations), most = of_unknowns > root ? of_unknowns : root;
+        const double root = sqrt(of_equations[j]), most = of_unknowns[j] > root ? of_unknowns[j] : root;
         scales[j] = most > 0.0 ? 1.0 / most : 1.0;
     }
+    for (retrax_index j = pivots; j < width; j++) {
+        scales[j] = 1.0;
+    }
     for (retrax_index i = 0; i < own->rows; i++) {
-        double *const row = row_of(own, i);
-        for (retrax_index j = 0; j < own->width; j++) {
-            row[j] *= scales[i] * scales[j];
-        }
+        own->kernels->scale_by(width, row_of(own, i), scales[i], scales);
     }
 }
 
@@ -234,7 +232,7 @@ static retrax_inertia eliminate_forward(elimination *own) {
         scale_front(own, count, own->row_scales + k * own->width);
         retrax_pivots found = pivots_of(own, k);
         const retrax_inertia stage =
-            retrax_front_factorise(own->set, &own->front, count, found.order - like, like, &found);
+            retrax_front_factorise(own->kernels, &own->front, count, found.order - like, like, &found);
         inertia.negative += stage.negative;
         if (stage.smallest < inertia.smallest || stage.smallest != stage.smallest) {
             inertia.smallest = stage.smallest;
@@ -333,7 +331,7 @@ void retrax_block_eliminate(const retrax_block_system *system, retrax_block_solu
     retrax_block block = {workspace, 0};
     lay_out(&own, &block, system->stages, system->node_size, system->stage_size, system->columns);
     own.system = system;
-    own.set = set;
+    own.kernels = retrax_kernels_for(set);
     own.weight = WEIGHT * (double)system->stages;
     for (retrax_index a = 0; a < own.n; a++) {
         own.inverse_nodes[a] = 1.0 / system->node_scale[a];

@@ -1,8 +1,6 @@
 /* Dense linear algebra: LU with scaled partial pivoting, and symmetric indefinite fronts. */
 #include "dense.h"
 
-#include "instruction_sets.h"
-
 #include <math.h>
 #include <stdbool.h>
 #include <string.h>
@@ -14,50 +12,8 @@
  * size two is bounded as by two of size one, (1 + sqrt(17)) / 8 [Bunch, Kaufman, Math. Comp. 31, 1977]. */
 #define BUNCH_KAUFMAN 0.6403882032022076
 
-#define FUSED RETRAX_PORTABLE_FUSED
-#define KERNEL subtract_portable
-#define TARGET
-#include "dense_kernel.h"
-#undef FUSED
-#undef KERNEL
-#undef TARGET
-
-#if RETRAX_HAS_X86_SETS
-#define FUSED __builtin_fma
-#define KERNEL subtract_avx2
-#define TARGET RETRAX_TARGET_AVX2
-#include "dense_kernel.h"
-#undef KERNEL
-#undef TARGET
-
-#define KERNEL subtract_avx512
-#define TARGET RETRAX_TARGET_AVX512
-#include "dense_kernel.h"
-#undef KERNEL
-#undef TARGET
-#undef FUSED
-#endif
-
 retrax_index retrax_width(retrax_index columns) {
     return (columns + RETRAX_VECTOR - 1) & -(retrax_index)RETRAX_VECTOR;
-}
-
-void retrax_subtract_products(retrax_instruction_set set, retrax_index rows, retrax_index columns, retrax_index terms,
-                              double *y, retrax_index y_width, const double *f, retrax_index f_width, const double *x,
-                              retrax_index x_width) {
-    switch (set) {
-#if RETRAX_HAS_X86_SETS
-        case RETRAX_AVX2:
-            subtract_avx2(rows, columns, terms, y, y_width, f, f_width, x, x_width);
-            break;
-        case RETRAX_AVX512:
-            subtract_avx512(rows, columns, terms, y, y_width, f, f_width, x, x_width);
-            break;
-#endif
-        default:
-            subtract_portable(rows, columns, terms, y, y_width, f, f_width, x, x_width);
-            break;
-    }
 }
 
 /* ---------------------------------------------------------------------------------------------------- LU */
@@ -160,12 +116,13 @@ void retrax_lu_solve_transposed(retrax_index n, const double *a, const retrax_in
 
 /* A search for the next pivot: the front, how many pivots it has by now, and the first row that is left. */
 typedef struct {
-    retrax_instruction_set set;
+    const retrax_kernels *kernels;
     retrax_front *front;
     retrax_pivots *found;
     retrax_index pivots; /* rows to eliminate */
     retrax_index count;  /* rows that are eliminated */
-    retrax_index first;
+    retrax_index first;  /* first row that is left */
+    retrax_index begin;  /* the same, down to a whole vector: what stands before it in a row is of no use */
 } search;
 
 static double *row_of(const retrax_front *front, retrax_index i) { return front->matrix + i * front->width; }
@@ -174,18 +131,16 @@ static double *row_of(const retrax_front *front, retrax_index i) { return front-
  * among the rows that are left. Sizes of all entries, 0 where no pivot can be, are in front->sizes. */
 static double update_row(const search *own, retrax_index r) {
     retrax_front *const front = own->front;
-    const retrax_index width = front->width, known = front->known[r];
-    const retrax_index begin = own->first & -(retrax_index)RETRAX_VECTOR;
+    const retrax_index width = front->width, known = front->known[r], begin = own->begin;
     double *const row = row_of(front, r);
-    retrax_subtract_products(own->set, 1, width - begin, own->count - known, row + begin, width,
-                             own->found->divided + known * width + r, width, front->kept + known * width + begin, width);
+    own->kernels->subtract_products(1, width - begin, own->count - known, row + begin, width,
+                                    own->found->divided + known * width + r, width, front->kept + known * width + begin,
+                                    width);
     front->known[r] = own->count;
-    double largest = 0.0;
-    for (retrax_index j = own->first; j < own->pivots; j++) {
-        const double size = front->taken[j] || j == r ? 0.0 : fabs(row[j]);
-        front->sizes[j] = size;
-        largest = size > largest ? size : largest;
-    }
+    front->left[r] = 0.0;
+    const double largest = own->kernels->masked_sizes(retrax_width(own->pivots) - begin, front->sizes + begin,
+                                                      front->left + begin, row + begin);
+    front->left[r] = 1.0;
     return largest;
 }
 
@@ -224,38 +179,36 @@ static void choose_pivot(const search *own, retrax_index *i, retrax_index *r) {
 }
 
 /* Keeps row i as it is and divided by its pivot. */
-static void keep_one(const search *own, retrax_index i) {
-    const retrax_index width = own->front->width, begin = own->first & -(retrax_index)RETRAX_VECTOR;
-    const double *const x = row_of(own->front, i);
+static void keep_one(search *own, retrax_index i) {
+    const retrax_index width = own->front->width, begin = own->begin, columns = width - begin;
+    const double *const x = row_of(own->front, i) + begin;
     double *const kept = own->front->kept + own->count * width, *const divided = own->found->divided + own->count * width;
-    const double inverse = 1.0 / x[i];
-    for (retrax_index j = begin; j < width; j++) {
-        kept[j] = x[j];
-        divided[j] = inverse * x[j];
-    }
+    memcpy(kept + begin, x, sizeof(double) * (size_t)columns);
+    own->kernels->scale(columns, divided + begin, 1.0 / x[i - begin], x);
     own->found->order[own->count] = i;
-    own->front->taken[i] = 1;
+    own->front->left[i] = 0.0;
+    own->count += 1;
 }
 
 /* Keeps rows i and r as they are and divided by their pivot of size two, whose inverse is formed relative to the entry
  * beside the diagonal, the largest. */
-static void keep_two(const search *own, retrax_index i, retrax_index r) {
-    const retrax_index width = own->front->width, begin = own->first & -(retrax_index)RETRAX_VECTOR;
-    const double *const x = row_of(own->front, i), *const y = row_of(own->front, r);
+static void keep_two(search *own, retrax_index i, retrax_index r) {
+    const retrax_index width = own->front->width, begin = own->begin, columns = width - begin;
+    const double *const x = row_of(own->front, i) + begin, *const y = row_of(own->front, r) + begin;
     double *const kept = own->front->kept + own->count * width, *const divided = own->found->divided + own->count * width;
-    const double inverse = 1.0 / x[r], a = x[i] * inverse, c = y[r] * inverse, both = inverse / (a * c - 1.0);
-    for (retrax_index j = begin; j < width; j++) {
-        kept[j] = x[j];
-        kept[width + j] = y[j];
-        divided[j] = both * (c * x[j] - y[j]);
-        divided[width + j] = both * (a * y[j] - x[j]);
-    }
+    const double inverse = 1.0 / x[r - begin], a = x[i - begin] * inverse, c = y[r - begin] * inverse;
+    const double both = inverse / (a * c - 1.0);
+    memcpy(kept + begin, x, sizeof(double) * (size_t)columns);
+    memcpy(kept + width + begin, y, sizeof(double) * (size_t)columns);
+    own->kernels->combine(columns, divided + begin, both * c, x, -both, y);
+    own->kernels->combine(columns, divided + width + begin, both * a, y, -both, x);
     divided[r] = 0.0;
     divided[width + i] = 0.0;
     own->found->order[own->count] = i;
     own->found->order[own->count + 1] = r;
-    own->front->taken[i] = 1;
-    own->front->taken[r] = 1;
+    own->front->left[i] = 0.0;
+    own->front->left[r] = 0.0;
+    own->count += 2;
 }
 
 /* Size of the smaller eigenvalue of [a b; b c], without cancellation. */
@@ -264,17 +217,20 @@ static double smaller_eigenvalue(double a, double b, double c) {
     return fabs(a * (c / larger) - b * (b / larger));
 }
 
-retrax_inertia retrax_front_factorise(retrax_instruction_set set, retrax_front *front, retrax_index pivots,
+retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_front *front, retrax_index pivots,
                                       const retrax_index *guess, retrax_index guesses, retrax_pivots *found) {
-    search own = {set, front, found, pivots, 0, 0};
+    search own = {kernels, front, found, pivots, 0, 0, 0};
     retrax_inertia inertia = {0, INFINITY};
+    for (retrax_index j = 0; j < front->width; j++) {
+        front->left[j] = j < pivots ? 1.0 : 0.0;
+    }
     memset(front->known, 0, sizeof *front->known * (size_t)front->rows);
-    memset(front->taken, 0, (size_t)front->rows);
     while (own.count < pivots) {
-        while (front->taken[own.first]) {
+        while (front->left[own.first] == 0.0) {
             own.first++;
         }
-        const bool guessed = own.count < guesses && guess[own.count] < pivots && !front->taken[guess[own.count]];
+        own.begin = own.first & -(retrax_index)RETRAX_VECTOR;
+        const bool guessed = own.count < guesses && front->left[guess[own.count]] != 0.0;
         retrax_index i = guessed ? guess[own.count] : own.first, r;
         choose_pivot(&own, &i, &r);
         const double a = row_of(front, i)[i], b = row_of(front, i)[r], c = row_of(front, r)[r];
@@ -288,12 +244,11 @@ retrax_inertia retrax_front_factorise(retrax_instruction_set set, retrax_front *
         } else {
             keep_two(&own, i, r);
         }
-        own.count += i == r ? 1 : 2;
     }
     const retrax_index begin = pivots & -(retrax_index)RETRAX_VECTOR;
-    retrax_subtract_products(set, front->rows - pivots, front->width - begin, pivots,
-                             front->matrix + pivots * front->width + begin, front->width, found->divided + pivots,
-                             front->width, front->kept + begin, front->width);
+    kernels->subtract_products(front->rows - pivots, front->width - begin, pivots,
+                               front->matrix + pivots * front->width + begin, front->width, found->divided + pivots,
+                               front->width, front->kept + begin, front->width);
     return inertia;
 }
 

@@ -7,16 +7,10 @@
 #ifndef RETRAX_DENSE_H
 #define RETRAX_DENSE_H
 
-#include "retrax_core.h"
+#include "kernels.h"
 
 /* Returns the width of rows with so many columns: the next multiple of RETRAX_VECTOR. */
 retrax_index retrax_width(retrax_index columns);
-
-/* Computes y[i][j] -= sum_s f[s][i] x[s][j], i < rows, s < terms, and j < columns, a multiple of RETRAX_VECTOR. Rows of
- * y, f and x are y_width, f_width and x_width numbers apart; y shares no number with f or x. */
-void retrax_subtract_products(retrax_instruction_set set, retrax_index rows, retrax_index columns, retrax_index terms,
-                              double *y, retrax_index y_width, const double *f, retrax_index f_width, const double *x,
-                              retrax_index x_width);
 
 /*
  * A front: a symmetric matrix in rows 0 to rows - 1, of which the first `pivots` are eliminated and the others, the
@@ -27,10 +21,10 @@ typedef struct {
     retrax_index columns; /* right-hand sides, in the columns from `rows` on */
     retrax_index width;   /* retrax_width(rows + columns) */
     double *matrix;       /* [rows][width] */
+    double *left;         /* [width] workspace: 1 in the columns of rows that may become pivots, else 0 */
     double *sizes;        /* [width] workspace: sizes of a row's entries */
     double *kept;         /* [rows][width] workspace: rows of the pivots */
     retrax_index *known;  /* [rows] workspace: number of pivots that have been subtracted from a row */
-    unsigned char *taken; /* [rows] workspace: whether a row is a pivot, or in the border */
 } retrax_front;
 
 /* Factors of the rows that were eliminated from a front: the pivot rows divided by their pivots. */
@@ -45,7 +39,7 @@ typedef struct {
  * Each pivot is chosen such that its entry is about the largest in both its rows (bounded Bunch-Kaufman pivoting), which
  * bounds the factors, so that the smallest pivot shows how close to singular the matrix is [Ashcraft, Grimes, Lewis,
  * Accurate symmetric indefinite linear equation solvers, SIAM J. Matrix Anal. Appl. 20, 1998]. */
-retrax_inertia retrax_front_factorise(retrax_instruction_set set, retrax_front *front, retrax_index pivots,
+retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_front *front, retrax_index pivots,
                                       const retrax_index *guess, retrax_index guesses, retrax_pivots *found);
 
 /* Solves for the first `pivots` unknowns of one right-hand side, number `column`.
