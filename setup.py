@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
@@ -16,7 +17,7 @@ FLAGS = ["/O2", "/fp:precise"] if sys.platform == "win32" else [
 class BuildCore(build_ext):
     """Builds a library that Python opens through ctypes and never imports."""
 
-    def get_export_symbols(self, ext: Extension) -> list[str]:
+    def get_export_symbols(self, ext: Any) -> list[str]:
         """Return none: the header marks what the library exports."""
         return []
 

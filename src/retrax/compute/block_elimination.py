@@ -7,7 +7,7 @@ import numpy as np
 
 from ..aligned import scratch
 from ..errors import InvalidInputError
-from .core import BlockSolutionStruct, BlockSystemStruct, address_of, best_instruction_set, library
+from .core import FLOAT, BlockSolutionStruct, BlockSystemStruct, address_of, best_instruction_set, library
 
 NUMBER = 8  # bytes
 
@@ -60,7 +60,7 @@ def solve_blocks(
     shapes = (count, z, z), (count, n, z), (count, n, z), (count, z, columns), (count + 1, n, columns)
     vectors = (n,), (n,), (z,), (n,), (z,)
     *addresses, regularised = (
-        address_of(array, np.float64, shape, f"{name} of a linear system")
+        address_of(array, FLOAT, shape, f"{name} of a linear system")
         for array, shape, name in zip(arrays, (*shapes, *vectors), BlockArrays._fields, strict=True)
     )
     system = BlockSystemStruct(count, n, z, columns, *addresses, cost_scale, regularisation, regularised)

@@ -8,7 +8,11 @@ import numpy as np
 from ..aligned import scratch
 from ..errors import InvalidInputError
 from .core import (
+    CODE,
+    FLOAT,
     OPERANDS,
+    PLACE,
+    REGISTER,
     TapeDataStruct,
     TapeStruct,
     address_of,
@@ -46,9 +50,9 @@ class MachineProgram:
             registers,
             inputs,
             outputs,
-            address_of(codes, np.uint8, (count,), "codes of a program"),
-            address_of(operands, np.uint32, (count, OPERANDS), "operands of a program"),
-            address_of(values, np.float64, (count,), "values of a program"),
+            address_of(codes, CODE, (count,), "codes of a program"),
+            address_of(operands, REGISTER, (count, OPERANDS), "operands of a program"),
+            address_of(values, FLOAT, (count,), "values of a program"),
         )
         if instruction_set is not None and not 0 <= instruction_set <= best_instruction_set():
             raise InvalidInputError(
@@ -69,12 +73,12 @@ class MachineProgram:
         """
         inputs, sources, outputs, targets = ends
         data = TapeDataStruct(
-            address_of(inputs, np.float64, (inputs.size,), "inputs of a program"),
+            address_of(inputs, FLOAT, (inputs.size,), "inputs of a program"),
             inputs.size,
-            address_of(sources, np.intp, (self._tape.inputs, 2), "places of inputs"),
-            address_of(outputs, np.float64, (outputs.size,), "outputs of a program"),
+            address_of(sources, PLACE, (self._tape.inputs, 2), "places of inputs"),
+            address_of(outputs, FLOAT, (outputs.size,), "outputs of a program"),
             outputs.size,
-            address_of(targets, np.intp, (self._tape.outputs, 2), "places of outputs"),
+            address_of(targets, PLACE, (self._tape.outputs, 2), "places of outputs"),
         )
         lanes = self.lanes(len(points)) if lanes is None else lanes
         first, last = points.start, points.stop
@@ -82,4 +86,12 @@ class MachineProgram:
         require_ok(status, f"a program at points {first} to {last}, {lanes} at once")
         (registers,) = scratch(((self._tape.registers, lanes),))
         own = best_instruction_set() if self._set is None else self._set
-        self._library.retrax_tape_run(byref(self._tape), byref(data), first, last, registers.ctypes.data, lanes, own)
+        self._library.retrax_tape_run(
+            byref(self._tape),
+            byref(data),
+            first,
+            last,
+            address_of(registers, FLOAT, registers.shape, "registers"),
+            lanes,
+            own,
+        )
