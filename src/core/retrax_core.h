@@ -10,6 +10,7 @@
  *   2. Tapes: functions of a point as lists of scalar instructions, evaluated at many points
  *   3. Dense linear algebra for small matrices
  *   4. Block elimination: the linear system of a Newton step along a trajectory
+ *   5. Condensing: the inner unknowns of collocation steps
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
@@ -231,6 +232,76 @@ RETRAX_API size_t retrax_block_workspace(retrax_index stages, retrax_index node_
 /* Solves a system. workspace: as many bytes as retrax_block_workspace says, aligned to 64 bytes, of any content. */
 RETRAX_API void retrax_block_eliminate(const retrax_block_system *system, retrax_block_solution *solution,
                                        void *workspace, retrax_instruction_set set);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 5. Condensing: the inner unknowns of collocation steps
+ *
+ * A step of a collocation method with s points has the unknowns x (n numbers, its first state in a chart), at each
+ * point nu_i (n, velocities in the chart) and u_i (m, controls), and the equations d_i = 0 (n) with multipliers
+ * lambda_i. With the step size h, the tableau's matrix A and weights b, the points lie at
+ *
+ *     xi_i = h sum_j A_ij nu_j          and the step's end at          eta = h sum_j b_j nu_j.
+ *
+ * Newton's equations of the points determine dnu = M w + nu_0 as functions of what is left, w = (dx, du), z = n + s m
+ * numbers. Put into the others they leave a system for block elimination: with T w + t = (dx, dxi, dnu, du) at a point,
+ * or (dx, deta) at the ends, the Hessian is the sum of T' H T, the slope of T' (g + H t), and the Jacobians of the node
+ * equations are L T and R T. The inertia of the whole matrix is that of the smaller one, with s n more
+ * positive and negative eigenvalues for each step.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Newton's equations of N steps; q = 3 n + m. All arrays belong to the caller and are only read. */
+typedef struct {
+    retrax_index steps;        /* N >= 1 */
+    retrax_index points;       /* s >= 1 of a step */
+    retrax_index state_size;   /* n >= 1 */
+    retrax_index control_size; /* m >= 0, at each point */
+    retrax_index columns;      /* right-hand sides, at least 1 */
+    const double *step_size;   /* [N]: h */
+    const double *matrix;      /* [s][s]: A */
+    const double *weights;     /* [s]: b */
+    const double *hessian;     /* [N][s][q][q] of the Lagrangian at a point in (dx, dxi, dnu, du), symmetric */
+    const double *jacobian;    /* [N][s][n][q] of d_i */
+    const double *slope;       /* [N][s][q][columns]: g */
+    const double *defect;      /* [N][s][n][columns]: d_i */
+    const double *end_hessian; /* [N][2 n][2 n] in (dx, deta), symmetric */
+    const double *end_left;    /* [N][n][2 n] of the equations of the node before a step */
+    const double *end_right;   /* [N][n][2 n] of the equations of the node behind it */
+    const double *end_slope;   /* [N][2 n][columns] */
+} retrax_collocation_system;
+
+/* What condensing leaves, and what it keeps to expand solutions; p = s n. All arrays belong to the caller. Where the
+ * equations of a step do not determine its velocities, numbers of the step are not finite. */
+typedef struct {
+    double *hessian;     /* [N][z][z], both triangles */
+    double *left;        /* [N][n][z] */
+    double *right;       /* [N][n][z] */
+    double *slope;       /* [N][z][columns] */
+    double *before;      /* [N][n][columns]: what nu_0 adds to the defect of the node before a step */
+    double *after;       /* [N][n][columns]: what it takes from the defect of the node behind it */
+    double *factors;     /* [N][p][p]: LU of the derivatives of all d_i by all nu_j */
+    retrax_index *swaps; /* [N][p] */
+    double *velocities;  /* [N][p][z + columns]: M, then nu_0 */
+} retrax_condensed_system;
+
+/* Returns the bytes of workspace for steps of these sizes; 0 if a size is too small or too large. */
+RETRAX_API size_t retrax_condensing_workspace(retrax_index points, retrax_index state_size, retrax_index control_size,
+                                              retrax_index columns);
+
+/* Condenses the steps first, ..., last - 1. workspace: as retrax_condensing_workspace says, aligned to 64 bytes. */
+RETRAX_API void retrax_condense(const retrax_collocation_system *system, retrax_condensed_system *condensed,
+                                retrax_index first, retrax_index last, void *workspace, retrax_instruction_set set);
+
+/* Computes velocities and multipliers of the points of the steps first, ..., last - 1 from a solution of the condensed
+ * system: step [N][z][columns] and multipliers [N + 1][n][columns] give velocities and lambdas, [N][s][n][columns]. */
+RETRAX_API void retrax_expand(const retrax_collocation_system *system, const retrax_condensed_system *condensed,
+                              retrax_index first, retrax_index last, const double *step, const double *multipliers,
+                              double *velocities, double *lambdas, void *workspace);
+
+/* Computes derivatives of a function of the points and ends of N steps by the velocities, inner [N][p], and by what is
+ * left, outer [N][z], along the condensed equations. slope: [N][s][q]; end_slope: [N][2 n], NULL if it is zero. */
+RETRAX_API void retrax_condense_slope(const retrax_collocation_system *system,
+                                      const retrax_condensed_system *condensed, const double *slope,
+                                      const double *end_slope, double *inner, double *outer);
 
 #ifdef __cplusplus
 }

@@ -1,6 +1,6 @@
 /*
- * Solves random linear systems of trajectories and LU systems in arrays of exactly their size: for the sanitizers and
- * valgrind.
+ * Solves random linear systems of trajectories and LU systems, and condenses steps, in arrays of exactly their size: for
+ * the sanitizers and valgrind.
  *
  * usage: fuzz_blocks COUNT SEED
  *
@@ -199,6 +199,70 @@ static int try_lu(generator *g) {
     return broken;
 }
 
+/* Condenses and expands steps; returns 0, or the number of a rule that is broken. */
+static int try_condensing(generator *g) {
+    const retrax_index steps = 1 + below(g, 3), s = 1 + below(g, 3), n = 1 + below(g, 4), m = below(g, 4);
+    const retrax_index columns = 1 + below(g, 2), q = 3 * n + m, p = s * n, z = n + s * m;
+    double *given[] = {
+        numbers(g, steps),
+        numbers(g, s * s),
+        numbers(g, s),
+        numbers(g, steps * s * q * q),
+        numbers(g, steps * s * n * q),
+        numbers(g, steps * s * q * columns),
+        numbers(g, steps * s * n * columns),
+        numbers(g, steps * 4 * n * n),
+        numbers(g, steps * 2 * n * n),
+        numbers(g, steps * 2 * n * n),
+        numbers(g, steps * 2 * n * columns),
+    };
+    double *found[] = {
+        numbers(g, steps * z * z),       numbers(g, steps * n * z),       numbers(g, steps * n * z),
+        numbers(g, steps * z * columns), numbers(g, steps * n * columns), numbers(g, steps * n * columns),
+        numbers(g, steps * p * p),       numbers(g, steps * p * (z + columns)),
+    };
+    retrax_index *const swaps = allocate(sizeof(retrax_index) * (size_t)(steps * p));
+    for (retrax_index k = 0; k < steps * p; k++) {
+        swaps[k] = 0;
+    }
+    const retrax_collocation_system system = {steps,    s,        n,        m,        columns,  given[0], given[1], given[2],
+                                              given[3], given[4], given[5], given[6], given[7], given[8], given[9], given[10]};
+    retrax_condensed_system condensed = {found[0], found[1], found[2], found[3], found[4],
+                                         found[5], found[6], swaps,    found[7]};
+    double *const step = numbers(g, steps * z * columns), *const multipliers = numbers(g, (steps + 1) * n * columns);
+    double *const velocities = numbers(g, steps * p * columns), *const lambdas = numbers(g, steps * p * columns);
+    double *const slope = numbers(g, steps * s * q), *const end_slope = numbers(g, steps * 2 * n);
+    double *const inner = numbers(g, steps * p), *const outer = numbers(g, steps * z);
+    void *const workspace = allocate(retrax_condensing_workspace(s, n, m, columns));
+
+    for (int set = 0; set <= (int)retrax_best_instruction_set(); set++) {
+        retrax_condense(&system, &condensed, 0, steps, workspace, (retrax_instruction_set)set);
+    }
+    retrax_expand(&system, &condensed, 0, steps, step, multipliers, velocities, lambdas, workspace);
+    retrax_condense_slope(&system, &condensed, slope, below(g, 2) == 0 ? NULL : end_slope, inner, outer);
+    int broken = 0;
+    for (retrax_index k = 0; k < steps * p; k++) {
+        broken = swaps[k] < k % p || swaps[k] >= p ? 8 : broken;
+    }
+    for (size_t k = 0; k < sizeof given / sizeof *given; k++) {
+        free(given[k]);
+    }
+    for (size_t k = 0; k < sizeof found / sizeof *found; k++) {
+        free(found[k]);
+    }
+    free(swaps);
+    free(step);
+    free(multipliers);
+    free(velocities);
+    free(lambdas);
+    free(slope);
+    free(end_slope);
+    free(inner);
+    free(outer);
+    free(workspace);
+    return broken;
+}
+
 int main(int argc, char **argv) {
     if (argc != 3) {
         fprintf(stderr, "usage: fuzz_blocks COUNT SEED\n");
@@ -208,7 +272,7 @@ int main(int argc, char **argv) {
     generator g = {0x9E3779B97F4A7C15u ^ (uint64_t)atol(argv[2]), 0};
     for (long k = 0; k < count; k++) {
         g.hard = k % 2 == 0 ? 0 : (int)(2 + below(&g, 100));
-        const int broken = k % 4 < 2 ? try_blocks(&g) : try_lu(&g);
+        const int broken = k % 6 < 2 ? try_blocks(&g) : (k % 6 < 4 ? try_lu(&g) : try_condensing(&g));
         if (broken) {
             fprintf(stderr, "system %ld breaks rule %d\n", k, broken);
             return 1;

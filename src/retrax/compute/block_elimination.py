@@ -7,9 +7,7 @@ import numpy as np
 
 from ..aligned import scratch
 from ..errors import InvalidInputError
-from .core import FLOAT, BlockSolutionStruct, BlockSystemStruct, address_of, best_instruction_set, library
-
-NUMBER = 8  # bytes
+from .core import BYTES, FLOAT, BlockSolutionStruct, BlockSystemStruct, address_of, best_instruction_set, library
 
 
 @final
@@ -70,10 +68,12 @@ def solve_blocks(
     size = own.retrax_block_workspace(count, n, z, columns)
     if not size:
         raise InvalidInputError(f"a linear system of {count} stages of {z} unknowns is larger than memory")
-    (workspace,) = scratch(((size // NUMBER,),))
+    (workspace,) = scratch(((size // BYTES,),))
     solution = BlockSolutionStruct(*(a.ctypes.data for a in (step, multipliers, finite, largest)))
     chosen = best_instruction_set() if instruction_set is None else instruction_set
-    own.retrax_block_eliminate(byref(system), byref(solution), workspace.ctypes.data, chosen)
+    own.retrax_block_eliminate(
+        byref(system), byref(solution), address_of(workspace, FLOAT, workspace.shape, "workspace"), chosen
+    )
     inertia = solution.inertia
     return BlockResult(
         step, multipliers, finite, largest, inertia.negative, inertia.smallest, solution.curvature, solution.size

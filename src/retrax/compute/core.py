@@ -16,8 +16,9 @@ FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.
 VERSION = 1  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
+BYTES = 8  # of a number
 
-# Private: the parts that run on the core, "tape" and "elimination", while what Numba compiles is still there.
+# Private: parts that run on the core ("tape", "elimination", "condensing") while what Numba compiles is still there.
 PARTS_ON_CORE = frozenset(os.environ.get("RETRAX_CORE", "").split(","))
 
 
@@ -100,6 +101,49 @@ class BlockSolutionStruct(Structure):
     )
 
 
+@final
+class CollocationSystemStruct(Structure):
+    """``retrax_collocation_system``."""
+
+    _fields_ = (
+        ("steps", c_ssize_t),
+        ("points", c_ssize_t),
+        ("state_size", c_ssize_t),
+        ("control_size", c_ssize_t),
+        ("columns", c_ssize_t),
+        ("step_size", c_void_p),
+        ("matrix", c_void_p),
+        ("weights", c_void_p),
+        ("hessian", c_void_p),
+        ("jacobian", c_void_p),
+        ("slope", c_void_p),
+        ("defect", c_void_p),
+        ("end_hessian", c_void_p),
+        ("end_left", c_void_p),
+        ("end_right", c_void_p),
+        ("end_slope", c_void_p),
+    )
+
+
+@final
+class CondensedSystemStruct(Structure):
+    """``retrax_condensed_system``."""
+
+    _fields_ = (
+        ("hessian", c_void_p),
+        ("left", c_void_p),
+        ("right", c_void_p),
+        ("slope", c_void_p),
+        ("before", c_void_p),
+        ("after", c_void_p),
+        ("factors", c_void_p),
+        ("swaps", c_void_p),
+        ("velocities", c_void_p),
+    )
+
+
+_CONDENSED = [POINTER(CollocationSystemStruct), POINTER(CondensedSystemStruct)]
+
 # Result and arguments of the functions.
 _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_core_version": (c_int, []),
@@ -121,6 +165,10 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         None,
         [POINTER(BlockSystemStruct), POINTER(BlockSolutionStruct), c_void_p, c_int],
     ),
+    "retrax_condensing_workspace": (c_size_t, [c_ssize_t] * 4),
+    "retrax_condense": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, c_void_p, c_int]),
+    "retrax_expand": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, *[c_void_p] * 5]),
+    "retrax_condense_slope": (None, [*_CONDENSED, *[c_void_p] * 4]),
 }
 
 
