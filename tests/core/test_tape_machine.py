@@ -143,6 +143,29 @@ def test_a_part_of_the_points_and_places_in_any_order():
     assert (found[:, [*range(5), *range(18, 23)]] == 7.0).all()
 
 
+def test_four_numbers_that_are_neighbours_at_the_first_point_alone():
+    """Their distances to the next point differ: they are not moved together."""
+    rng = np.random.default_rng(12)
+    program = next(
+        p for p in (random_program(rng) for _ in range(99)) if p.registers[0, 2] == p.registers[-p.outputs, 2] == 4
+    )
+    count = 12
+    x = rng.normal(size=(count, program.inputs))
+    expected = run(program, x)
+    for which in range(4):
+        ends = []
+        for numbers in (program.inputs, program.outputs):  # number i of point s is at i + s step_i, all apart
+            steps = np.full(numbers, 100)
+            steps[which] = 10_000
+            ends.append(np.stack([np.arange(numbers), steps], axis=1))
+        sources, targets = ends
+        points = np.arange(count)[:, None]
+        read, written = np.zeros(200_000), np.zeros(200_000)
+        read[sources[:, 0] + points * sources[:, 1]] = x
+        checked(program).run(range(count), (read, sources, written, targets))
+        assert_same_numbers(written[targets[:, 0] + points * targets[:, 1]], expected)
+
+
 def changed(program, k, code=None, register=None, value=None):
     """A program with another instruction k."""
     codes, registers, values = program.codes.copy(), program.registers.copy(), program.values.copy()
