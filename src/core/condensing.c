@@ -15,7 +15,8 @@
 /* Sizes and workspace of condensing one step. */
 typedef struct {
     const retrax_collocation_system *system;
-    const retrax_kernels *kernels;
+    retrax_instruction_set set;
+    const retrax_kernels *kernels; /* for that set */
     retrax_index s, n, m, q, p, z, columns; /* q = 3 n + m, p = s n, z = n + s m */
     retrax_index width;                     /* retrax_width(z + columns) */
     double *velocities; /* [p][width]: M, then nu_0 */
@@ -200,7 +201,7 @@ static void condense_step(condensing *own, retrax_condensed_system *to, retrax_i
     double *const factors = to->factors + k * p * p;
     write_equations(own, k, factors);
     retrax_lu_factorise(p, factors, to->swaps + k * p, own->scales);
-    retrax_lu_solve(p, factors, to->swaps + k * p, width, own->velocities);
+    retrax_lu_solve(p, factors, to->swaps + k * p, width, own->velocities, own->set);
     for (retrax_index i = 0; i < p; i++) {
         memcpy(to->velocities + (k * p + i) * kept, own->velocities + i * width, sizeof(double) * (size_t)kept);
     }
@@ -227,6 +228,7 @@ static void condense_step(condensing *own, retrax_condensed_system *to, retrax_i
 void retrax_condense(const retrax_collocation_system *system, retrax_condensed_system *condensed, retrax_index first,
                      retrax_index last, void *workspace, retrax_instruction_set set) {
     condensing own = open_workspace(system, workspace);
+    own.set = set;
     own.kernels = retrax_kernels_for(set);
     for (retrax_index k = first; k < last; k++) {
         condense_step(&own, condensed, k);

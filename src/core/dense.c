@@ -68,29 +68,22 @@ void retrax_lu_factorise(retrax_index n, double *a, retrax_index *swaps, double 
     }
 }
 
-void retrax_lu_solve(retrax_index n, const double *a, const retrax_index *swaps, retrax_index columns, double *b) {
+void retrax_lu_solve(retrax_index n, const double *a, const retrax_index *swaps, retrax_index width, double *b,
+                     retrax_instruction_set set) {
+    const retrax_kernels *const kernels = retrax_kernels_for(set);
     for (retrax_index k = 0; k < n; k++) {
         if (swaps[k] != k) {
-            swap_rows(columns, b + k * columns, b + swaps[k] * columns);
+            swap_rows(width, b + k * width, b + swaps[k] * width);
         }
     }
     for (retrax_index i = 1; i < n; i++) {
-        for (retrax_index k = 0; k < i; k++) {
-            const double factor = a[i * n + k];
-            for (retrax_index j = 0; factor != 0.0 && j < columns; j++) {
-                b[i * columns + j] -= factor * b[k * columns + j];
-            }
-        }
+        kernels->subtract_products(1, width, i, b + i * width, width, a + i * n, 1, b, width);
     }
     for (retrax_index i = n - 1; i >= 0; i--) {
-        for (retrax_index k = i + 1; k < n; k++) {
-            const double factor = a[i * n + k];
-            for (retrax_index j = 0; j < columns; j++) {
-                b[i * columns + j] -= factor * b[k * columns + j];
-            }
-        }
-        for (retrax_index j = 0; j < columns; j++) {
-            b[i * columns + j] /= a[i * n + i];
+        double *const row = b + i * width;
+        kernels->subtract_products(1, width, n - 1 - i, row, width, a + i * n + i + 1, 1, row + width, width);
+        for (retrax_index j = 0; j < width; j++) {
+            row[j] /= a[i * n + i];
         }
     }
 }

@@ -156,9 +156,9 @@ RETRAX_API void retrax_tape_run(const retrax_tape *tape, const retrax_tape_data 
  * workspace. A singular matrix has factors that are not finite. */
 RETRAX_API void retrax_lu_factorise(retrax_index n, double *a, retrax_index *swaps, double *weights);
 
-/* Solves a x = b in place with the factors of retrax_lu_factorise; b is [n][columns]. */
-RETRAX_API void retrax_lu_solve(retrax_index n, const double *a, const retrax_index *swaps, retrax_index columns,
-                                double *b);
+/* Solves a x = b in place with the factors of retrax_lu_factorise; b is [n][width], width a multiple of RETRAX_VECTOR. */
+RETRAX_API void retrax_lu_solve(retrax_index n, const double *a, const retrax_index *swaps, retrax_index width,
+                                double *b, retrax_instruction_set set);
 
 /* Solves a' x = b in place with the same factors; x is [n]. */
 RETRAX_API void retrax_lu_solve_transposed(retrax_index n, const double *a, const retrax_index *swaps, double *x);

@@ -163,7 +163,7 @@ static int try_blocks(generator *g) {
 
 /* Factorises and solves one matrix; returns 0, or the number of a rule that is broken. */
 static int try_lu(generator *g) {
-    const retrax_index n = 1 + below(g, 12), columns = 1 + below(g, 4);
+    const retrax_index n = 1 + below(g, 12), columns = 8 * (1 + below(g, 2));
     double *const matrix = numbers(g, n * n), *const factors = allocate(sizeof(double) * (size_t)(n * n));
     double *const side = numbers(g, n * columns), *const x = allocate(sizeof(double) * (size_t)(n * columns));
     double *const y = numbers(g, n), *const weights = numbers(g, n);
@@ -178,7 +178,7 @@ static int try_lu(generator *g) {
     for (retrax_index k = 0; k < n; k++) {
         broken = swaps[k] < k || swaps[k] >= n ? 6 : broken;
     }
-    retrax_lu_solve(n, factors, swaps, columns, x);
+    retrax_lu_solve(n, factors, swaps, columns, x, retrax_best_instruction_set());
     retrax_lu_solve_transposed(n, factors, swaps, y);
     for (retrax_index i = 0; i < n && g->hard == 0; i++) {
         for (retrax_index j = 0; j < columns; j++) {

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from retrax.compute.core import library
+from retrax.compute.core import best_instruction_set, library
 
 
 def factorised(matrix):
@@ -13,10 +13,12 @@ def factorised(matrix):
     return factors, swaps
 
 
-def solved(factors, swaps, side):
-    x = np.ascontiguousarray(side, float).copy()
-    library().retrax_lu_solve(len(factors), factors.ctypes.data, swaps.ctypes.data, x.shape[1], x.ctypes.data)
-    return x
+def solved(factors, swaps, side, own=0):
+    n, columns = side.shape
+    x = np.zeros((n, -(-columns // 8) * 8))
+    x[:, :columns] = side
+    library().retrax_lu_solve(n, factors.ctypes.data, swaps.ctypes.data, x.shape[1], x.ctypes.data, own)
+    return x[:, :columns]
 
 
 def solved_transposed(factors, swaps, side):
@@ -41,7 +43,9 @@ def test_systems_are_solved_to_their_condition_with_rows_of_any_size(n):
         )
         scaled = np.linalg.cond(a / np.abs(a).max(axis=1, keepdims=True))
         expected = np.linalg.solve(a, side)
-        assert np.abs(solved(factors, swaps, side) - expected).max() < 1e-14 * scaled * np.abs(expected).max() * n
+        for own in range(best_instruction_set() + 1):
+            found = solved(factors, swaps, side, own)
+            assert np.abs(found - expected).max() < 1e-14 * scaled * np.abs(expected).max() * n
         turned = np.linalg.solve(a.T, side[:, 0])
         found = solved_transposed(factors, swaps, side[:, 0])
         assert np.abs(a.T @ found - side[:, 0]).max() < 1e-13 * n * (np.abs(a.T) @ np.abs(turned)).max()

@@ -159,11 +159,12 @@ def _condense_on_core(points: Points, ends: Ends, h: np.ndarray, tableau: Tablea
     table = plain(h), plain(tableau.matrix), plain(tableau.weights)
     members: list[tuple[CollocationArrays, CondensedArrays]] = []
     for k in range(len(table[0])):
-        own = CollocationArrays(table[0][k], *table[1:], *(a[k] for a in (*points, *ends)))
+        blocks = [table[0][k], *table[1:], *(a[k] for a in (*points, *ends))]
+        own = CollocationArrays(*blocks)
         members.append((own, condense_steps(own)))
-    blocks = [np.array([getattr(found, name) for _, found in members]) for name in CondensedArrays._fields[:6]]
+    parts = [np.array([getattr(found, name) for _, found in members]) for name in CondensedArrays._fields[:6]]
     factors, swaps, velocities = (np.concatenate([own[1][k] for own in members]) for k in (6, 7, 8))
-    return Parts(*blocks), Condensed(points, ends, table, (factors, swaps, velocities), tuple(members))
+    return Parts(*parts), Condensed(points, ends, table, (factors, swaps, velocities), tuple(members))
 
 
 def _expand_on_core(condensed: Condensed, steps: np.ndarray, multipliers: np.ndarray) -> Expanded:

@@ -102,8 +102,8 @@ def condense_steps(arrays: CollocationArrays, instruction_set: int | None = None
     system, (count, s, n, m, k) = _system(arrays), _sizes(arrays)
     z, p = n + s * m, s * n
     shapes = (count, z, z), (count, n, z), (count, n, z), (count, z, k), (count, n, k), (count, n, k), (count, p, p)
-    blocks = [np.empty(shape) for shape in shapes]
-    condensed = CondensedArrays(*blocks, np.empty((count, p), PLACE), np.empty((count, p, z + k)))
+    blocks = [*map(np.empty, shapes), np.empty((count, p), PLACE), np.empty((count, p, z + k))]
+    condensed = CondensedArrays(*blocks)
     workspace = _workspace((count, s, n, m, k))
     library().retrax_condense(
         byref(system),

@@ -158,7 +158,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         [POINTER(TapeStruct), POINTER(TapeDataStruct), c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
     ),
     "retrax_lu_factorise": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
-    "retrax_lu_solve": (None, [c_ssize_t, c_void_p, c_void_p, c_ssize_t, c_void_p]),
+    "retrax_lu_solve": (None, [c_ssize_t, c_void_p, c_void_p, c_ssize_t, c_void_p, c_int]),
     "retrax_lu_solve_transposed": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
     "retrax_block_workspace": (c_size_t, [c_ssize_t] * 4),
     "retrax_block_eliminate": (
