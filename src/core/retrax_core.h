@@ -292,7 +292,8 @@ RETRAX_API void retrax_condense(const retrax_collocation_system *system, retrax_
                                 retrax_index first, retrax_index last, void *workspace, retrax_instruction_set set);
 
 /* Computes velocities and multipliers of the points of the steps first, ..., last - 1 from a solution of the condensed
- * system: step [N][z][columns] and multipliers [N + 1][n][columns] give velocities and lambdas, [N][s][n][columns]. */
+ * system: step [N][z][columns] and multipliers [N + 1][n][columns] give velocities and lambdas, [N][s][n][columns]. Of
+ * `condensed` only factors, swaps and velocities are read, here and in retrax_condense_slope. */
 RETRAX_API void retrax_expand(const retrax_collocation_system *system, const retrax_condensed_system *condensed,
                               retrax_index first, retrax_index last, const double *step, const double *multipliers,
                               double *velocities, double *lambdas, void *workspace);

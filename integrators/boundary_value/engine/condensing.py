@@ -13,8 +13,6 @@ import numpy as np
 from jaxtyping import Float
 
 from ....aligned import aligned, scratch
-from ....compute.condensing import CollocationArrays, CondensedArrays, condense_slope, condense_steps, expand_steps
-from ....compute.core import PARTS_ON_CORE
 from ....threads import in_threads
 from .arrays import plain, whole
 from .elimination import BlockSystem
@@ -77,14 +75,12 @@ class Parts(NamedTuple):
 
 @final
 class Condensed(NamedTuple):
-    """What ``expand`` needs; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]`` of all steps; ``on_core``:
-    the members, where the compiled core condensed them."""
+    """What ``expand`` needs; ``kept``: factors of ``C_nu``, their swaps, and ``[N | nu_0]`` of all steps."""
 
     points: Points
     ends: Ends
     table: tuple[np.ndarray, np.ndarray, np.ndarray]
     kept: tuple[np.ndarray, np.ndarray, np.ndarray]
-    on_core: tuple[tuple[CollocationArrays, CondensedArrays], ...] = ()
 
 
 @final
@@ -104,8 +100,6 @@ def condense(points: Points, ends: Ends, h: Float[np.ndarray, "B N"], tableau: T
     condensed Hessian is ``T' H T``, the slope ``T' (g + H t)``, the ends' derivatives are ``left T`` and ``right T``.
     Where the equations of a step do not determine ``nu``, its blocks are not finite.
     """
-    if "condensing" in PARTS_ON_CORE:
-        return _condense_on_core(points, ends, h, tableau)
     from . import condensing_kernels
 
     batch, count, s, n, q = points.constraints.shape
@@ -131,11 +125,9 @@ def expand(
     condensed: Condensed, steps: Float[np.ndarray, "B N z k"], multipliers: Float[np.ndarray, "B N+1 n k"]
 ) -> Expanded:
     """The whole step from that of the condensed system, with the steps of the multipliers of the points."""
-    if condensed.on_core:
-        return _expand_on_core(condensed, steps, multipliers)
     from . import condensing_kernels
 
-    points, ends, table, kept, _ = condensed
+    points, ends, table, kept = condensed
     batch, count, s, n, q = points.constraints.shape
     z, columns, total = steps.shape[2], steps.shape[3], batch * count
     out = np.empty((2, columns, total, s * n))
@@ -154,27 +146,6 @@ def expand(
     return Expanded(steps[:, :, :n], velocities, steps[:, :, n:].reshape(batch, count, s, q - 3 * n, columns), lambdas)
 
 
-def _condense_on_core(points: Points, ends: Ends, h: np.ndarray, tableau: Tableau) -> tuple[Parts, Condensed]:
-    points, ends = Points(*map(plain, points)), Ends(*map(plain, ends))
-    table = plain(h), plain(tableau.matrix), plain(tableau.weights)
-    members: list[tuple[CollocationArrays, CondensedArrays]] = []
-    for k in range(len(table[0])):
-        blocks = [table[0][k], *table[1:], *(a[k] for a in (*points, *ends))]
-        own = CollocationArrays(*blocks)
-        members.append((own, condense_steps(own)))
-    parts = [np.array([getattr(found, name) for _, found in members]) for name in CondensedArrays._fields[:6]]
-    factors, swaps, velocities = (np.concatenate([own[1][k] for own in members]) for k in (6, 7, 8))
-    return Parts(*parts), Condensed(points, ends, table, (factors, swaps, velocities), tuple(members))
-
-
-def _expand_on_core(condensed: Condensed, steps: np.ndarray, multipliers: np.ndarray) -> Expanded:
-    batch, count, s, n, q = condensed.points.constraints.shape
-    parts = zip(condensed.on_core, plain(steps), plain(multipliers), strict=True)
-    velocities, lambdas = map(np.array, zip(*(expand_steps(*own, d, c) for own, d, c in parts), strict=True))
-    controls = steps[:, :, n:].reshape(batch, count, s, q - 3 * n, steps.shape[3])
-    return Expanded(steps[:, :, :n], velocities, controls, lambdas)
-
-
 def slopes(
     points: tuple[np.ndarray, np.ndarray], pull: np.ndarray, condensed: Condensed
 ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
@@ -183,16 +154,11 @@ def slopes(
 
     ``points``: both by the unknowns of the points, shape (B, N, s, q); ``pull``: the first one's by those of the ends.
     """
+    from . import condensing_kernels
+
     batch, count, s, q = points[0].shape
     n = pull.shape[2] // 2
     z, steps = n + s * (q - 3 * n), batch * count
-    if condensed.on_core:
-        parts = zip(condensed.on_core, plain(pull), *map(plain, points), strict=True)
-        found = [(condense_slope(*own, of, by), condense_slope(*own, paid, None)) for own, by, of, paid in parts]
-        inside, out = (np.moveaxis(np.array([[part[k] for part in own] for own in found]), 1, 0) for k in (0, 1))
-        return (out[0], out[1]), (inside[0], inside[1])
-    from . import condensing_kernels
-
     out, inside = np.empty((2, batch, count, z)), np.empty((2, batch, count, s, n))
     given = tuple(_steps(map(plain, points))), plain(pull).reshape(steps, -1), condensed.kept[2], condensed.table
     flat = tuple(inside.reshape(2, steps, s * n)), tuple(out.reshape(2, steps, z))

@@ -39,7 +39,7 @@ class CollocationArrays(NamedTuple):
 
 @final
 class CondensedArrays(NamedTuple):
-    """What condensing leaves, z = n + s m, and what it keeps, p = s n."""
+    """The system that condensing leaves, z = n + s m."""
 
     hessian: np.ndarray  # (N, z, z)
     left: np.ndarray  # (N, n, z)
@@ -47,6 +47,12 @@ class CondensedArrays(NamedTuple):
     slope: np.ndarray  # (N, z, k)
     before: np.ndarray  # (N, n, k)
     after: np.ndarray  # (N, n, k)
+
+
+@final
+class KeptArrays(NamedTuple):
+    """The velocities as functions of what is left, which expanding needs, p = s n."""
+
     factors: np.ndarray  # (N, p, p)
     swaps: np.ndarray  # (N, p)
     velocities: np.ndarray  # (N, p, z + k)
@@ -77,17 +83,16 @@ def _system(arrays: CollocationArrays) -> CollocationSystemStruct:
     return CollocationSystemStruct(count, s, n, m, k, *addresses)
 
 
-def _condensed(condensed: CondensedArrays, sizes: tuple[int, int, int, int, int]) -> CondensedSystemStruct:
+def _kept(kept: KeptArrays, sizes: tuple[int, int, int, int, int]) -> CondensedSystemStruct:
+    """The struct with what is kept alone."""
     count, s, n, m, k = sizes
     z, p = n + s * m, s * n
-    shapes = (count, z, z), (count, n, z), (count, n, z), (count, z, k), (count, n, k), (count, n, k)
-    kept = (count, p, p), (count, p), (count, p, z + k)
-    return CondensedSystemStruct(
-        *(
-            address_of(array, PLACE if name == "swaps" else FLOAT, shape, f"{name} of condensed steps")
-            for array, shape, name in zip(condensed, (*shapes, *kept), CondensedArrays._fields, strict=True)
-        )
-    )
+    shapes = (count, p, p), (count, p), (count, p, z + k)
+    addresses = [
+        address_of(array, PLACE if name == "swaps" else FLOAT, shape, f"{name} of condensed steps")
+        for array, shape, name in zip(kept, shapes, KeptArrays._fields, strict=True)
+    ]
+    return CondensedSystemStruct(*[None] * 6, *addresses)
 
 
 def _workspace(sizes: tuple[int, int, int, int, int]) -> np.ndarray:
@@ -97,27 +102,29 @@ def _workspace(sizes: tuple[int, int, int, int, int]) -> np.ndarray:
     return scratch(((size // BYTES,),))[0]
 
 
-def condense_steps(arrays: CollocationArrays, instruction_set: int | None = None) -> CondensedArrays:
-    """Return the system that is left when the velocities are eliminated from each step."""
-    system, (count, s, n, m, k) = _system(arrays), _sizes(arrays)
+def condense_steps(arrays: CollocationArrays, instruction_set: int | None = None) -> tuple[CondensedArrays, KeptArrays]:
+    """Return the system that is left when the velocities are eliminated from each step, and what is kept of them."""
+    system, sizes = _system(arrays), _sizes(arrays)
+    count, s, n, m, k = sizes
     z, p = n + s * m, s * n
-    shapes = (count, z, z), (count, n, z), (count, n, z), (count, z, k), (count, n, k), (count, n, k), (count, p, p)
-    blocks = [*map(np.empty, shapes), np.empty((count, p), PLACE), np.empty((count, p, z + k))]
-    condensed = CondensedArrays(*blocks)
-    workspace = _workspace((count, s, n, m, k))
+    shapes = (count, z, z), (count, n, z), (count, n, z), (count, z, k), (count, n, k), (count, n, k)
+    condensed = CondensedArrays(*map(np.empty, shapes))
+    kept = KeptArrays(np.empty((count, p, p)), np.empty((count, p), PLACE), np.empty((count, p, z + k)))
+    addresses = [a.ctypes.data for a in (*condensed, *kept)]
+    workspace = _workspace(sizes)
     library().retrax_condense(
         byref(system),
-        byref(_condensed(condensed, (count, s, n, m, k))),
+        byref(CondensedSystemStruct(*addresses)),
         0,
         count,
         address_of(workspace, FLOAT, workspace.shape, "workspace"),
         best_instruction_set() if instruction_set is None else instruction_set,
     )
-    return condensed
+    return condensed, kept
 
 
 def expand_steps(
-    arrays: CollocationArrays, condensed: CondensedArrays, step: np.ndarray, multipliers: np.ndarray
+    arrays: CollocationArrays, kept: KeptArrays, step: np.ndarray, multipliers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return velocities and multipliers of the points, shape (N, s, n, k), from the step (N, z, k) and the multipliers
     (N + 1, n, k) of a condensed system."""
@@ -126,7 +133,7 @@ def expand_steps(
     velocities, lambdas, workspace = np.empty((count, s, n, k)), np.empty((count, s, n, k)), _workspace(sizes)
     library().retrax_expand(
         byref(system),
-        byref(_condensed(condensed, sizes)),
+        byref(_kept(kept, sizes)),
         0,
         count,
         address_of(step, FLOAT, (count, n + s * m, k), "step of a condensed system"),
@@ -137,7 +144,7 @@ def expand_steps(
 
 
 def condense_slope(
-    arrays: CollocationArrays, condensed: CondensedArrays, slope: np.ndarray, end_slope: np.ndarray | None
+    arrays: CollocationArrays, kept: KeptArrays, slope: np.ndarray, end_slope: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the slopes by the velocities, (N, s, n), and by what is left, (N, z), of a function with slopes (N, s, q)
     at the points and (N, 2n) at the ends."""
@@ -146,7 +153,7 @@ def condense_slope(
     inner, outer = np.empty((count, s, n)), np.empty((count, n + s * m))
     library().retrax_condense_slope(
         byref(system),
-        byref(_condensed(condensed, sizes)),
+        byref(_kept(kept, sizes)),
         address_of(slope, FLOAT, (count, s, 3 * n + m), "slope of collocation steps"),
         None if end_slope is None else address_of(end_slope, FLOAT, (count, 2 * n), "slope of the ends"),
         *(address_of(a, FLOAT, a.shape, "result") for a in (inner, outer)),

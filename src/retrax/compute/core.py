@@ -18,7 +18,7 @@ OPERANDS = 8  # registers of an instruction: its result and at most seven argume
 OK = 0
 BYTES = 8  # of a number
 
-# Private: parts that run on the core ("tape", "elimination", "condensing") while what Numba compiles is still there.
+# Private: parts that run on the core, "tape" and "elimination", while what Numba compiles is still there.
 PARTS_ON_CORE = frozenset(os.environ.get("RETRAX_CORE", "").split(","))
 
 
