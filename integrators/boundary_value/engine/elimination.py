@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ....aligned import scratch
+from ....compute.block_elimination import BlockArrays, BlockResult, solve_blocks
+from ....compute.core import PARTS_ON_CORE
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from ....threads import in_threads
 from .arrays import plain, whole
@@ -73,6 +75,8 @@ def eliminate(
     equations of the nodes these cancel one another, the solution and the inertia stay, but each of those free ends is
     held by the weight.
     """
+    if "elimination" in PARTS_ON_CORE:
+        return _eliminate_on_core(system, units, shift, scales)
     from . import elimination_kernels
 
     batch, count, n, z = system.left.shape
@@ -94,6 +98,23 @@ def eliminate(
 
     in_threads(run, batch, count * (n + z) ** 2 * (n + z + columns))
     return BlockSolution(steps, multipliers, finite, negative, smallest, curvature, size, largest)
+
+
+def _eliminate_on_core(
+    system: BlockSystem, units: Units | None, shift: np.ndarray | None, scales: np.ndarray | None
+) -> BlockSolution:
+    """The same, by the compiled core."""
+    batch, _, n, z = system.left.shape
+    if units is None:
+        units = Units(np.ones((batch, z)), np.ones((batch, n)), np.ones(batch))
+    shift = np.zeros(batch) if shift is None else shift
+    scales = np.ones((batch, z)) if scales is None else scales
+    given = [plain(a) for a in (*system, units.unknowns, units.nodes, scales)]
+    found: list[BlockResult] = []
+    for k in range(batch):
+        found.append(solve_blocks(BlockArrays(*(a[k] for a in given)), float(units.cost[k]), float(shift[k])))
+    parts = ("step", "multipliers", "finite", "negative", "smallest", "curvature", "size", "largest_step")
+    return BlockSolution(*(np.array([getattr(own, part) for own in found]) for part in parts))
 
 
 def work_shapes(count: int, n: int, z: int, columns: int) -> dict[str, tuple[int, ...]]:

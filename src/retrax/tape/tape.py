@@ -14,6 +14,8 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
+from ..compute.core import PARTS_ON_CORE
+from ..compute.tape_machine import MachineProgram
 from ..errors import InvalidInputError
 from ..optional import numba_is_there
 from ..threads import in_threads, worth_threads
@@ -21,7 +23,7 @@ from ..undisturbed import put_off
 from .arrays import Entries, column, is_complex, parts, scalars
 from .graph import Graph, Loop
 from .often import Often
-from .program import Program, assembled
+from .program import VECTOR, Program, assembled
 from .trace import Flat, flat, readable, trace
 
 Argnums = int | Iterable[int] | None  # places of arguments, as jax.grad has them; None: all
@@ -160,6 +162,12 @@ class Tape(Often):
         """What the machine runs: the instructions, or machine code in their place."""
         return self._native or self.program
 
+    @cached_property
+    def _on_core(self) -> MachineProgram:
+        """The instructions for the compiled core."""
+        p = self.program
+        return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size)
+
     def compile(self) -> None:
         """Make machine code of it, now, unless it is already: that takes some hundred microseconds an instruction and
         gives the same numbers.
@@ -173,7 +181,8 @@ class Tape(Often):
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of a copy, which has no machine code: that belongs to its process."""
-        return {**vars(self), "_native": None, "_points": 0, "_asked": False}
+        state = {name: value for name, value in vars(self).items() if name != "_on_core"}
+        return {**state, "_native": None, "_points": 0, "_asked": False}
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
         """The derivatives of all values with respect to arguments, by default all, as a tape of a matrix."""
@@ -332,6 +341,10 @@ class Tape(Often):
         values.
         """
         if not count:
+            return
+        if "tape" in PARTS_ON_CORE:
+            self.ran(count)
+            in_threads(lambda part: self._on_core.run(part, ends), count, self.program.work, VECTOR)
             return
         machine = _machine()
         if machine is None:

@@ -1,0 +1,266 @@
+/* Dense linear algebra: LU with scaled partial pivoting, and symmetric indefinite fronts. */
+#include "dense.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <string.h>
+
+/* Weight of a row in the search for a pivot that has nothing but its diagonal: larger than any other. */
+#define ALONE 1e300
+
+/* A diagonal entry of this share of the largest entry in its row is a pivot of size one: so the growth by one pivot of
+ * size two is bounded as by two of size one, (1 + sqrt(17)) / 8 [Bunch, Kaufman, Math. Comp. 31, 1977]. */
+#define BUNCH_KAUFMAN 0.6403882032022076
+
+retrax_index retrax_width(retrax_index columns) {
+    return (columns + RETRAX_VECTOR - 1) & -(retrax_index)RETRAX_VECTOR;
+}
+
+/* ---------------------------------------------------------------------------------------------------- LU */
+
+static void swap_rows(retrax_index columns, double *a, double *b) {
+    for (retrax_index j = 0; j < columns; j++) {
+        const double held = a[j];
+        a[j] = b[j];
+        b[j] = held;
+    }
+}
+
+/* Weights of rows in the search for pivots: the inverse of the largest entry; of a row that has nothing but its
+ * diagonal, ALONE. Such a row, as that of a state at rest, gives the pivot of its column: another one would leave
+ * rounding where it has zeros, and then nothing is at rest any more. */
+static void weigh_rows(retrax_index n, const double *a, double *weights) {
+    for (retrax_index i = 0; i < n; i++) {
+        const double diagonal = fabs(a[i * n + i]);
+        double others = 0.0;
+        for (retrax_index j = 0; j < n; j++) {
+            const double size = fabs(a[i * n + j]);
+            others = j != i && size > others ? size : others;
+        }
+        weights[i] = others == 0.0 && diagonal > 0.0 ? ALONE : 1.0 / (diagonal > others ? diagonal : others);
+    }
+}
+
+void retrax_lu_factorise(retrax_index n, double *a, retrax_index *swaps, double *weights) {
+    weigh_rows(n, a, weights);
+    for (retrax_index k = 0; k < n; k++) {
+        retrax_index pivot = k;
+        double largest = fabs(a[k * n + k]) * weights[k];
+        for (retrax_index i = k + 1; i < n; i++) {
+            const double size = fabs(a[i * n + k]) * weights[i];
+            if (size > largest) {
+                largest = size;
+                pivot = i;
+            }
+        }
+        swaps[k] = pivot;
+        if (pivot != k) {
+            swap_rows(n, a + k * n, a + pivot * n);
+            swap_rows(1, weights + k, weights + pivot);
+        }
+        for (retrax_index i = k + 1; i < n; i++) {
+            const double factor = a[i * n + k] / a[k * n + k];
+            a[i * n + k] = factor;
+            for (retrax_index j = k + 1; factor != 0.0 && j < n; j++) {
+                a[i * n + j] -= factor * a[k * n + j];
+            }
+        }
+    }
+}
+
+void retrax_lu_solve(retrax_index n, const double *a, const retrax_index *swaps, retrax_index width, double *b,
+                     retrax_instruction_set set) {
+    const retrax_kernels *const kernels = retrax_kernels_for(set);
+    for (retrax_index k = 0; k < n; k++) {
+        if (swaps[k] != k) {
+            swap_rows(width, b + k * width, b + swaps[k] * width);
+        }
+    }
+    for (retrax_index i = 1; i < n; i++) {
+        kernels->subtract_products(1, width, i, b + i * width, width, a + i * n, 1, b, width);
+    }
+    for (retrax_index i = n - 1; i >= 0; i--) {
+        double *const row = b + i * width;
+        kernels->subtract_products(1, width, n - 1 - i, row, width, a + i * n + i + 1, 1, row + width, width);
+        for (retrax_index j = 0; j < width; j++) {
+            row[j] /= a[i * n + i];
+        }
+    }
+}
+
+void retrax_lu_solve_transposed(retrax_index n, const double *a, const retrax_index *swaps, double *x) {
+    for (retrax_index k = 0; k < n; k++) {
+        x[k] /= a[k * n + k];
+        for (retrax_index j = k + 1; j < n; j++) {
+            x[j] -= a[k * n + j] * x[k];
+        }
+    }
+    for (retrax_index k = n - 1; k >= 0; k--) {
+        for (retrax_index i = k + 1; i < n; i++) {
+            x[k] -= a[i * n + k] * x[i];
+        }
+    }
+    for (retrax_index k = n - 1; k >= 0; k--) {
+        swap_rows(1, x + k, x + swaps[k]);
+    }
+}
+
+/* ------------------------------------------------------------------------------- symmetric indefinite fronts */
+
+/* A search for the next pivot: the front, how many pivots it has by now, and the first row that is left. */
+typedef struct {
+    const retrax_kernels *kernels;
+    retrax_front *front;
+    retrax_pivots *found;
+    retrax_index pivots; /* rows to eliminate */
+    retrax_index count;  /* rows that are eliminated */
+    retrax_index first;  /* first row that is left */
+    retrax_index begin;  /* the same, down to a whole vector: what stands before it in a row is of no use */
+} search;
+
+static double *row_of(const retrax_front *front, retrax_index i) { return front->matrix + i * front->width; }
+
+/* Subtracts from row r the pivots that have not been subtracted yet; returns the largest size beside the diagonal
+ * among the rows that are left. Sizes of all entries, 0 where no pivot can be, are in front->sizes. */
+static double update_row(const search *own, retrax_index r) {
+    retrax_front *const front = own->front;
+    const retrax_index width = front->width, known = front->known[r], begin = own->begin;
+    double *const row = row_of(front, r);
+    own->kernels->subtract_products(1, width - begin, own->count - known, row + begin, width,
+                                    own->found->divided + known * width + r, width, front->kept + known * width + begin,
+                                    width);
+    front->known[r] = own->count;
+    front->left[r] = 0.0;
+    const double largest = own->kernels->masked_sizes(retrax_width(own->pivots) - begin, front->sizes + begin,
+                                                      front->left + begin, row + begin);
+    front->left[r] = 1.0;
+    return largest;
+}
+
+/* First row among those left with an entry of this size in the row that was updated last; `otherwise` if there is none. */
+static retrax_index place_of(const search *own, double size, retrax_index otherwise) {
+    for (retrax_index j = own->first; j < own->pivots; j++) {
+        if (own->front->sizes[j] == size) {
+            return j;
+        }
+    }
+    return otherwise;
+}
+
+/* Chooses the next pivot, beginning with row i: rows i and r, equal for a pivot of size one. The search goes from row
+ * to row with a larger entry each time, so it ends. */
+static void choose_pivot(const search *own, retrax_index *i, retrax_index *r) {
+    double size = 0.0;
+    *r = *i;
+    for (;;) {
+        const double largest = update_row(own, *r);
+        if (fabs(row_of(own->front, *r)[*r]) >= BUNCH_KAUFMAN * largest) {
+            *i = *r;
+            return;
+        }
+        if (!(largest > size)) {
+            return; /* the largest entry of both rows, or NaN */
+        }
+        const retrax_index other = place_of(own, largest, *r);
+        if (other == *i) {
+            return; /* rounding in one of the rows differs from the other's */
+        }
+        *i = *r;
+        *r = other;
+        size = largest;
+    }
+}
+
+/* Keeps row i as it is and divided by its pivot. */
+static void keep_one(search *own, retrax_index i) {
+    const retrax_index width = own->front->width, begin = own->begin, columns = width - begin;
+    const double *const x = row_of(own->front, i) + begin;
+    double *const kept = own->front->kept + own->count * width, *const divided = own->found->divided + own->count * width;
+    memcpy(kept + begin, x, sizeof(double) * (size_t)columns);
+    own->kernels->scale(columns, divided + begin, 1.0 / x[i - begin], x);
+    own->found->order[own->count] = i;
+    own->front->left[i] = 0.0;
+    own->count += 1;
+}
+
+/* Keeps rows i and r as they are and divided by their pivot of size two, whose inverse is formed relative to the entry
+ * beside the diagonal, the largest. */
+static void keep_two(search *own, retrax_index i, retrax_index r) {
+    const retrax_index width = own->front->width, begin = own->begin, columns = width - begin;
+    const double *const x = row_of(own->front, i) + begin, *const y = row_of(own->front, r) + begin;
+    double *const kept = own->front->kept + own->count * width, *const divided = own->found->divided + own->count * width;
+    const double inverse = 1.0 / x[r - begin], a = x[i - begin] * inverse, c = y[r - begin] * inverse;
+    const double both = inverse / (a * c - 1.0);
+    memcpy(kept + begin, x, sizeof(double) * (size_t)columns);
+    memcpy(kept + width + begin, y, sizeof(double) * (size_t)columns);
+    own->kernels->combine(columns, divided + begin, both * c, x, -both, y);
+    own->kernels->combine(columns, divided + width + begin, both * a, y, -both, x);
+    divided[r] = 0.0;
+    divided[width + i] = 0.0;
+    own->found->order[own->count] = i;
+    own->found->order[own->count + 1] = r;
+    own->front->left[i] = 0.0;
+    own->front->left[r] = 0.0;
+    own->count += 2;
+}
+
+/* Size of the smaller eigenvalue of [a b; b c], without cancellation. */
+static double smaller_eigenvalue(double a, double b, double c) {
+    const double larger = (fabs(a + c) + sqrt((a - c) * (a - c) + 4.0 * b * b)) / 2.0;
+    return fabs(a * (c / larger) - b * (b / larger));
+}
+
+retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_front *front, retrax_index pivots,
+                                      const retrax_index *guess, retrax_index guesses, retrax_pivots *found) {
+    search own = {kernels, front, found, pivots, 0, 0, 0};
+    retrax_inertia inertia = {0, INFINITY};
+    for (retrax_index j = 0; j < front->width; j++) {
+        front->left[j] = j < pivots ? 1.0 : 0.0;
+    }
+    memset(front->known, 0, sizeof *front->known * (size_t)front->rows);
+    while (own.count < pivots) {
+        while (front->left[own.first] == 0.0) {
+            own.first++;
+        }
+        own.begin = own.first & -(retrax_index)RETRAX_VECTOR;
+        const bool guessed = own.count < guesses && front->left[guess[own.count]] != 0.0;
+        retrax_index i = guessed ? guess[own.count] : own.first, r;
+        choose_pivot(&own, &i, &r);
+        const double a = row_of(front, i)[i], b = row_of(front, i)[r], c = row_of(front, r)[r];
+        const double size = i == r ? fabs(a) : smaller_eigenvalue(a, b, c);
+        inertia.negative += i != r || a < 0.0; /* a pivot of size two has an eigenvalue of either sign */
+        if (size < inertia.smallest || size != size) {
+            inertia.smallest = size;
+        }
+        if (i == r) {
+            keep_one(&own, i);
+        } else {
+            keep_two(&own, i, r);
+        }
+    }
+    const retrax_index begin = pivots & -(retrax_index)RETRAX_VECTOR;
+    kernels->subtract_products(front->rows - pivots, front->width - begin, pivots,
+                               front->matrix + pivots * front->width + begin, front->width, found->divided + pivots,
+                               front->width, front->kept + begin, front->width);
+    return inertia;
+}
+
+void retrax_front_substitute(const retrax_front *front, retrax_index pivots, const retrax_pivots *found,
+                             retrax_index column, double *x, double *work) {
+    const retrax_index width = front->width;
+    for (retrax_index t = 0; t < pivots; t++) {
+        const double *const row = found->divided + t * width;
+        double value = row[front->rows + column];
+        for (retrax_index a = pivots; a < front->rows; a++) {
+            value -= row[a] * x[a];
+        }
+        work[t] = value;
+    }
+    for (retrax_index t = pivots - 1; t >= 0; t--) {
+        const retrax_index i = found->order[t];
+        x[i] = work[t];
+        for (retrax_index s = 0; s < t; s++) {
+            work[s] -= found->divided[s * width + i] * work[t];
+        }
+    }
+}

@@ -1,0 +1,51 @@
+/*
+ * Dense linear algebra for the small matrices of a trajectory: a few rows to some dozen.
+ *
+ * Rows of matrices are `width` numbers apart, a multiple of RETRAX_VECTOR, so that loops over a row are whole vectors;
+ * numbers behind the last column are workspace.
+ */
+#ifndef RETRAX_DENSE_H
+#define RETRAX_DENSE_H
+
+#include "kernels.h"
+
+/* Returns the width of rows with so many columns: the next multiple of RETRAX_VECTOR. */
+retrax_index retrax_width(retrax_index columns);
+
+/*
+ * A front: a symmetric matrix in rows 0 to rows - 1, of which the first `pivots` are eliminated and the others, the
+ * border, get the Schur complement; then `columns` right-hand sides of the same rows. Both triangles are stored.
+ */
+typedef struct {
+    retrax_index rows;    /* of the symmetric matrix */
+    retrax_index columns; /* right-hand sides, in the columns from `rows` on */
+    retrax_index width;   /* retrax_width(rows + columns) */
+    double *matrix;       /* [rows][width] */
+    double *left;         /* [width] workspace: 1 in the columns of rows that may become pivots, else 0 */
+    double *sizes;        /* [width] workspace: sizes of a row's entries */
+    double *kept;         /* [rows][width] workspace: rows of the pivots */
+    retrax_index *known;  /* [rows] workspace: number of pivots that have been subtracted from a row */
+} retrax_front;
+
+/* Factors of the rows that were eliminated from a front: the pivot rows divided by their pivots. */
+typedef struct {
+    double *divided;     /* [pivots][width], all columns of the front */
+    retrax_index *order; /* [pivots] which rows are pivots, in order; the two rows of a 2 x 2 pivot are neighbours */
+} retrax_pivots;
+
+/* Factorises the first `pivots` rows of a front as P' L D L' P with pivots of size one and two, and subtracts them from
+ * the border; returns the inertia. guess: an order to try first, [guesses], as of a front like this one; NULL if guesses is 0.
+ *
+ * Each pivot is chosen such that its entry is about the largest in both its rows (bounded Bunch-Kaufman pivoting), which
+ * bounds the factors, so that the smallest pivot shows how close to singular the matrix is [Ashcraft, Grimes, Lewis,
+ * Accurate symmetric indefinite linear equation solvers, SIAM J. Matrix Anal. Appl. 20, 1998]. */
+retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_front *front, retrax_index pivots,
+                                      const retrax_index *guess, retrax_index guesses, retrax_pivots *found);
+
+/* Solves for the first `pivots` unknowns of one right-hand side, number `column`.
+ *
+ * x: [rows], in which the unknowns of the border are given and the others are written; work: [pivots]. */
+void retrax_front_substitute(const retrax_front *front, retrax_index pivots, const retrax_pivots *found,
+                             retrax_index column, double *x, double *work);
+
+#endif /* RETRAX_DENSE_H */

@@ -1,0 +1,97 @@
+/*
+ * The kernels for one instruction set: kernels.c includes this file once for each, and defines KERNEL(name), the name
+ * of a function. TARGET and FUSED are explained in instruction_sets.h.
+ */
+
+/* A number of columns, as a multiple of RETRAX_VECTOR that the compiler can derive. */
+#define WHOLE(columns) ((columns) & -(retrax_index)RETRAX_VECTOR)
+/* The larger of two numbers, y where x is not a number. */
+#define LARGER(x, y) ((x) > (y) ? (x) : (y))
+
+/* Four terms at a time, so that y is read and written once for four. */
+TARGET static void KERNEL(subtract_products)(retrax_index rows, retrax_index columns, retrax_index terms, double *y,
+                                             retrax_index y_width, const double *f, retrax_index f_width,
+                                             const double *x, retrax_index x_width) {
+    const retrax_index count = WHOLE(columns);
+    for (retrax_index i = 0; i < rows; i++) {
+        double *const to = y + i * y_width;
+        retrax_index s = 0;
+        for (; s + 4 <= terms; s += 4) {
+            const double *const x0 = x + s * x_width, *const x1 = x0 + x_width, *const x2 = x1 + x_width,
+                                *const x3 = x2 + x_width;
+            const double f0 = -f[s * f_width + i], f1 = -f[(s + 1) * f_width + i];
+            const double f2 = -f[(s + 2) * f_width + i], f3 = -f[(s + 3) * f_width + i];
+            RETRAX_INDEPENDENT
+            for (retrax_index j = 0; j < count; j++) {
+                to[j] = FUSED(f3, x3[j], FUSED(f2, x2[j], FUSED(f1, x1[j], FUSED(f0, x0[j], to[j]))));
+            }
+        }
+        for (; s < terms; s++) {
+            const double *const from = x + s * x_width;
+            const double factor = -f[s * f_width + i];
+            RETRAX_INDEPENDENT
+            for (retrax_index j = 0; j < count; j++) {
+                to[j] = FUSED(factor, from[j], to[j]);
+            }
+        }
+    }
+}
+
+TARGET static void KERNEL(scale)(retrax_index columns, double *y, double a, const double *x) {
+    const retrax_index count = WHOLE(columns);
+    RETRAX_INDEPENDENT
+    for (retrax_index j = 0; j < count; j++) {
+        y[j] = a * x[j];
+    }
+}
+
+TARGET static void KERNEL(combine)(retrax_index columns, double *y, double a, const double *x, double b,
+                                   const double *z) {
+    const retrax_index count = WHOLE(columns);
+    RETRAX_INDEPENDENT
+    for (retrax_index j = 0; j < count; j++) {
+        y[j] = FUSED(a, x[j], b * z[j]);
+    }
+}
+
+TARGET static void KERNEL(scale_by)(retrax_index columns, double *y, double a, const double *x) {
+    const retrax_index count = WHOLE(columns);
+    RETRAX_INDEPENDENT
+    for (retrax_index j = 0; j < count; j++) {
+        y[j] *= a * x[j];
+    }
+}
+
+TARGET static void KERNEL(raise)(retrax_index columns, double *y, double a, const double *x) {
+    const retrax_index count = WHOLE(columns);
+    RETRAX_INDEPENDENT
+    for (retrax_index j = 0; j < count; j++) {
+        const double size = a * fabs(x[j]);
+        y[j] = LARGER(size, y[j]);
+    }
+}
+
+TARGET static double KERNEL(masked_sizes)(retrax_index columns, double *sizes, const double *mask, const double *x) {
+    const retrax_index count = WHOLE(columns);
+    double a = 0.0, b = 0.0, c = 0.0, d = 0.0; /* the largest of every fourth one */
+    RETRAX_INDEPENDENT
+    for (retrax_index j = 0; j < count; j++) {
+        sizes[j] = mask[j] * fabs(x[j]);
+    }
+    for (retrax_index j = 0; j < count; j += 4) {
+        a = LARGER(sizes[j], a);
+        b = LARGER(sizes[j + 1], b);
+        c = LARGER(sizes[j + 2], c);
+        d = LARGER(sizes[j + 3], d);
+    }
+    a = LARGER(b, a);
+    c = LARGER(d, c);
+    return LARGER(c, a);
+}
+
+static const retrax_kernels KERNEL(kernels) = {
+    KERNEL(subtract_products), KERNEL(scale), KERNEL(combine), KERNEL(scale_by), KERNEL(raise), KERNEL(masked_sizes),
+};
+
+#undef WHOLE
+#undef LARGER

@@ -1,0 +1,311 @@
+/*
+ * retrax core: the compiled part of retrax, as a C library.
+ *
+ * C99 and libm. The functions below allocate no memory, keep no state between calls, and use no global
+ * variable: the caller owns every array. Two threads may call any of them at the same time, as long as they
+ * write to different arrays.
+ *
+ * Contents
+ *   1. Types, status codes and the instruction set of the processor
+ *   2. Tapes: functions of a point as lists of scalar instructions, evaluated at many points
+ *   3. Dense linear algebra for small matrices
+ *   4. Block elimination: the linear system of a Newton step along a trajectory
+ *   5. Condensing: the inner unknowns of collocation steps
+ *
+ * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
+ */
+#ifndef RETRAX_CORE_H
+#define RETRAX_CORE_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#if defined(_WIN32)
+#define RETRAX_API __declspec(dllexport)
+#elif defined(__GNUC__)
+#define RETRAX_API __attribute__((visibility("default")))
+#else
+#define RETRAX_API
+#endif
+
+/* ------------------------------------------------------------------------------------------------------
+ * 1. Types, status codes and the instruction set of the processor
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Version of the interface below; it changes whenever a struct or a function does. */
+#define RETRAX_CORE_VERSION 1
+
+/* Counts and places in arrays; signed, as wide as a pointer. */
+typedef ptrdiff_t retrax_index;
+
+/* Results of the functions that check their input. */
+typedef enum {
+    RETRAX_OK = 0,
+    RETRAX_BAD_SIZE = 1,        /* a count is negative, or an array is missing */
+    RETRAX_BAD_INSTRUCTION = 2, /* a code is not in the list of instructions */
+    RETRAX_BAD_REGISTER = 3,    /* an operand is not a register, or the result overwrites an operand */
+    RETRAX_BAD_PLACE = 4,       /* an input or output lies outside of its array */
+    RETRAX_BAD_LOOP = 5,        /* a loop has no beginning, no end, or no whole number of rounds */
+    RETRAX_BAD_LANES = 6        /* the number of lanes is not a positive multiple of RETRAX_VECTOR */
+} retrax_status;
+
+/* Instruction sets that the machine of tapes is compiled for. Numbers may differ in the last digits between
+ * RETRAX_PORTABLE and the others, which round a product and a sum once (fused multiply-add). */
+typedef enum { RETRAX_PORTABLE = 0, RETRAX_AVX2 = 1, RETRAX_AVX512 = 2 } retrax_instruction_set;
+
+/* Returns RETRAX_CORE_VERSION as it was when the library was compiled. */
+RETRAX_API int retrax_core_version(void);
+
+/* Returns a sentence in English for a status; "unknown status" for any other number. The text is static. */
+RETRAX_API const char *retrax_status_message(int status);
+
+/* Returns the best instruction set that both this library and this processor have. Call it once and keep the
+ * result: asking the processor may take longer than running a tape. */
+RETRAX_API retrax_instruction_set retrax_best_instruction_set(void);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 2. Tapes
+ *
+ * A tape is a function R^inputs -> R^outputs as a list of scalar instructions over numbered registers. The
+ * machine runs each instruction at a lane of points at once: the registers of `lanes` points are an array
+ * double registers[tape.registers][lanes].
+ *
+ * Instruction k has the code codes[k], the registers operands[k][0..7] and the number values[k]:
+ * operands[k][0] is the register of the result, operands[k][1] and up to six more are the arguments.
+ * retrax_tape_instruction_name lists the codes. Besides arithmetic there are
+ *
+ *   CONST   result = values[k]
+ *   INPUT   result = input number values[k]; operands[k][2] is 4 where this and the three instructions
+ *           after it read four consecutive inputs, which the machine then moves at once, else 0
+ *   OUTPUT  output number values[k] = argument 1; operands[k][2] as for INPUT
+ *   STATE   result = argument 1: the first value of a number that a loop changes
+ *   LOOP    begins a loop of at most values[k] rounds; loops do not nest
+ *   NEXT    result = argument 1: the value of such a number for the next round
+ *   REPEAT  ends a round and goes on with instruction values[k], the first behind LOOP, unless all rounds
+ *           are done or argument 1 is not zero at every point of the lane
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Entries of a row of operands: the result and at most seven arguments. */
+#define RETRAX_OPERANDS 8
+
+/* Lanes are a multiple of this number: one vector of AVX-512, two of AVX2. */
+#define RETRAX_VECTOR 8
+
+/* A tape; all arrays belong to the caller and are only read. */
+typedef struct {
+    retrax_index instructions;              /* number of instructions */
+    retrax_index registers;                 /* number of registers */
+    retrax_index inputs;                    /* real numbers that the function takes */
+    retrax_index outputs;                   /* real numbers that the function returns */
+    const uint8_t *codes;                   /* [instructions] */
+    const uint32_t (*operands)[RETRAX_OPERANDS]; /* [instructions][8] */
+    const double *values;                   /* [instructions] */
+} retrax_tape;
+
+/* Where the numbers of points stand in memory: number i of point s is at numbers[places[i][0] + s places[i][1]].
+ * So inputs and outputs are read and written where the caller keeps them, whatever the order of the axes. */
+typedef struct {
+    const double *inputs;               /* array that inputs are read from */
+    retrax_index input_size;            /* its length */
+    const retrax_index (*sources)[2];   /* [tape.inputs][2]: place of the first point, distance to the next */
+    double *outputs;                    /* array that outputs are written to; it does not overlap inputs */
+    retrax_index output_size;           /* its length */
+    const retrax_index (*targets)[2];   /* [tape.outputs][2] */
+} retrax_tape_data;
+
+/* Returns the name of an instruction, as "MUL_ADD"; NULL for a number that is not a code. The text is static. */
+RETRAX_API const char *retrax_tape_instruction_name(int code);
+
+/* Returns RETRAX_OK if retrax_tape_run can run the tape without leaving its arrays: codes, registers, places
+ * of inputs and outputs and the form of loops. Takes about as long as running the tape at one point. */
+RETRAX_API retrax_status retrax_tape_check(const retrax_tape *tape);
+
+/* Returns RETRAX_OK if retrax_tape_run may be called with these arguments: 0 <= first <= last, inputs and outputs of
+ * these points lie in their arrays, and lanes is a positive multiple of RETRAX_VECTOR. */
+RETRAX_API retrax_status retrax_tape_check_data(const retrax_tape *tape, const retrax_tape_data *data,
+                                                retrax_index first, retrax_index last, retrax_index lanes);
+
+/* Returns the number of lanes that suits this many points: a positive multiple of RETRAX_VECTOR, such that few
+ * lanes stay empty and the registers fit the near caches. The registers then take
+ * tape.registers * retrax_tape_lanes(tape, points) numbers. */
+RETRAX_API retrax_index retrax_tape_lanes(const retrax_tape *tape, retrax_index points);
+
+/* Evaluates a tape at the points first, ..., last - 1.
+ *
+ * registers: workspace, double [tape.registers][lanes], of any content, which is overwritten; aligned to 64
+ * bytes it is fastest. lanes: from retrax_tape_lanes, or any other positive multiple of RETRAX_VECTOR; it
+ * changes time and memory, not the numbers. set: from retrax_best_instruction_set, or a lesser set.
+ *
+ * The tape and the data must have passed their checks: nothing is checked here. NaN and infinity are numbers
+ * like any other. */
+RETRAX_API void retrax_tape_run(const retrax_tape *tape, const retrax_tape_data *data, retrax_index first,
+                                retrax_index last, double *registers, retrax_index lanes,
+                                retrax_instruction_set set);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 3. Dense linear algebra for small matrices
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Factorises a[n][n] in place as P a = L U by Gauss's elimination. A pivot is the entry of its column that is largest in
+ * proportion to its row; a row that has nothing but its diagonal is a pivot first. On return the upper triangle is U, and
+ * below the diagonal stands L, whose diagonal is 1. swaps: [n], row k was exchanged with row swaps[k] >= k; weights: [n]
+ * workspace. A singular matrix has factors that are not finite. */
+RETRAX_API void retrax_lu_factorise(retrax_index n, double *a, retrax_index *swaps, double *weights);
+
+/* Solves a x = b in place with the factors of retrax_lu_factorise; b is [n][width], width a multiple of RETRAX_VECTOR. */
+RETRAX_API void retrax_lu_solve(retrax_index n, const double *a, const retrax_index *swaps, retrax_index width,
+                                double *b, retrax_instruction_set set);
+
+/* Solves a' x = b in place with the same factors; x is [n]. */
+RETRAX_API void retrax_lu_solve_transposed(retrax_index n, const double *a, const retrax_index *swaps, double *x);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 4. Block elimination
+ *
+ * A Newton step along a trajectory of N stages and N + 1 nodes has unknowns d_k of the stages (their steps, z numbers
+ * each) and c_k of the nodes (their multipliers, n numbers each). With the Lagrangian's Hessians H_k and the Jacobians
+ * L_k and R_k of the node equations on either side of a stage they satisfy
+ *
+ *     (H_k + r S) d_k + L_k' c_k - R_k' c_{k+1} = -slope_k,     k = 0, ..., N - 1
+ *     L_k d_k - R_{k-1} d_{k-1}                 = -defect_k,    k = 0, ..., N
+ *
+ * without L at the last node and without R before the first. At the first and the last node each equation may be
+ * replaced by c = 0, which leaves that coordinate of the state free. r S is a regularisation, r >= 0, S diagonal.
+ *
+ * The matrix is symmetric and indefinite. If it has exactly as many negative eigenvalues as there are node equations,
+ * (N + 1) n, and no zero ones, the Hessian is positive definite on the null space of the node equations: the step
+ * is a descent direction, and at a solution the trajectory is a strict local minimum (Sylvester's law of inertia).
+ *
+ * Stage after stage d_k and c_k are eliminated, in order of magnitude N (n + z)^3 operations. A leading block of the matrix
+ * may be singular where the matrix is not: at a focal point of the trajectory up to a node. To avoid that, the cost
+ * of a stage is augmented by w (|R_k d_k|^2 - |L_k d_k|^2) / 2. By the node equations these terms cancel in the sum over
+ * the stages, so that the solution and the inertia stay.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Inertia and conditioning of a symmetric matrix, from the pivots of its factorisation. */
+typedef struct {
+    retrax_index negative; /* number of negative eigenvalues */
+    double smallest;       /* size of the smallest pivot, rows and columns being scaled to one size; NaN if one is NaN */
+} retrax_inertia;
+
+/* A linear system; all arrays belong to the caller and are only read. */
+typedef struct {
+    retrax_index stages;       /* N >= 1 */
+    retrax_index node_size;    /* n >= 1, equations of a node */
+    retrax_index stage_size;   /* z >= 1, unknowns of a stage */
+    retrax_index columns;      /* right-hand sides, at least 1 */
+    const double *hessian;     /* [N][z][z], symmetric, both triangles */
+    const double *left;        /* [N][n][z] */
+    const double *right;       /* [N][n][z] */
+    const double *slope;       /* [N][z][columns] */
+    const double *defect;      /* [N + 1][n][columns] */
+    const double *fixed_start; /* [n]: 1, or 0 where the equation of the first node is replaced by c = 0 */
+    const double *fixed_end;   /* [n]: the same of the last node */
+    const double *stage_scale; /* [z] natural sizes of d; pivots are chosen in these units */
+    const double *node_scale;  /* [n] natural sizes of the defects */
+    double cost_scale;         /* natural size of the cost of a stage */
+    double regularisation;     /* r >= 0, in units of cost_scale and stage_scale */
+    const double *regularised; /* [z] diagonal of S in the same units */
+} retrax_block_system;
+
+/* A solution; all arrays belong to the caller and are overwritten. A column that has a number which is not finite is
+ * NaN altogether. */
+typedef struct {
+    double *step;            /* [N][z][columns]: d */
+    double *multipliers;     /* [N + 1][n][columns]: c */
+    unsigned char *finite;   /* [columns]: 1 where a column is finite, else 0 */
+    double *largest_step;    /* [z]: largest |d_k| of column 0 over the stages; NaN where the column is not finite */
+    retrax_inertia inertia;  /* of the matrix */
+    double curvature;        /* sum_k d_k' (H_k + r S) d_k of column 0, in units of cost_scale */
+    double size;             /* sum_k d_k' S d_k of column 0, in units of stage_scale */
+} retrax_block_solution;
+
+/* Returns the bytes of workspace that retrax_block_eliminate needs for a system of these sizes; 0 if a size is less than
+ * 1 or the workspace would exceed the address space. */
+RETRAX_API size_t retrax_block_workspace(retrax_index stages, retrax_index node_size, retrax_index stage_size,
+                                         retrax_index columns);
+
+/* Solves a system. workspace: as many bytes as retrax_block_workspace says, aligned to 64 bytes, of any content. */
+RETRAX_API void retrax_block_eliminate(const retrax_block_system *system, retrax_block_solution *solution,
+                                       void *workspace, retrax_instruction_set set);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 5. Condensing: the inner unknowns of collocation steps
+ *
+ * A step of a collocation method with s points has the unknowns x (n numbers, its first state in a chart), at each
+ * point nu_i (n, velocities in the chart) and u_i (m, controls), and the equations d_i = 0 (n) with multipliers
+ * lambda_i. With the step size h, the tableau's matrix A and weights b, the points lie at
+ *
+ *     xi_i = h sum_j A_ij nu_j          and the step's end at          eta = h sum_j b_j nu_j.
+ *
+ * Newton's equations of the points determine dnu = M w + nu_0 as functions of what is left, w = (dx, du), z = n + s m
+ * numbers. Put into the others they leave a system for block elimination: with T w + t = (dx, dxi, dnu, du) at a point,
+ * or (dx, deta) at the ends, the Hessian is the sum of T' H T, the slope of T' (g + H t), and the Jacobians of the node
+ * equations are L T and R T. The inertia of the whole matrix is that of the smaller one, with s n more
+ * positive and negative eigenvalues for each step.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Newton's equations of N steps; q = 3 n + m. All arrays belong to the caller and are only read. */
+typedef struct {
+    retrax_index steps;        /* N >= 1 */
+    retrax_index points;       /* s >= 1 of a step */
+    retrax_index state_size;   /* n >= 1 */
+    retrax_index control_size; /* m >= 0, at each point */
+    retrax_index columns;      /* right-hand sides, at least 1 */
+    const double *step_size;   /* [N]: h */
+    const double *matrix;      /* [s][s]: A */
+    const double *weights;     /* [s]: b */
+    const double *hessian;     /* [N][s][q][q] of the Lagrangian at a point in (dx, dxi, dnu, du), symmetric */
+    const double *jacobian;    /* [N][s][n][q] of d_i */
+    const double *slope;       /* [N][s][q][columns]: g */
+    const double *defect;      /* [N][s][n][columns]: d_i */
+    const double *end_hessian; /* [N][2 n][2 n] in (dx, deta), symmetric */
+    const double *end_left;    /* [N][n][2 n] of the equations of the node before a step */
+    const double *end_right;   /* [N][n][2 n] of the equations of the node behind it */
+    const double *end_slope;   /* [N][2 n][columns] */
+} retrax_collocation_system;
+
+/* What condensing leaves, and what it keeps to expand solutions; p = s n. All arrays belong to the caller. Where the
+ * equations of a step do not determine its velocities, numbers of the step are not finite. */
+typedef struct {
+    double *hessian;     /* [N][z][z], both triangles */
+    double *left;        /* [N][n][z] */
+    double *right;       /* [N][n][z] */
+    double *slope;       /* [N][z][columns] */
+    double *before;      /* [N][n][columns]: what nu_0 adds to the defect of the node before a step */
+    double *after;       /* [N][n][columns]: what it takes from the defect of the node behind it */
+    double *factors;     /* [N][p][p]: LU of the derivatives of all d_i by all nu_j */
+    retrax_index *swaps; /* [N][p] */
+    double *velocities;  /* [N][p][z + columns]: M, then nu_0 */
+} retrax_condensed_system;
+
+/* Returns the bytes of workspace for steps of these sizes; 0 if a size is too small or too large. */
+RETRAX_API size_t retrax_condensing_workspace(retrax_index points, retrax_index state_size, retrax_index control_size,
+                                              retrax_index columns);
+
+/* Condenses the steps first, ..., last - 1. workspace: as retrax_condensing_workspace says, aligned to 64 bytes. */
+RETRAX_API void retrax_condense(const retrax_collocation_system *system, retrax_condensed_system *condensed,
+                                retrax_index first, retrax_index last, void *workspace, retrax_instruction_set set);
+
+/* Computes velocities and multipliers of the points of the steps first, ..., last - 1 from a solution of the condensed
+ * system: step [N][z][columns] and multipliers [N + 1][n][columns] give velocities and lambdas, [N][s][n][columns]. Of
+ * `condensed` only factors, swaps and velocities are read, here and in retrax_condense_slope. */
+RETRAX_API void retrax_expand(const retrax_collocation_system *system, const retrax_condensed_system *condensed,
+                              retrax_index first, retrax_index last, const double *step, const double *multipliers,
+                              double *velocities, double *lambdas, void *workspace);
+
+/* Computes derivatives of a function of the points and ends of N steps by the velocities, inner [N][p], and by what is
+ * left, outer [N][z], along the condensed equations. slope: [N][s][q]; end_slope: [N][2 n], NULL if it is zero. */
+RETRAX_API void retrax_condense_slope(const retrax_collocation_system *system,
+                                      const retrax_condensed_system *condensed, const double *slope,
+                                      const double *end_slope, double *inner, double *outer);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif /* RETRAX_CORE_H */

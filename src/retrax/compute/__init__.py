@@ -1,0 +1,1 @@
+"""Evaluation of functions: the binding of the compiled core."""

@@ -1,0 +1,218 @@
+"""The library of the compiled core, called through ctypes: what ``src/core/retrax_core.h`` declares."""
+
+import ctypes
+import os
+from ctypes import POINTER, Structure, addressof, c_char, c_char_p, c_double, c_int, c_size_t, c_ssize_t, c_void_p
+from functools import cache
+from importlib.util import find_spec
+from typing import Any, final
+
+import numpy as np
+
+from ..errors import InvalidInputError, RetraxError
+
+FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
+
+VERSION = 1  # of the header that the structs below repeat
+OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
+OK = 0
+BYTES = 8  # of a number
+
+# Private: parts that run on the core, "tape" and "elimination", while what Numba compiles is still there.
+PARTS_ON_CORE = frozenset(os.environ.get("RETRAX_CORE", "").split(","))
+
+
+class MissingCoreError(RetraxError, ImportError):
+    """The compiled core is not installed, or is of another version."""
+
+
+@final
+class TapeStruct(Structure):
+    """``retrax_tape``."""
+
+    _fields_ = (
+        ("instructions", c_ssize_t),
+        ("registers", c_ssize_t),
+        ("inputs", c_ssize_t),
+        ("outputs", c_ssize_t),
+        ("codes", c_void_p),
+        ("operands", c_void_p),
+        ("values", c_void_p),
+    )
+
+
+@final
+class TapeDataStruct(Structure):
+    """``retrax_tape_data``."""
+
+    _fields_ = (
+        ("inputs", c_void_p),
+        ("input_size", c_ssize_t),
+        ("sources", c_void_p),
+        ("outputs", c_void_p),
+        ("output_size", c_ssize_t),
+        ("targets", c_void_p),
+    )
+
+
+@final
+class InertiaStruct(Structure):
+    """``retrax_inertia``."""
+
+    _fields_ = (("negative", c_ssize_t), ("smallest", c_double))
+
+
+@final
+class BlockSystemStruct(Structure):
+    """``retrax_block_system``."""
+
+    _fields_ = (
+        ("stages", c_ssize_t),
+        ("node_size", c_ssize_t),
+        ("stage_size", c_ssize_t),
+        ("columns", c_ssize_t),
+        ("hessian", c_void_p),
+        ("left", c_void_p),
+        ("right", c_void_p),
+        ("slope", c_void_p),
+        ("defect", c_void_p),
+        ("fixed_start", c_void_p),
+        ("fixed_end", c_void_p),
+        ("stage_scale", c_void_p),
+        ("node_scale", c_void_p),
+        ("cost_scale", c_double),
+        ("regularisation", c_double),
+        ("regularised", c_void_p),
+    )
+
+
+@final
+class BlockSolutionStruct(Structure):
+    """``retrax_block_solution``."""
+
+    _fields_ = (
+        ("step", c_void_p),
+        ("multipliers", c_void_p),
+        ("finite", c_void_p),
+        ("largest_step", c_void_p),
+        ("inertia", InertiaStruct),
+        ("curvature", c_double),
+        ("size", c_double),
+    )
+
+
+@final
+class CollocationSystemStruct(Structure):
+    """``retrax_collocation_system``."""
+
+    _fields_ = (
+        ("steps", c_ssize_t),
+        ("points", c_ssize_t),
+        ("state_size", c_ssize_t),
+        ("control_size", c_ssize_t),
+        ("columns", c_ssize_t),
+        ("step_size", c_void_p),
+        ("matrix", c_void_p),
+        ("weights", c_void_p),
+        ("hessian", c_void_p),
+        ("jacobian", c_void_p),
+        ("slope", c_void_p),
+        ("defect", c_void_p),
+        ("end_hessian", c_void_p),
+        ("end_left", c_void_p),
+        ("end_right", c_void_p),
+        ("end_slope", c_void_p),
+    )
+
+
+@final
+class CondensedSystemStruct(Structure):
+    """``retrax_condensed_system``."""
+
+    _fields_ = (
+        ("hessian", c_void_p),
+        ("left", c_void_p),
+        ("right", c_void_p),
+        ("slope", c_void_p),
+        ("before", c_void_p),
+        ("after", c_void_p),
+        ("factors", c_void_p),
+        ("swaps", c_void_p),
+        ("velocities", c_void_p),
+    )
+
+
+_CONDENSED = [POINTER(CollocationSystemStruct), POINTER(CondensedSystemStruct)]
+
+# Result and arguments of the functions.
+_SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
+    "retrax_core_version": (c_int, []),
+    "retrax_status_message": (c_char_p, [c_int]),
+    "retrax_best_instruction_set": (c_int, []),
+    "retrax_tape_instruction_name": (c_char_p, [c_int]),
+    "retrax_tape_check": (c_int, [POINTER(TapeStruct)]),
+    "retrax_tape_check_data": (c_int, [POINTER(TapeStruct), POINTER(TapeDataStruct), *[c_ssize_t] * 3]),
+    "retrax_tape_lanes": (c_ssize_t, [POINTER(TapeStruct), c_ssize_t]),
+    "retrax_tape_run": (
+        None,
+        [POINTER(TapeStruct), POINTER(TapeDataStruct), c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
+    ),
+    "retrax_lu_factorise": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
+    "retrax_lu_solve": (None, [c_ssize_t, c_void_p, c_void_p, c_ssize_t, c_void_p, c_int]),
+    "retrax_lu_solve_transposed": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
+    "retrax_block_workspace": (c_size_t, [c_ssize_t] * 4),
+    "retrax_block_eliminate": (
+        None,
+        [POINTER(BlockSystemStruct), POINTER(BlockSolutionStruct), c_void_p, c_int],
+    ),
+    "retrax_condensing_workspace": (c_size_t, [c_ssize_t] * 4),
+    "retrax_condense": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, c_void_p, c_int]),
+    "retrax_expand": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, *[c_void_p] * 5]),
+    "retrax_condense_slope": (None, [*_CONDENSED, *[c_void_p] * 4]),
+}
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """The library, whose functions know the types of their arguments; they run without Python's lock."""
+    spec = find_spec("retrax._core")
+    if spec is None or spec.origin is None:
+        raise MissingCoreError(
+            "the compiled core of retrax is not installed: expected the file _core beside the package's modules; try: "
+            "pip install --force-reinstall --no-deps retrax"
+        )
+    found = ctypes.CDLL(spec.origin)
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(found, name)
+        function.restype, function.argtypes = result, arguments
+    if found.retrax_core_version() != VERSION:
+        raise MissingCoreError(
+            f"the compiled core has version {found.retrax_core_version()} of its interface, expected {VERSION}; try: "
+            "pip install --force-reinstall --no-deps retrax"
+        )
+    return found
+
+
+@cache
+def best_instruction_set() -> int:
+    """The best instruction set of the processor that the core knows."""
+    return library().retrax_best_instruction_set()
+
+
+def require_ok(status: int, what: str) -> None:
+    """Raise ``InvalidInputError`` where a check of the core did not pass."""
+    if status != OK:
+        raise InvalidInputError(f"{what}: {library().retrax_status_message(status).decode()}")
+
+
+def address_of(array: Any, kind: np.dtype, shape: tuple[int, ...], name: str) -> int:
+    """The address of an array for C, 0 if it is empty; raises ``InvalidInputError`` unless it has this type and shape,
+    in C order."""
+    if not (isinstance(array, np.ndarray) and array.shape == shape and array.dtype == kind and array.flags.carray):
+        got = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+        raise InvalidInputError(
+            f"{name}: got {got}, expected an array of {kind} of shape {shape}, in C order and writable; try "
+            "numpy.array(..., order='C')"
+        )
+    # The buffer has an address in a quarter of the time that array.ctypes takes.
+    return addressof(c_char.from_buffer(array.data)) if array.size else 0

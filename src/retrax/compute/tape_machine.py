@@ -1,0 +1,97 @@
+"""Programs of tapes on the compiled core."""
+
+from ctypes import byref
+from typing import final
+
+import numpy as np
+
+from ..aligned import scratch
+from ..errors import InvalidInputError
+from .core import (
+    CODE,
+    FLOAT,
+    OPERANDS,
+    PLACE,
+    REGISTER,
+    TapeDataStruct,
+    TapeStruct,
+    address_of,
+    best_instruction_set,
+    library,
+    require_ok,
+)
+
+Ends = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+@final
+class MachineProgram:
+    """A tape as the core runs it; the core has checked its layout.
+
+    ``codes``, ``operands``, ``values``: those of each instruction, shapes ``(n,)``, ``(n, 8)`` and ``(n,)``;
+    ``registers``: their number; ``instruction_set``: the processor's best by default, or a lesser one.
+    """
+
+    def __init__(
+        self,
+        codes: np.ndarray,
+        operands: np.ndarray,
+        values: np.ndarray,
+        inputs: int,
+        outputs: int,
+        registers: int,
+        instruction_set: int | None = None,
+    ) -> None:
+        count = len(codes)
+        self._arrays = codes, operands, values  # C reads them
+        self._set = instruction_set
+        self._tape = TapeStruct(
+            count,
+            registers,
+            inputs,
+            outputs,
+            address_of(codes, CODE, (count,), "codes of a program"),
+            address_of(operands, REGISTER, (count, OPERANDS), "operands of a program"),
+            address_of(values, FLOAT, (count,), "values of a program"),
+        )
+        if instruction_set is not None and not 0 <= instruction_set <= best_instruction_set():
+            raise InvalidInputError(
+                f"instruction set {instruction_set}: this processor has 0 to {best_instruction_set()}; try None"
+            )
+        self._library = library()
+        require_ok(self._library.retrax_tape_check(byref(self._tape)), "a program that the core cannot run")
+
+    def lanes(self, points: int) -> int:
+        """Points that an instruction acts on at once where there are so many."""
+        return self._library.retrax_tape_lanes(byref(self._tape), points)
+
+    def run(self, points: range, ends: Ends, lanes: int | None = None) -> None:
+        """Write the values at the points of a range.
+
+        ``ends``: numbers that are read, and for each input where the number of point 0 stands and how far the next
+        point is, shape ``(inputs, 2)``; numbers that are written, and the same for each output.
+        """
+        inputs, sources, outputs, targets = ends
+        data = TapeDataStruct(
+            address_of(inputs, FLOAT, (inputs.size,), "inputs of a program"),
+            inputs.size,
+            address_of(sources, PLACE, (self._tape.inputs, 2), "places of inputs"),
+            address_of(outputs, FLOAT, (outputs.size,), "outputs of a program"),
+            outputs.size,
+            address_of(targets, PLACE, (self._tape.outputs, 2), "places of outputs"),
+        )
+        lanes = self.lanes(len(points)) if lanes is None else lanes
+        first, last = points.start, points.stop
+        status = self._library.retrax_tape_check_data(byref(self._tape), byref(data), first, last, lanes)
+        require_ok(status, f"a program at points {first} to {last}, {lanes} at once")
+        (registers,) = scratch(((self._tape.registers, lanes),))
+        own = best_instruction_set() if self._set is None else self._set
+        self._library.retrax_tape_run(
+            byref(self._tape),
+            byref(data),
+            first,
+            last,
+            address_of(registers, FLOAT, registers.shape, "registers"),
+            lanes,
+            own,
+        )
