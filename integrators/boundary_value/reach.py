@@ -16,6 +16,8 @@ def unmoved_words(conditions: Conditions, assembled: Assembled, k: int, names: l
     if not moved.size or not np.all(np.isfinite(moved)):
         return ""
     sizes = np.linalg.norm(moved, axis=1)
+    if sizes.max() <= ROUNDED:  # units of a search that has run away: rounding decides what depends on what
+        return ""
     moved[sizes <= ROUNDED * sizes.max()] = 0.0
     prescribed = np.flatnonzero(conditions.fixed[k, -1])
     left = np.setdiff1d(np.arange(len(prescribed)), independent_rows(moved))
