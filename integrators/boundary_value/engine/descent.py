@@ -87,10 +87,12 @@ class Descent:
         """Iterate until all members have left, or are stopped."""
         state = self.first_state(guess)
         while True:
-            self.state, finished = state, self.finished(state)
+            self.state = state
             self.fall.note(self.trials, state.member, state.assembled.cost)
-            if finished.any() or self.trials % ROUND == 0:
-                self._own, self.state = None, (state := renewed(self, state, finished, self.trials % ROUND == 0))
+            finished, after_round = self.finished(state), self.trials % ROUND == 0
+            if finished.any() or after_round:
+                state = renewed(self, state, finished, after_round)
+                self.state, self._own = state, None
                 finished = self.finished(state)
             self.report(state, state.descends)
             state = self.leave(state, finished)
