@@ -3,9 +3,9 @@
 import re
 from collections.abc import Iterator
 
-import jax
 import numpy as np
 
+from ...manifolds.numerics import ambient as vec
 from ..text import many, table
 from .checks import RegularChecks
 from .distances import factor_distances
@@ -90,9 +90,8 @@ def _turns(solution: Solution) -> Iterator[tuple[str, str]]:
     if solution.interpolant is None:
         return
     manifold, states = solution.interpolant.retraction.manifold, solution.states
-    before, after = (jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], states) for k in (slice(-1), slice(1, None)))
-    start, end = (jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k], states) for k in (0, -1))
-    ends, steps = factor_distances(manifold, start, end), factor_distances(manifold, before, after)
+    ends = factor_distances(manifold, vec.taken(states, 0), vec.taken(states, -1))
+    steps = factor_distances(manifold, vec.taken(states, slice(-1)), vec.taken(states, slice(1, None)))
     for (name, whole, is_angle), (_, own, _) in zip(ends, steps, strict=True):
         if not is_angle:
             continue
