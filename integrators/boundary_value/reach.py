@@ -11,7 +11,7 @@ ROUNDED = EPS**HALF  # of the coordinate that is moved farthest, in units: less 
 
 
 def unmoved_words(conditions: Conditions, assembled: Assembled, k: int, names: list[str]) -> str:
-    """What is said of member ``k`` where some of its end follows from the rest of it; else nothing."""
+    """Words on member ``k`` where entries of its end depend on the other entries; else nothing."""
     moved = _moved(conditions, assembled, k)
     if not moved.size or not np.all(np.isfinite(moved)):
         return ""
@@ -33,8 +33,8 @@ def unmoved_words(conditions: Conditions, assembled: Assembled, k: int, names: l
 
 
 def _moved(conditions: Conditions, assembled: Assembled, k: int) -> np.ndarray:
-    """What the prescribed coordinates of an end move by with the controls and the free start, all in units: a row for
-    each."""
+    """The derivatives of the prescribed coordinates of an end with respect to the controls and the free start, all in
+    units: a row for each coordinate."""
     blocks, units, n = assembled.blocks, conditions.measured, assembled.gap.shape[2]
     own = units.unknowns[k] / units.nodes[k][:, None]
     moved = np.diag(1.0 - conditions.fixed[k, 0])

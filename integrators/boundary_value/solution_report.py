@@ -109,7 +109,7 @@ def _turns(solution: Solution) -> Iterator[tuple[str, str]]:
 
 
 def _residuals(solution: Solution) -> Iterator[tuple[str, str]]:
-    """How far the conditions of an extremal are from being met."""
+    """The residuals of the conditions of an extremal."""
     checks = solution.checks
     kind, other = ("KKT residual", "stationarity") if solution.singular is None else ("residual", "equations of P_f")
     yield kind, f"defect {checks.defect:.1e}, {other} {checks.stationarity:.1e} (relative)"

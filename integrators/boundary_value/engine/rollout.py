@@ -60,7 +60,7 @@ class RollOut:
 
 
 def spans(method: Any, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """How long the control of each stage is held before the time of the stage and after it.
+    """The times for which the control of each stage is held before the stage and after it.
 
     It is held for the share of the step that the stage has as a weight of quadrature.
     """
