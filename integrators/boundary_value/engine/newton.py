@@ -106,7 +106,7 @@ def _restored(search: Descent, found: Found, guess: Iterate) -> Found:
 
 
 def _rolled_out(search: Descent, found: Found, guess: Iterate) -> Found:
-    """What is found from the states to which the controls of the guesses lead, where nothing else has found anything.
+    """The result of a search from the states to which the controls of the guesses lead, where other searches failed.
 
     On these the steps meet, and only the end is missed: states of a guess that do not fit its controls, as of a
     constant height, may lie where no control is felt.
@@ -122,7 +122,7 @@ def _rolled_out(search: Descent, found: Found, guess: Iterate) -> Found:
 
 
 def _firmly(search: Descent, found: Found, guess: Iterate) -> Found:
-    """What is found from the guesses with dear excesses and a high barrier, where nothing else has found anything.
+    """The result of a search from the guesses with dear excesses and a high barrier, where other searches failed.
 
     With the usual ones the cost may drive what is free to its bounds before the steps meet, and the excesses grow.
     """
@@ -133,7 +133,7 @@ def _firmly(search: Descent, found: Found, guess: Iterate) -> Found:
 
 
 def _unsettled(found: Found) -> np.ndarray:
-    """Where nothing has found anything, and the cost has a lower bound."""
+    """Members for which no search has found anything, whose cost has a lower bound."""
     return ~(found.claimed | _is_near(found) | found.falling)
 
 
