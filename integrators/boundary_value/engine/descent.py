@@ -68,7 +68,7 @@ class Descent:
         self.stopped = False
 
     def ended(self, guess: Iterate) -> Found:
-        """What is found from a guess, until an interrupt at the latest."""
+        """The result of the search from a guess, which an interrupt ends."""
         try:
             self.run(guess)
         except CompilingInterrupted:  # that takes seconds, and nothing is found before
@@ -356,7 +356,7 @@ class Descent:
         self.stopped = stops(self.callback(Iteration(self.trials - 1, state.member, state.assembled.cost, *seen)))
 
     def leave(self, state: State, finished: np.ndarray) -> State | None:
-        """What remains when members leave that have finished."""
+        """The state without the members that have finished; None without members."""
         if not finished.any():
             return state
         if finished.all():
