@@ -42,6 +42,13 @@ class Shown(NamedTuple):
 def shown(record: Any, problem: About = None) -> Shown:
     """The views of one record, of the members of a batch, or of the records of a list or a dictionary with their
     names."""
+    names, records = named(record)
+    ends = [record.times[1:-1].tolist() for record in records if isinstance(record, PhasedSolution)]
+    return Shown(names, [_parts(record, problem) for record in records], sorted({t for each in ends for t in each}))
+
+
+def named(record: Any) -> tuple[list[str], list[Any]]:
+    """The names of records and the records: of one record and of the members of a batch the names are empty."""
     if isinstance(record, Mapping):
         names, records = [str(name) for name in record], list(record.values())
     elif isinstance(record, Solutions) or (type(record) in (list, tuple)):
@@ -51,8 +58,7 @@ def shown(record: Any, problem: About = None) -> Shown:
         names, records = [""], [record]
     if not records:
         raise InvalidInputError("there is no record to draw, got an empty collection; try a Solution")
-    ends = [record.times[1:-1].tolist() for record in records if isinstance(record, PhasedSolution)]
-    return Shown(names, [_parts(record, problem) for record in records], sorted({t for each in ends for t in each}))
+    return names, records
 
 
 def drawn(record: Any, problem: About = None) -> View:
