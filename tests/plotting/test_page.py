@@ -154,6 +154,10 @@ def test_phases_are_one_motion(tmp_path):
         t = data["times"][k]
         np.testing.assert_allclose(rotations[k], phased.phases[int(t > 2)](min(t, 8.0)).states, atol=1e-7)
     assert len(data["histories"]) == 2
+    shorter_than_a_frame = replace(first, times=1e-4 * first.times, stage_times=1e-4 * first.stage_times)
+    plotting.to_html(PhasedSolution.of([first, shorter_than_a_frame, second], {}), tmp_path / "page.html")
+    data = data_of(tmp_path / "page.html")[1]
+    assert len(data["times"]) == len(data["motions"][0]["rotations"])
 
 
 def slews(**more):

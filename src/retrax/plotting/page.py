@@ -175,6 +175,8 @@ def _states_at(times: np.ndarray, phases: list[Any], views: list[View]) -> list[
     parts = []
     for number, (phase, found) in enumerate(zip(phases, views, strict=True)):
         own = np.clip(times[place == number], found.times[0], found.times[-1])
+        if not own.size:  # a phase that is shorter than a frame
+            continue
         if _is_smooth(phase):
             parts.append([np.asarray(leaf) for leaf in jax.tree.leaves(phase(own).states)])
         else:
