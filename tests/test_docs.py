@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from retrax import manifolds, retractions
+from retrax import manifolds, problems, retractions
 from retrax.retractions import families
 
 from tests.support.pages import Pages
@@ -180,6 +180,14 @@ def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
     }
     concrete = {name for name in kinds if not inspect.isabstract(public[name])}
     assert concrete - {kind.__name__ for kind in shown} == of_any_manifold
+
+
+def test_pages_of_problems_set_the_formulas_of_their_records(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    pages = importlib.import_module("problem_pages")
+    assert pages.plain("a|b in R^2: $u_1 = |v|$") == r"a\|b in $R^2$: $u_1 = |v|$"
+    for entry in problems.all():
+        assert not re.search(r"=|\^|\b(sqrt|exp|pi)\b", re.sub(r"\$[^$]*\$", "", entry.origin)), entry.name
 
 
 @pytest.fixture(scope="module")

@@ -247,7 +247,7 @@ def detumbling() -> KnownProblem:
         source="M. Athans, P. L. Falb, Optimal Control, 1966, section 10-6, norm-invariant systems",
         optimum=float(np.sum((inertia * rate) ** 2) / (2 * horizon)),
         digits=12,
-        origin="closed form: u = -J w / (T - t)",
+        origin=r"closed form: $u = -Jw / (T - t)$",
         formula=r"\frac{\lvert J w_0\rvert^2}{2T}",
     )
 

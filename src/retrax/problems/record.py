@@ -39,7 +39,7 @@ class KnownProblem:
     digits : int
         The number of verified significant digits of the optimum.
     origin : str
-        The method of the verification.
+        The method of the verification, with formulas in LaTeX between dollar signs.
     formula : str
         The optimum in closed form, in LaTeX, if there is one.
     time, cost : str
