@@ -162,6 +162,9 @@ def test_the_pages_that_use_a_name_are_found(monkeypatch):
         "other.path(G)"
     )
     assert uses.count(code) == {("plotting", "path"): 2, ("manifolds", "SO"): 2}
+    code = "import retrax as rx\nrx.SO(3); rx.solve(x).states.SO; rx.plotting.path(rx.hat(x)); rx.load(x)"
+    expected = [("manifolds", "SO"), ("integrators", "solve"), ("plotting", "path"), ("manifolds", "hat")]
+    assert uses.count(code) == dict.fromkeys(expected, 1)
     assert "/singular" in uses.used("integrators", "classify")
     assert uses.used("integrators", "SO") == []
 
