@@ -157,7 +157,7 @@ def _is_smooth(record: Any) -> bool:
     return isinstance(record, Solution) and record.interpolant is not None and record.success
 
 
-def _frame_times(phases: list[list[Any]], views: list[list[View]]) -> np.ndarray:
+def _frame_times(phases: Sequence[Sequence[Any]], views: list[list[View]]) -> np.ndarray:
     """Times of the frames: the nodes of trajectories with the same nodes, otherwise equal steps from the first time to
     the last."""
     nodes = [found.times for own in views for found in own]
@@ -168,7 +168,7 @@ def _frame_times(phases: list[list[Any]], views: list[list[View]]) -> np.ndarray
     return np.linspace(min(own[0] for own in nodes), max(own[-1] for own in nodes), FRAMES)
 
 
-def _states_at(times: np.ndarray, phases: list[Any], views: list[View]) -> list[np.ndarray]:
+def _states_at(times: np.ndarray, phases: Sequence[Any], views: list[View]) -> list[np.ndarray]:
     """States of a record at the times of the frames: its polynomials, or its nearest nodes; at its ends outside."""
     begins = [found.times[0] for found in views[1:]]
     place = np.searchsorted(begins, times, side="right")
