@@ -136,6 +136,20 @@ def test_words_of_the_field_are_headings_and_index_entries_of_their_pages(monkey
     assert search.missed({**index, "indexentries": {}, "alltitles": {}})
 
 
+def test_the_glossary_has_the_quantities_of_the_solver_once_each():
+    rows = re.findall(r"^\| ([^|]+) \|", (ROOT / "docs" / "glossary.md").read_text(), re.MULTILINE)
+    terms = [term for row in rows for term in row.split(", ") if term not in ("term", "---")]
+    assert len(terms) == len(set(terms)) > 100
+    needed = (
+        "defect, tangential defect, constraint values, elastic excess, penalty, elastic mode, slack, fraction to the "
+        "boundary, step cap, trial point, Newton iteration, regularisation, inertia correction, scaling, rescaling, "
+        "control range, magnitudes, transcription, transcribed problem, boundary data, reformulation, termination "
+        "status, audit, constraint qualification, linkage, bordered system, condensing, pullback, pushforward, "
+        "globalisation, predicted reduction, perturbed guess, diverging, converged, batch"
+    )
+    assert set(needed.split(", ")) <= set(terms)
+
+
 def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
     links = importlib.import_module("links")
