@@ -71,7 +71,7 @@ def control_words(problem: "OptimalControlProblem", jump: Jump, steps: list[str]
     """What is said of a jump; ``at``: of which state."""
     name = rate_names(problem)[jump.entry]
     place = jax.tree.map(lambda leaf: rounded(leaf, float(np.max(np.abs(leaf), initial=0.0))), jump.control)
-    hint = OF_CONTROL if name in problem.limits.function_words else SMOOTH
+    hint = OF_CONTROL if name in problem._limits.function_words else SMOOTH
     return (
         f"{name} jumps in the controls at u = {place}{at}: it computes {' and '.join(steps)} from them, and no "
         "derivative tells of the jump; expected a smooth function of u, because the conditions dH/du = 0 do not see a "

@@ -48,7 +48,7 @@ def require_cost(
     )
 
 
-def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...]) -> bool:
+def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...] = ()) -> bool:
     """Whether an entry of the differential of the terminal cost is one number, not zero, in an array that is not
     ``fixed``."""
     if problem.terminal_cost is None:
@@ -93,7 +93,7 @@ def _cost_rates(
     def at(q: Array, u: Array, move: Array, c: Array) -> tuple[Array, Array]:
         x, u0 = state.point(q), control.point(u)
         moved = retraction.chart(x, retraction.frame(x), move)
-        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem.steer(u0, z[1])))((moved, c))
+        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem._steer(u0, z[1])))((moved, c))
         return rate, vec.size(slopes)
 
     points = (layout.rows(x, 0)[None, None] for layout, x in ((state, q), (control, u)))

@@ -272,7 +272,7 @@ class Crossings:
         state = self.state.point(q)
         if self.retraction is not None:
             state = self.retraction(state, vec.combine(self.retraction.manifold.basis(state), way))
-        return state, self.problem.steer(self.control.point(u), turn), (t + span)[0]
+        return state, self.problem._steer(self.control.point(u), turn), (t + span)[0]
 
     def _value(self, point: tuple[Ambient, Ambient, Array], given: Array) -> Array:
         (parameters, own), (state, control, time) = self._given.point(given), point
@@ -310,7 +310,7 @@ def rates(problem: "OptimalControlProblem", q: Ambient, u: Ambient, _: None = No
     halves = [
         jnp.ravel(half) for leaf in leaves for half in ((leaf.real, leaf.imag) if jnp.iscomplexobj(leaf) else (leaf,))
     ]
-    return jnp.concatenate([*halves, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem.limits.of_functions(q, u)])
+    return jnp.concatenate([*halves, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem._limits.of_functions(q, u)])
 
 
 def rate_names(problem: "OptimalControlProblem") -> list[str]:
@@ -319,5 +319,5 @@ def rate_names(problem: "OptimalControlProblem") -> list[str]:
         leaf.size * (1 + jnp.issubdtype(leaf.dtype, jnp.complexfloating))
         for leaf in jax.tree.leaves(problem.manifold.ambient)
     )
-    limits = problem.at_time(0.0).limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
+    limits = problem.at_time(0.0)._limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
     return [*count * ["dynamics"], "running_cost", *limits]

@@ -26,9 +26,9 @@ def find_control(
 ) -> tuple[Ambient, Bool[Array, ""]]:
     """Control with ``dH/du(q, p, u) = 0`` by Newton's method from ``near``, and whether there is one; else ``near``."""
     zero = jnp.zeros(problem.controls.dimension)
-    slope = jax.grad(lambda c: problem.hamiltonian(q, p, problem.steer(near, c)))
+    slope = jax.grad(lambda c: problem.hamiltonian(q, p, problem._steer(near, c)))
     root, found = find_root(slope, zero, _control_sizes(problem, q, p, near))
-    return problem.steer(near, jnp.where(found, root, zero)), found
+    return problem._steer(near, jnp.where(found, root, zero)), found
 
 
 def _control_sizes(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> Array:
@@ -38,7 +38,7 @@ def _control_sizes(problem: OptimalControlProblem, q: Ambient, p: Ambient, near:
 
     def asked_along(e: Array) -> Array:
         def parts(s: Array) -> Array:
-            return jnp.stack(problem.parts(q, p, problem.steer(near, s * e)))
+            return jnp.stack(problem._parts(q, p, problem._steer(near, s * e)))
 
         zero, one = jnp.zeros(()), jnp.ones(())
         slopes, curvatures = jax.jvp(lambda s: jax.jvp(parts, (s,), (one,))[1], (zero,), (one,))

@@ -28,8 +28,8 @@ def statement(problem: "OptimalControlProblem") -> str:
     lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem.constraints]
     lines += [f"            {name}(q{t}{p}) <= 0 at the nodes" for name in problem.node_constraints]
     last = ", T" if t else ""
-    lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem.boundary.names]
-    turn = problem.boundary.turn
+    lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem._boundary.names]
+    turn = problem._boundary.turn
     if turn is not None:
         lines.append("            q(T) = q(0)" if turn is same else f"            q(T) = {_name(turn)}(q(0){p})")
     lines += [f"{'where' if not place else '':12}{text}" for place, text in enumerate(problem.quantities.lines)]

@@ -194,17 +194,17 @@ def _values(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> Array:
     costs = [problem.cost_rate(q, u), problem.final_cost(q), problem.first_cost(q)]
     velocity = [jnp.real(leaf).ravel() for leaf in jax.tree.leaves(problem.velocity(q, u))]
     return jnp.concatenate(
-        [*velocity, jnp.stack(costs), *problem.limits.of_functions(q, u), problem.boundary.values(q, q)]
+        [*velocity, jnp.stack(costs), *problem._limits.of_functions(q, u), problem._boundary.values(q, q)]
     )
 
 
 def _names(problem: "OptimalControlProblem", q: Ambient) -> list[str]:
     """Of each of these entries the name of its function."""
     count = sum(leaf.size for leaf in jax.tree.leaves(problem.manifold.ambient))
-    limits = problem.limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
+    limits = problem._limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
     ends = [
         boundary_words(name)
-        for name, values in zip(problem.boundary.names, jax.eval_shape(problem.boundary.each, q, q), strict=True)
+        for name, values in zip(problem._boundary.names, jax.eval_shape(problem._boundary.each, q, q), strict=True)
         for _ in range(values.size)
     ]
     return [*count * ["dynamics"], "running_cost", "terminal_cost", "initial_cost", *limits, *ends]

@@ -36,7 +36,7 @@ class Examination:
         self.problem = problem
         self._traced: dict[Any, Any] = {}
         self._needed: dict[Any, bool] = {}
-        self._limited, self._named = problem.limits.along, bool(problem.limits.every_name)
+        self._limited, self._named = problem._limits.along, bool(problem._limits.every_name)
 
     def __call__(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
         """The solution, the same one if there is nothing to say of it; no success where it passes a jump, and no strict
@@ -107,7 +107,7 @@ class Examination:
 
     def _qualifications(self, solution: Solution) -> list[Qualification]:
         """Those of the constraints at the stages and of those at the nodes, of which there are some."""
-        limits = self.problem.limits
+        limits = self.problem._limits
         kinds = [at_nodes for at_nodes, names in ((False, limits.names), (True, limits.node_names)) if names]
         return [self._once(Qualification, solution.parameters, at_nodes) for at_nodes in kinds]
 
@@ -157,7 +157,7 @@ class Examination:
     def _flat(self, solution: Solution) -> np.ndarray:
         """At which stages the Hamiltonian, with the constraints, does not depend on an entry of the control, ``(N s,
         m)``."""
-        limits, controls = self.problem.limits, self.problem.controls
+        limits, controls = self.problem._limits, self.problem.controls
         count = len(solution.stage_times)
         if not (limits.along and isinstance(controls, Euclidean)):
             return np.zeros((count, 0), bool)

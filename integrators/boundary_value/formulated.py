@@ -83,7 +83,7 @@ class Formulated:
         kind = Kind.of(horizon, parameters)
         if kind not in self._made:
             example = self.reader.problem.with_parameters(all_guessed(parameters)).at_time(0.0)
-            example.require_values()
+            example._require_values()
             formulation = Formulation(self.reader.problem, self.reader.method, kind, self.at_guess)
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]
@@ -189,7 +189,7 @@ class Formulated:
 
     def _solved(self, request: Request) -> Solution:
         formulation, solver, own = self.formulated(request)
-        return self._kept(formulation, solver, solver.found(own), request.given.parameters)
+        return self._kept(formulation, solver, solver._found(own), request.given.parameters)
 
     def formulated(self, request: Request, begins: float | None = None) -> tuple[Formulation, Any, Request]:
         """The formulation of a single trajectory, its solver, and what is asked of that.
@@ -205,7 +205,7 @@ class Formulated:
         if isinstance(request.guess, Solution) and guess is not None:
             guess = self._with_covectors(formulation, guess, request.guess, horizon)
         own = Given(start, end, horizon, formulation.parameters(given.horizon, given.parameters))
-        return formulation, solver, request.again(solver.reader, own, guess)
+        return formulation, solver, request.again(solver._reader, own, guess)
 
     def solve_many(self, request: Request) -> Solutions:
         """The extremals of a batch."""
@@ -219,7 +219,7 @@ class Formulated:
         start = formulation.start(request.given.start, constants)
         end = formulation.end(request.given.end, request.horizons[:, None])
         own = Given(start, end, request.horizons, stacked)
-        found = solver.all_found(request.again(solver.reader, own, None if request.guesses is None else guesses))
+        found = solver._all_found(request.again(solver._reader, own, None if request.guesses is None else guesses))
         solutions, stopped = list[Solution](), False
         for member, one in zip(members, found, strict=True):
             solution = self._kept(formulation, solver, one, member.given.parameters)

@@ -110,7 +110,7 @@ class Formulation:
         functions |= {"terminal_cost": (self._final, 1), "initial_cost": (self._first, 1)}
         changes: Any = {name: self._of_state(*f) for name, f in functions.items() if getattr(problem, name) is not None}
         changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
-        self.problem = problem.replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
+        self.problem = problem._replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
 
     def start(self, start: Any, constants: np.ndarray, begins: float | None = None) -> tuple:
         """The start with the guesses of the constants, and the clock at zero, or free and guessed."""
@@ -203,7 +203,7 @@ class Formulation:
 
     def _multipliers(self, found: Solution, rate: float) -> dict[str, np.ndarray]:
         """The multipliers in the time of the problem; those of the bounds of ``s`` as those of the bounds of ``T``."""
-        between = self.own.boundary.names
+        between = self.own._boundary.names
         own = {name: values / (1.0 if name in between else rate) for name, values in found.multipliers.items()}
         times = {name: own[name] / (rate * found.horizon) for name in (HORIZON_LOWER, HORIZON_UPPER) if name in own}
         return {**own, **times}
@@ -267,7 +267,7 @@ class Formulation:
 
     def _boundary(self) -> BoundaryConditions:
         """The conditions of both ends."""
-        own = self.own.boundary
+        own = self.own._boundary
         functions = tuple(self._of_state(self._between(place), 2) for place in range(len(own.names)))
         turn = None if own.turn is None else self._of_state(self._turned, 1)
         return BoundaryConditions(own.names, functions, turn, factor=True, closed=own.closed)
@@ -275,17 +275,17 @@ class Formulation:
     def _between(self, place: int) -> Callable[[tuple, tuple, Any], Any]:
         def between(first: tuple, last: tuple, given: Any) -> Any:
             (q, *_), (end, bound, _) = self._at(first, given), self._at(last, given)
-            return bound.boundary.functions[place](q, end)
+            return bound._boundary.functions[place](q, end)
 
         return between
 
     def _turned(self, y: tuple, given: Any) -> Ambient:
         q, bound, _ = self._at(y, given)
-        return bound.turned(q)
+        return bound._periodic_end(q)
 
     def _limits(self) -> Inequalities:
         """The inequalities of the problem, and the bounds of the horizon and of the parameters at the first point."""
-        own, kind, names = self.own.limits, self.kind, list[str]()
+        own, kind, names = self.own._limits, self.kind, list[str]()
         functions = [self._of_state(self._limit(place), 2) for place in range(len(own.names))]
         begin = 0
         for name, bounded, sign in zip((HORIZON_LOWER, HORIZON_UPPER), kind.horizon_bounds, (1, -1), strict=True):
@@ -306,14 +306,14 @@ class Formulation:
     def _node_limit(self, place: int) -> Callable[[tuple, Any], Any]:
         def limit(y: tuple, given: Any) -> Any:
             q, bound, _ = self._at(y, given)
-            return bound.limits.node_functions[place](q)
+            return bound._limits.node_functions[place](q)
 
         return limit
 
     def _limit(self, place: int) -> Callable[[tuple, Ambient, Any], Any]:
         def limit(y: tuple, u: Ambient, given: Any) -> Any:
             q, bound, _ = self._at(y, given)
-            return bound.limits.functions[place](q, u)
+            return bound._limits.functions[place](q, u)
 
         return limit
 

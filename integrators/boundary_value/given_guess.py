@@ -68,7 +68,7 @@ class GuessReader:
             _Part(name, own[of][0], length, own[of][1])
             for name, (of, length) in zip(Guess._fields[: len(places)], places, strict=True)
         ]
-        limits, added = problem.limits, (HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER)
+        limits, added = problem._limits, (HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER)
         self._names = {*(name for name, side in limits.bounded.items() if side), *limits.names, *added}
         self._node_names = set(limits.node_names)
         self._stages, self._nodes = at_stages, at_nodes

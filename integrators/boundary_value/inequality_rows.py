@@ -29,9 +29,9 @@ class InequalityRows:
     def __init__(self, problem: OptimalControlProblem, parameters: Any, stages: int) -> None:
         self.problem, self.parameter, self.stages = problem, parameter_layout(parameters), stages
         self.state, bound = Layout.of(problem.manifold), problem.with_parameters(parameters)
-        self.limits, self.sizes, self.node_sizes = problem.limits, bound.inequality_sizes, bound.node_sizes
-        self.own, self.nodes = len(bound.inequality_names), sum(map(count, self.node_sizes.values()))
-        self._any = problem.limits.any
+        self.limits, self.sizes, self.node_sizes = problem._limits, bound._inequality_sizes, bound._node_sizes
+        self.own, self.nodes = len(bound._inequality_names), sum(map(count, self.node_sizes.values()))
+        self._any = problem._limits.any
 
     @property
     def places(self) -> int:
@@ -59,7 +59,7 @@ class InequalityRows:
         holds[0, -1, at_start], holds[-1, -1, at_end] = (
             np.any(self._depends[:, ~known], axis=1) for known in (first, last)
         )
-        if self.problem.boundary.closed:
+        if self.problem._boundary.closed:
             holds[0, -1, at_start] &= self._depends[:, -1] & (self.limits.clock is not None)
         holds[0, -1, at_start] &= not repeated
         return holds

@@ -9,6 +9,7 @@ import numpy as np
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ..evaluation import at_each
+from ..functions import imprecise
 from ..kinks import kinks_near
 from ..problem import OptimalControlProblem
 from ..results import sentence
@@ -26,7 +27,8 @@ def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
     if solution.result.startswith(sentence("not_finite")):
         where = _not_finite(problem, solution)
         return replace(solution, result=f"{solution.result} {where}") if where else solution
-    reason = problem.imprecise(q, u) or kinks_near(problem, solution)
+    functions = {"dynamics": problem.dynamics, "running_cost": problem.running_cost}
+    reason = imprecise(functions, q, u) or kinks_near(problem, solution)
     return (
         replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
     )

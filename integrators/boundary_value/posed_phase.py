@@ -55,11 +55,11 @@ class _Inner:
         self.problem, self.posing = problem, Posing(problem, method, fractions, evaluator)
         self.interpolant = Interpolant(method.retraction, problem.controls)
         mesh = Mesh(fractions, self.posing.stages, self.interpolant)
-        self.reader = RequestReader(problem, method, mesh, evaluator)
+        self._reader = RequestReader(problem, method, mesh, evaluator)
         self.recording = Recording(problem, self.posing.stages, self.interpolant)
         self.examination = Examination(problem)
         # Zero: durations come from afar, where one that is one at its guess would pass through zero.
-        self.formulated = Formulated(self.reader, lambda own: self._of(own, fractions, evaluator), 0.0)
+        self.formulated = Formulated(self._reader, lambda own: self._of(own, fractions, evaluator), 0.0)
 
     @staticmethod
     def _of(formulation: Formulation, fractions: np.ndarray, evaluator: Evaluator) -> "_Inner":
@@ -141,7 +141,7 @@ class TracedPhases:
 
     def request(self, number: int, phase: Any) -> Request:
         """What is asked of a phase."""
-        reader, given = self.inner(phase).reader, Given(phase.start, phase.end, phase.duration, phase.parameters)
+        reader, given = self.inner(phase)._reader, Given(phase.start, phase.end, phase.duration, phase.parameters)
         if number in self._asked:
             return self._asked[number].again(reader, given, phase.guess)
         return self._asked.setdefault(number, Request.of(reader, given, phase.guess, self.options))
@@ -162,7 +162,7 @@ def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases, re
         first, control = ends if guess is None else vec.taken((guess.states, guess.controls), 0)
         inspection = inspected(bound, first, control)
         inspection.require_sound()
-        regular = inspection.is_regular or bound.limits.along
+        regular = inspection.is_regular or bound._limits.along
     except NAMED as error:
         raise type(error)(f"phase {number}: {error}") from error
     if not regular:

@@ -21,6 +21,7 @@ from ..evaluated import Evaluator
 from ..evaluator import Automatic
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
+from ..requirements import require_treated
 from .arguments import ALONG, BETWEEN, check_parameters
 from .distances import factor_distances
 from .engine.chart import lagrange
@@ -110,7 +111,7 @@ def discretization_error(
     if not isinstance(retraction, Retraction):
         got = type(retraction).__name__
         raise InvalidInputError(f"discretization_error takes a retraction, got {got}; try method.retraction")
-    problem.require_treated("discretization_error", *ALONG, *BETWEEN)
+    require_treated(problem, "discretization_error", *ALONG, *BETWEEN)
     check_parameters(problem, parameters)
     found = solution.times, solution.states, solution.stage_times, solution.controls
     return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)
@@ -289,7 +290,7 @@ class Propagator:
 
     def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, time: Array, parameters: Array) -> tuple[Array]:
         bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
-        u = self.problem.steer(self.control.point(base), offset)
+        u = self.problem._steer(self.control.point(base), offset)
         (q,), push = jax.linearize(lambda c: self._chart_of(x, c), c)
         (columns,) = jax.vmap(push)(jnp.eye(c.size))
         velocity = self.state.flat(bound.velocity(self.state.point(q), u))

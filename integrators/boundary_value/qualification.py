@@ -92,7 +92,7 @@ class Qualification:
 
     def _names(self, parameters: Any) -> tuple[str, ...]:
         bound = self.problem.with_parameters(parameters).at_time(0.0)
-        return entry_words(bound.node_sizes) if self.at_nodes else bound.inequality_names
+        return entry_words(bound._node_sizes) if self.at_nodes else bound._inequality_names
 
     def at_ends(self, solution: Solution, fixed: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
         """Names of the inequalities, and by how much both ends violate those that depend on nothing free there, ``(2,
@@ -121,7 +121,7 @@ class Qualification:
         nearer = np.ones(values.shape, bool)
         if self.at_nodes:
             return nearer
-        lower, upper = (list(side) for side in self.problem.limits.bounded.values())
+        lower, upper = (list(side) for side in self.problem._limits.bounded.values())
         for i, control in enumerate(lower):
             if control in upper:
                 j = len(lower) + upper.index(control)
@@ -139,7 +139,7 @@ class Qualification:
         """A sentence on inequalities that hold a place together with derivatives that depend on each other, or on those
         of the equations of that end."""
         active, rows, names = held_by
-        ends = self._of_ends(solution, units) if self.at_nodes and self.problem.boundary.functions else {}
+        ends = self._of_ends(solution, units) if self.at_nodes and self.problem._boundary.functions else {}
         for k in np.flatnonzero(np.any(active, axis=1)):
             held = np.flatnonzero(active[k])
             equations, more = ends.get(int(k), ((), rows[k, :0]))
@@ -167,7 +167,7 @@ class Qualification:
         nodes, times, given = self.state.rows(solution.states, 1), solution.times[-1:, None], self._given(solution)
         sizes, *both = (a[0] for a in self._between(nodes[:1], nodes[-1:], times, given))
         names = [
-            boundary_words(n) for n, k in zip(self.problem.boundary.names, sizes, strict=True) for _ in range(int(k))
+            boundary_words(n) for n, k in zip(self.problem._boundary.names, sizes, strict=True) for _ in range(int(k))
         ]
         found, none = dict[int, tuple[list[str], np.ndarray]](), np.zeros((len(names), self.problem.controls.dimension))
         for place, own, other in ((0, *both), (len(solution.times) - 1, *both[::-1])):
@@ -180,7 +180,7 @@ class Qualification:
     def _multipliers(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """Those of the inequalities in their order, shape ``(N s, k)``, and which are among the largest, as many as the
         places at which the inequality is active: what a barrier leaves at the others holds nothing."""
-        limits, own, checks = self.problem.limits, solution.stage_multipliers, solution.checks
+        limits, own, checks = self.problem._limits, solution.stage_multipliers, solution.checks
         active = checks.active if isinstance(checks, RegularChecks) else {}
         none = np.zeros((len(solution.times if self.at_nodes else solution.stage_times), 0))  # of one without entries
         if self.at_nodes:
@@ -231,10 +231,10 @@ class Qualification:
 
         def values(*moves: Array) -> Array:
             near = (vec.add(q, vec.combine(frame, d)) for q, frame, d in zip(ends, frames, moves, strict=True))
-            return problem.boundary.values(*near)
+            return problem._boundary.values(*near)
 
         rest = jnp.zeros(n), jnp.zeros(n)
-        sizes = jnp.array([value.size for value in problem.boundary.each(*ends)], float)
+        sizes = jnp.array([value.size for value in problem._boundary.each(*ends)], float)
         return sizes, *jax.jacfwd(values, (0, 1))(*rest)
 
     @cached_property

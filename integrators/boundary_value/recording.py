@@ -34,7 +34,7 @@ class Recording:
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
-        self.quantities, self._constrained = problem.quantities, problem.limits.of_points_along
+        self.quantities, self._constrained = problem.quantities, problem._limits.of_points_along
         self.formulation: Any = None  # that the problem is of another one, whose names and times users know
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 

@@ -87,7 +87,7 @@ class Refinement:
 
     def solve(self) -> Solution:
         """The solution on the last mesh, with what its conditions do not tell."""
-        return self.solver.examined(self._solved(), self.request)
+        return self.solver._examined(self._solved(), self.request)
 
     def _solved(self) -> Solution:
         solution = self._first()
@@ -158,13 +158,13 @@ class Refinement:
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
         request = replace(self.request, options=self.request.options._replace(tolerance=self._tolerance))
-        return self._counted(solver, request.again(solver.reader, given, guess))
+        return self._counted(solver, request.again(solver._reader, given, guess))
 
     def _counted(self, solver: Solver, request: Request) -> Solution:
         """The solution, with its effort added to that of all; none follows one that was stopped."""
         if self._stopped:
             raise _StoppedError
-        solution = solver.found(request)
+        solution = solver._found(request)
         iterations, compiling, running = self._effort
         spent = solution.statistics
         self._stopped |= spent.stopped
@@ -235,7 +235,7 @@ class Refinement:
 
     def _switched(self, found: _Found) -> _Found:
         """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
-        if not any(self.problem.limits.bounded.values()):
+        if not any(self.problem._limits.bounded.values()):
             return found
         structure, known = switching_structure(self.problem, found.solution), found.structure
         if known is not None and np.array_equal(known.sides, structure.sides):

@@ -208,12 +208,12 @@ class Jumps:
 
 def _at_start(problem: OptimalControlProblem, q: Ambient, _: Ambient, last: Ambient) -> Array:
     """What is asked of the start, with the last state as it is."""
-    return jnp.concatenate([jnp.reshape(problem.first_cost(q), (1,)), problem.boundary.values(q, last)])
+    return jnp.concatenate([jnp.reshape(problem.first_cost(q), (1,)), problem._boundary.values(q, last)])
 
 
 def _at_end(problem: OptimalControlProblem, q: Ambient, _: Ambient, first: Ambient) -> Array:
     """What is asked of the end, with the first state as it is."""
-    return jnp.concatenate([jnp.reshape(problem.final_cost(q), (1,)), problem.boundary.values(first, q)])
+    return jnp.concatenate([jnp.reshape(problem.final_cost(q), (1,)), problem._boundary.values(first, q)])
 
 
 def _joined(words: Any) -> str:

@@ -173,7 +173,7 @@ class Estimator:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
         """The largest excess of each step over each inequality, relative; which are free of the controls, and which are
         curved in them; and in their units."""
-        if not self.problem.limits.any or solution.interpolant is None:
+        if not self.problem._limits.any or solution.interpolant is None:
             return np.zeros((solution.steps, 0)), np.zeros(0, bool), np.zeros(0, bool), {}
         stages = len(solution.stage_times) // solution.steps
         found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1), costates=False)
@@ -183,7 +183,7 @@ class Estimator:
         values, by_state, by_control, twice = self._limits.at(2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
         bound = self.problem.with_parameters(parameters).at_time(0.0)
-        violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes | bound.node_sizes)
+        violations = self.problem._limits.by_name(np.max(excess, axis=1), bound._inequality_sizes | bound._node_sizes)
         state, room = self._sizes(solution)[0], np.max(np.abs(u), axis=(0, 1), initial=0.0)
         changes = np.max(by_state * state, axis=3), np.max(by_control * room, axis=3, initial=0.0)
         size, change = np.max(np.abs(values), axis=(0, 1)), np.max(changes, axis=(0, 1, 2))

@@ -89,11 +89,11 @@ def switching_structure(problem: OptimalControlProblem, solution: Solution) -> S
     """
     if not isinstance(solution, Solution):
         raise InvalidInputError(f"switching_structure takes a Solution, got {brief(solution)}; try what solve returns")
-    if not any(problem.limits.bounded.values()):
+    if not any(problem._limits.bounded.values()):
         raise InvalidInputError(
             f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"
         )
-    lower, upper = (np.array(side) for side in (problem.limits.lower, problem.limits.upper))
+    lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
     u = np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
     room = upper - lower
     spread = np.ptp(u, axis=0)

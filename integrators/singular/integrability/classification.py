@@ -196,7 +196,7 @@ class Classification(IntegrabilityResult[Stratum]):
         problem : OptimalControlProblem
             The problem.
         """
-        unchanged = self.digest is None or self.digest == problem.digest()
+        unchanged = self.digest is None or self.digest == problem._digest()
         return unchanged and is_same_problem(self.problem, problem)
 
     def require_reliable(self) -> None:

@@ -12,10 +12,12 @@ from ....progress import Advance, progress
 from ....reading import reads_once
 from ....retractions import default_retraction
 from ...controls import resting_control
+from ...costs import is_steep
 from ...functions import require_concrete
 from ...initial_value.passed_jumps import Energy, Segments
 from ...inspection import Inspection
 from ...problem import OptimalControlProblem
+from ...requirements import require_treated
 from ...results import warn_about_precision
 from ..integrability_result import Signature
 from .classification import Classification, MorseTest, Stratum
@@ -137,14 +139,14 @@ def _classify(
     first = random_starts(problem, ORDERS[0], starts, seed, near)
     homogeneous = problem.abnormal or float(np.ptp(first.at.cost_rate)) == 0  # a constant is part of no condition
     if exclude is None:
-        exclude = problem.abnormal or (homogeneous and problem.is_steep_at())
+        exclude = problem.abnormal or (homogeneous and is_steep(problem))
     with progress("classify", len(first.slow), "points", verbose) as advance:
         levels, morse, found = _run(first, exclude and homogeneous, advance)
     kept = [item for item in found if not (exclude and item.trivial)]
     strata = found_strata(kept)
     jump = _jump(problem, first, strata)
     return Classification(
-        problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest(), jump
+        problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem._digest(), jump
     )
 
 
@@ -181,7 +183,7 @@ def _symbolic(
 def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> None:
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"classify takes an OptimalControlProblem, got {problem!r}")
-    problem.require_treated("classify", "an initial cost")
+    require_treated(problem, "classify", "an initial cost")
     if not isinstance(starts, int) or starts < 1:
         raise InvalidInputError(f"starts must be a positive number of random starts, got {starts!r}; try 20")
     if problem.controls.dimension == 0:
@@ -191,7 +193,7 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
         if not verdict:
             raise NotOnManifoldError(f"near must be a state (q, p): {verdict.reason}")
     q = problem.manifold.random_point(jax.random.key(0)) if near is None else near[0]
-    problem.require_values()
+    problem._require_values()
     Inspection(problem, q, resting_control(problem.controls)).require_smooth()
 
 

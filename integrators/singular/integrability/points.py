@@ -56,7 +56,7 @@ def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> 
     moved = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.zeros((jet.size, *leaf.shape[1:]))]), frame)
     value, slopes = jax.vmap(lambda a, b: jax.jvp(function, (z, jet), (a, b)), out_axes=(None, 0))(moved, along)
     slopes = jnp.moveaxis(slopes, 0, -1)
-    base, control = array.problem.manifold.basis(z[0]), array.problem.steer(center, jet[0])
+    base, control = array.problem.manifold.basis(z[0]), array.problem._steer(center, jet[0])
     return Linearised(
         z=z,
         control=control,

@@ -85,7 +85,7 @@ def _draw() -> Callable[..., Drawn]:
         (q, p), steps = jax.lax.map(lambda at: _state(problem, at[0], at[1], near, lengths), (keys, apart))
         centers, first = jax.lax.map(lambda key: _control(problem, jax.random.split(key)[1]), keys)
         first = _priced(problem, q, centers, _balance(problem, q, centers, first)) * first
-        controls = jax.vmap(problem.steer)(centers, first)
+        controls = jax.vmap(problem._steer)(centers, first)
         cost, rate, changes, finite = jax.lax.map(lambda at: _survey(problem, at[0], at[1], lengths), (q, controls))
         action = _middle(cost) / _middle(rate)
         action = jnp.where((action > 0) & jnp.isfinite(action), action, 1.0)
@@ -191,7 +191,7 @@ def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first
     def sizes(at: tuple[Ambient, Ambient, Array]) -> tuple[Array, Array]:
         q, center, c = at
         still = problem.velocity(q, center)
-        return vec.size(still), vec.size(vec.subtract(problem.velocity(q, problem.steer(center, c)), still))
+        return vec.size(still), vec.size(vec.subtract(problem.velocity(q, problem._steer(center, c)), still))
 
     drift, change = (jnp.mean(a) for a in jax.lax.map(sizes, (q, centers, first)))
     least = default_tolerance() * jnp.maximum(drift, change)
@@ -204,7 +204,7 @@ def _priced(problem: OptimalControlProblem, q: Ambient, centers: Ambient, sizes:
 
     def costs(at: tuple[Ambient, Ambient]) -> tuple[Array, Array]:
         q, center = at
-        cost = jax.hessian(lambda c: problem.cost_rate(q, problem.steer(center, c)))
+        cost = jax.hessian(lambda c: problem.cost_rate(q, problem._steer(center, c)))
         return jnp.abs(problem.cost_rate(q, center)), jnp.abs(
             jnp.diagonal(cost(jnp.zeros(problem.controls.dimension)))
         ) / 2

@@ -14,6 +14,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
 from ...extremal_controls import find_control
 from ...problem import OptimalControlProblem
+from ...requirements import require_treated
 from .leaves import Constraints, Point, ambient_field, bracket, bracket_size
 
 AFFINE_POWER = 1.8  # of the default tolerance: second derivatives of H that are rounding
@@ -146,7 +147,7 @@ def check_splitting(problem: OptimalControlProblem, singular: tuple[int, ...]) -
     """Raise if ``singular`` does not name controls of a Euclidean control space."""
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"expected an OptimalControlProblem, got {problem!r}")
-    problem.require_treated("a splitting of the controls", "an initial cost")
+    require_treated(problem, "a splitting of the controls", "an initial cost")
     count = problem.controls.dimension
     named = all(isinstance(i, int) and 0 <= i < count for i in singular)
     if not (isinstance(problem.controls, Euclidean) and singular and named and len(set(singular)) == len(singular)):

@@ -16,6 +16,7 @@ from ...compilation import compiled
 from ...controls import resting_control
 from ...extremal_controls import find_control
 from ...problem import OptimalControlProblem
+from ...requirements import require_treated
 from .affine import affine_tolerance, first_finite, relative_curvature
 from .leaves import Point, ambient_field
 from .reduction import SAMPLES, GohReduction, Near, states_near
@@ -101,7 +102,7 @@ def reduce_until_regular(
     which the problem's functions are looked at, by default random ones. Raises ``InvalidInputError`` where there are no
     such controls, or a reduction does not apply.
     """
-    problem.require_treated("reduce_until_regular", "an initial cost")
+    require_treated(problem, "reduce_until_regular", "an initial cost")
     affine, reductions = affine_controls(problem, near) if singular is None else singular, list[GohReduction]()
     if not affine:
         raise InvalidInputError("there is nothing to reduce: the Hamiltonian has a second derivative in every control")

@@ -14,6 +14,7 @@ from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem, is_same_problem
+from ...requirements import require_same_manifold
 from ...stages import HamiltonianStage
 from ..integrability import Classification, FinalEquations
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
@@ -71,7 +72,7 @@ class FinalDynamics(eqx.Module):
         """Raise if ``system`` is another problem, or ``z`` is not on ``P_f``."""
         if not is_same_problem(system, self.problem):
             raise InvalidInputError("the integrator was made for another problem; classify the one to be integrated")
-        self.problem.check_discretization(lift.discretization)
+        require_same_manifold(self.problem, lift.discretization)
         verdict = self.manifold.contains(z)
         if not verdict:
             raise NotOnManifoldError(
@@ -129,7 +130,7 @@ class FinalDynamics(eqx.Module):
         return self.gauge is None and bool(self.equations.pivots.free)
 
     def _steer(self, jet: Array) -> Ambient:
-        return self.problem.steer(self.equations.center, jet[: self.problem.controls.dimension])
+        return self.problem._steer(self.equations.center, jet[: self.problem.controls.dimension])
 
     def _jet(self, t: Array, z: Pair, unknowns: Array) -> Array:
         """The raveled control and its derivatives: the eliminated entries, then the free ones, from the unknowns or the

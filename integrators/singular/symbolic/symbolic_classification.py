@@ -7,6 +7,7 @@ import numpy as np
 import sympy
 
 from ....manifolds import Euclidean, InvalidInputError
+from ...costs import is_steep
 from ...problem import OptimalControlProblem
 from ...text import Line, table
 from .. import words
@@ -146,7 +147,7 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
     cost = normal_form(hamiltonian - sum(a * sympy.diff(hamiltonian, a) for a in phase.p))
     exclude = exclude_zero_costate
     if exclude is None:
-        exclude = problem.abnormal or (not cost.free_symbols and problem.is_steep_at())
+        exclude = problem.abnormal or (not cost.free_symbols and is_steep(problem))
     pieces, ended = strata(phase)
     if not pieces and ended.unsolved:
         raise InvalidInputError(

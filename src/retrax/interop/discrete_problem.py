@@ -15,6 +15,7 @@ from ..integrators.boundary_value.end_points import EndPoints, EndReader, Prescr
 from ..integrators.boundary_value.given_guess import GuessReader
 from ..integrators.boundary_value.inequality_rows import InequalityRows
 from ..integrators.free import is_free
+from ..integrators.requirements import require_treated
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
 from ..retractions import DiscretizationMap, Gauss
@@ -73,7 +74,7 @@ def posed(
 ) -> DiscreteProblem:
     """The program of a problem as it is given, checked."""
     check_problem(problem, method)
-    problem.require_treated("to_casadi", *LIMITS)
+    require_treated(problem, "to_casadi", *LIMITS)
     check_parameters(problem, parameters)
     if not (is_finite_number(horizon) and horizon > 0):
         hint = "; a program has a given one: try that of a solution, solution.horizon" if is_free(horizon) else ""

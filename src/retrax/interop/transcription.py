@@ -110,12 +110,12 @@ class Transcription:
     @property
     def limits(self) -> int:
         """Number of inequalities of the problem."""
-        return len(getattr(self.problem, "inequality_names", ()))
+        return len(getattr(self.problem, "_inequality_names", ()))
 
     @property
     def node_limits(self) -> int:
         """Number of inequalities of the problem at a node."""
-        return len(entry_words(getattr(self.problem, "node_sizes", {})))
+        return len(entry_words(getattr(self.problem, "_node_sizes", {})))
 
     def at_node(self, node: Array) -> tuple[Array]:
         """The inequalities at a node."""

@@ -157,7 +157,7 @@ def marks(study: Study, count: int) -> dict[str, str]:
         lambda leaf: repr(leaf) if is_free(leaf) else np.asarray(leaf).tolist(), given, is_leaf=is_free
     )
     return {
-        "problem": _digest((bound.digest() or b"unknown") + method.encode()),
+        "problem": _digest((bound._digest() or b"unknown") + method.encode()),
         "cases": _digest(repr(numbers).encode()),
     }
 
