@@ -63,6 +63,14 @@ class Phase(NamedTuple):
         By default the curve between the known ends.
     parameters : pytree, optional
         As in ``solve``.
+
+    Examples
+    --------
+    >>> line = Euclidean(1)
+    >>> moved = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> outward = Phase(moved, Midpoint(Addition(line)), steps=4, duration=1.0, start=0.0)
+    >>> outward.duration, outward.end
+    (1.0, None)
     """
 
     problem: OptimalControlProblem
@@ -123,6 +131,15 @@ def solve_phases(
     -----
     The costate before a link is :math:`Dg^* p` of the costate after it. With free durations and no explicit time, the
     Hamiltonian is continuous. The time of functions with an explicit time continues from phase to phase.
+
+    Examples
+    --------
+    >>> line = Euclidean(1)
+    >>> moved = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> first, last = (Phase(moved, Midpoint(Addition(line)), steps=4, duration=1.0) for _ in range(2))
+    >>> flown = solve_phases([first._replace(start=0.0), last._replace(end=2.0)])
+    >>> round(flown.cost, 6), [len(phase.t) for phase in flown.phases]
+    (1.0, [5, 5])
     """
     require_concrete("solve_phases", guess)
     options = Options.of(tolerance, max_iterations, callback, verbose)

@@ -72,6 +72,14 @@ class Solver:
     -----
     A ``Solver`` freezes the values that your functions use when you build it: after a change, a new trace raises
     ``InvalidInputError``. Pass values that change between solves as ``parameters``.
+
+    Examples
+    --------
+    >>> line = Euclidean(1)
+    >>> moved = OptimalControlProblem(line, lambda q, u, mass: u / mass, lambda q, u, mass: u @ u / 2, controls=1)
+    >>> solver = Solver(moved, Midpoint(Addition(line)), steps=4)
+    >>> [round(solver.solve(0.0, 1.0, 2.0, parameters=mass).cost, 6) for mass in (1.0, 2.0)]
+    [0.25, 1.0]
     """
 
     @known_options
