@@ -9,6 +9,7 @@ from typing import Any, Self, final
 import jax
 
 from ..manifolds import InvalidInputError, Manifold, Product
+from ..manifolds.product import factor_name
 from .text import brief
 
 ABOUT = "states", "controls"
@@ -151,7 +152,7 @@ class Quantities:
         count : int
             The number of factors.
         """
-        names = [f"factor {k}" for k in range(count)]
+        names = [factor_name(k) for k in range(count)]
         if len(self.states) == count:
             pairs = zip(names, self.states, _names("q", self.states), strict=True)
             names = [name if own.name == default else own.name for name, own, default in pairs]

@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 
 from ..manifolds import InvalidInputError
-from .archives import archived, archived_arrays
+from .archives import archived_arrays, archived_words
 from .text import brief
 
 LOADERS = {"Solution": "load_solution", "Trajectory": "load_trajectory"}  # what reads the files of which class
@@ -115,15 +115,13 @@ class RecordFile:
 
 
 def record_kind(path: str | Path) -> str:
-    """The name of the class whose record a file holds; empty where it does not name one.
+    """The name of the class whose record a file holds, empty for a file that names no class.
 
     Raises ``InvalidInputError`` for a file that is damaged or no archive.
     """
-    place = _path(path)
     try:
-        entries = archived(place)
-        mark = entries[HEAD].decode() if HEAD in entries else str(archived_arrays(place).get("schema", ""))
-    except (InvalidInputError, UnicodeDecodeError) as error:
+        mark = archived_words(_path(path), HEAD, "schema.npy")
+    except InvalidInputError as error:
         raise InvalidInputError(f"{path} is not a record of retrax: {error}") from error
     return mark.removeprefix("retrax.").partition(" ")[0]
 

@@ -13,6 +13,7 @@ from jaxtyping import Array
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.product import factor_name
 from ..controls import resting_control
 from ..evaluation import verdict_at
 from ..free import Free, guessed, is_free
@@ -201,7 +202,7 @@ class EndReader:
         """Names of the parts of a point, readers of them, and what is given, None or a guess where it is free."""
         if self._is_split(given):
             count = len(self.factors)
-            names = [f"factor {i}" for i in range(count)] if self.quantities is None else self.quantities.factors(count)
+            names = map(factor_name, range(count)) if self.quantities is None else self.quantities.factors(count)
             for own, factor, part in zip(names, self.factors, given, strict=True):
                 yield from factor._parts(part, f"{name}, {own}")
         else:

@@ -13,6 +13,7 @@ from jaxtyping import Array
 from ...manifolds import Euclidean, Product
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.product import factor_name
 from ...retractions import Addition, DiscretizationMap, Gauss, ProductRetraction, Retraction, Theta
 from ..boundary_conditions import BoundaryConditions
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER, Inequalities
@@ -27,7 +28,7 @@ from .solution import Solution
 
 OFF, ROUNDED = 1e-2, 1e-8  # of a bound's size: a guess is no nearer to it; the same where its multiplier is known
 BOUNDS = {HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER}
-OWN = "factor 0, "  # how the names of the factors of Q begin in the product with the added states
+OWN = f"{factor_name(0)}, "  # how the names of the factors of Q begin in the product with the added states
 
 
 class Kind(NamedTuple):
@@ -214,7 +215,7 @@ class Formulation:
         names = "hamiltonian", "hamiltonian_spread", "hamiltonian_size"
         own: Any = {name: float(getattr(checks, name) / rate) for name in names}
         named: Any = {name: _named(getattr(checks, name)) for name in ("momentum_spreads", "conserved")}
-        violations = {name.removeprefix("factor 0: "): value for name, value in checks.violations.items()}
+        violations = {name.removeprefix(f"{factor_name(0)}: "): value for name, value in checks.violations.items()}
         return replace(checks, violations=violations, **own, **named)
 
     def sensitivity(self, found: Sensitivity) -> Sensitivity:

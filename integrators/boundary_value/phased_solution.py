@@ -9,12 +9,13 @@ import numpy as np
 from ...manifolds import ConvergenceError
 from ..text import table
 from .interpolation import Sample, checked_times
+from .plotted import Plotted
 from .solution import Solution, Statistics, Status, status_of
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class PhasedSolution:
+class PhasedSolution(Plotted):
     r"""The extremal of P phases that follow one another: a ``Solution`` of each phase, with times that continue.
 
     Attributes
@@ -107,23 +108,6 @@ class PhasedSolution:
     def report(self) -> None:
         """A print of the figures of the solution."""
         print(self)
-
-    def plot(self, degrees: bool = False) -> Any:
-        """The histories of all phases as Matplotlib axes; see ``retrax.plotting.histories``.
-
-        Parameters
-        ----------
-        degrees : bool
-            Whether angles and their rates are drawn in degrees instead of radians.
-
-        Returns
-        -------
-        ndarray of matplotlib axes
-            One for each array of the state, then one for each array of the controls.
-        """
-        from ...plotting import histories
-
-        return histories(self, degrees=degrees)
 
     def __repr__(self) -> str:
         """The essential numbers."""

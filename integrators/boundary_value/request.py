@@ -47,6 +47,7 @@ from .resampling import Mesh, resampled
 from .solution import Solution
 
 ROUNDED = 5e-6  # violation of its equations by a point whose entries have six digits
+RESTORING = 2  # Newton steps, which converge quadratically, from there to the rounding of double precision
 
 
 @final
@@ -212,11 +213,11 @@ class Request:
                 reader.ends.require_on_manifold(own.start, own.end, f", member {k}" if len(self) > 1 else "")
         if np.any(near & (beside > default_tolerance())):
             _warn_of_rounding(reader.problem.manifold, np.max(beside[near]))
-            points[near] = reader.restored(points[near])
         off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
         if not off.any():
             return self
-        points[off] = reader.restored(points[off])  # no trajectory ends beside its manifold
+        for _ in range(RESTORING):  # no trajectory ends beside its manifold
+            points[off] = reader.restored(points[off])
         return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
 
     def again(self, reader: RequestReader, given: Given, guess: Any) -> "Request":
