@@ -187,7 +187,7 @@ class LevelSet(Manifold):
         return Verdict(False, verdict.reason + self._dependence(x)) if LOST in verdict.reason else verdict
 
     def _dependence(self, x: Ambient) -> str:
-        """Words on the equations that follow from others at ``x``; empty where there are none."""
+        """Words on the equations that depend on earlier equations at ``x``, empty for independent equations."""
         dependent = np.asarray(_dependent(self.in_lengths(jnp.asarray(x))[1]))
         found = np.flatnonzero(dependent)
         named = ", ".join(map(str, found[:NAMED])) + (", ..." if len(found) > NAMED else "")

@@ -82,8 +82,10 @@ class GroupRetraction(Retraction):
 
 
 def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
-    """``g`` where it satisfies the group's equations to half of the digits, NaN elsewhere: on SL(n) far out, where det
-    is lost.
+    """The matrix ``g`` if ``g`` satisfies the group's equations to half of the digits, otherwise NaN.
+
+    NaN occurs on SL(n) far out, where det is lost. Elements of the groups of rotations and of rigid motions, whose
+    functions keep to the group by their form, are left as they are.
 
     Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as
     they are.

@@ -68,8 +68,7 @@ def rest_to_rest_slew() -> KnownProblem:
 
 
 def three_turns(s: np.ndarray) -> tuple[Any, Any]:
-    """Turns about axes 1, 2 and 1 one after another, from rest to rest: those that the torques left give by
-    themselves."""
+    """Turns about axes 1, 2 and 1 in turn, from rest to rest, which the remaining torques can produce."""
     angles, horizon = Rotation.from_matrix(TARGET).as_euler("XYX"), 120.0
     done = np.clip(3 * s[:, None] - np.arange(3), 0, 1)
     speeds = 6 * done * (1 - done) * 3 * angles / horizon

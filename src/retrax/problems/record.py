@@ -1,4 +1,4 @@
-"""What the library knows of a problem, and the library itself: problems by name."""
+"""The record of a known problem, and the library of problems by name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
