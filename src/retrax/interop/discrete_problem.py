@@ -123,7 +123,7 @@ def _discrete(functions: Transcription, points: EndPoints, lengths: np.ndarray, 
 
 
 def _at_nodes(functions: Transcription, nodes: ca.MX, points: EndPoints) -> ca.MX:
-    """The inequalities at the nodes; at an end those that depend on something free."""
+    """The inequalities at the nodes, at an end only the inequalities that depend on a free part."""
     if not functions.node_limits:
         return ca.MX(0, 1)
     rows, count = InequalityRows(functions.problem, None, functions.stages), nodes.shape[1]
@@ -171,6 +171,6 @@ def _function(function: Callable[..., tuple[jax.Array, ...]], *sizes: int) -> ca
 
 
 def _unused_slacks(prescribed: Prescribed) -> np.ndarray:
-    """Which slacks belong to parts that are free: their ends meet nothing, and the slacks are zero."""
+    """The slacks of free parts, which are zero because the ends of these parts meet nothing."""
     parts = prescribed.parts
     return np.repeat([not part.fixed for part in parts], [part.entries - part.dimension for part in parts])

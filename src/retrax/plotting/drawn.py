@@ -104,7 +104,7 @@ def as_one(panels: list[Panel]) -> Panel:
 
 
 def every_panel(every: Shown, degrees: bool) -> list[Panel]:
-    """The panels of the states, then those of the controls."""
+    """The panels of the states, then the panels of the controls."""
     return panels_of(every, of_states, degrees) + panels_of(every, of_controls, degrees)
 
 
@@ -148,8 +148,10 @@ def _between_nodes(record: Solution, found: View) -> View:
 
 
 def _within_bounds(steps: int, rows: Any) -> Iterator[np.ndarray]:
-    """Controls between the stages: a polynomial through controls within their bounds may leave the bounds, and is
-    drawn no further outside than those of its stages are."""
+    """Controls between the stages, clipped to the range of their bounds and stages.
+
+    A polynomial through controls within their bounds may leave the bounds.
+    """
     for between, at_stages, quantity in rows:
         flat, stages = between.reshape(*between.shape[:2], -1), at_stages.reshape(steps, len(at_stages) // steps, -1)
         if quantity.bounds:

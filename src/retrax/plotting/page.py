@@ -195,7 +195,7 @@ def _marks(scene: dict[str, Any], cones: list[tuple[np.ndarray, float]], obstacl
 
 
 def _scene(views: list[View], states: list[list[np.ndarray]], body: _Body) -> dict[str, Any]:
-    """What is drawn in space, with the motion of each record; empty if the records have nothing to draw in space."""
+    """The spatial scene with the motion of each record; empty if the records have nothing to draw in space."""
     found = [_moving(each, own) for each, own in zip(views, states, strict=True)]
     kinds = {kind for kind, _, _ in found}
     if len(kinds) > 1:

@@ -1,4 +1,4 @@
-"""What a sweep solves, and what is kept of it."""
+"""The study of a sweep: its members, their solutions, and the kept figures."""
 
 import hashlib
 from collections.abc import Callable
@@ -78,8 +78,10 @@ def asked(study: Study, members: np.ndarray) -> dict[str, Any]:
 
 
 def solved(study: Study, members: np.ndarray) -> dict[str, Any]:
-    """Cost, success, result and what is kept of some members; those that the solver refuses have its reason as their
-    result.
+    """Cost, success, result and kept figures of some members; a rejected member has the reason as its result.
+
+    ``kept`` arrays have rows for the solved members, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration
+    was stopped.
 
     ``kept`` arrays have rows for the others, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration was
     stopped.
@@ -88,7 +90,8 @@ def solved(study: Study, members: np.ndarray) -> dict[str, Any]:
 
 
 def _tried(study: Study, members: np.ndarray) -> dict[str, Any]:
-    """The same of one batch; where it is refused, of its halves, so that the others do not suffer."""
+    """The results of one batch, or of its halves if the batch is rejected, so that one member does not spoil a
+    batch."""
     try:
         return _solved(study, members)
     except RetraxError as error:
@@ -123,7 +126,7 @@ def _solved(study: Study, members: np.ndarray) -> dict[str, Any]:
 
 
 def _checked(kept: Any, count: int) -> dict[str, np.ndarray]:
-    """What is kept as arrays of numbers; raises if it is something else."""
+    """The kept figures as arrays of numbers; raises if the user's function returns something else."""
     arrays = {name: np.asarray(value) for name, value in kept.items()} if isinstance(kept, dict) else {}
     if not isinstance(kept, dict) or not all(
         isinstance(name, str) and a.shape[:1] == (count,) and a.dtype.kind in "biuf" for name, a in arrays.items()
