@@ -201,7 +201,7 @@ class VariationalIntegrator(Integrator):
 
     @property
     def discretization(self) -> DiscretizationMap | Gauss:
-        """What discretizes Q: the Gauss method itself, or the map that is lifted."""
+        """The discretization of Q: the Gauss method itself, or the map that is lifted."""
         return self.method if isinstance(self.method, Gauss) else self.method.discretization
 
     @property

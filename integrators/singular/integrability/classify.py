@@ -214,7 +214,7 @@ def _run(first: Points, unit_costate: bool, advance: Advance) -> tuple[list[Leve
 def _through(
     first: Points, unit_costate: bool, levels: list[Level], advance: Advance
 ) -> tuple[list[Level], MorseTest | None, list[Found]]:
-    """What ``_run`` returns; ``levels`` are added to."""
+    """The result of ``_run`` with ``levels`` extended."""
     points, morse, found = first, None, list[Found]()
     while True:
         level = len(levels)
@@ -243,7 +243,7 @@ def _through(
 
 
 def _histories(points: Points) -> list[list[PointRanks]]:
-    """Ranks at each point of a batch, at all levels up to that of the batch."""
+    """Ranks at each point of a batch, at all levels up to the level of the batch."""
     if not len(points.slow):
         return []
     levels = [point_ranks(points, level) for level in range(points.level + 1)]
@@ -255,7 +255,7 @@ def _signatures(history: list[PointRanks]) -> tuple[Signature, ...]:
 
 
 def _known(points: Points) -> Points:
-    """The points with those noted at which a rank is not clear, or depends on what is smaller than rounding."""
+    """The points, with a mark on points at which a rank is not clear or depends on numbers below rounding."""
     histories, rounded = _histories(points), _histories(points.rounded)
     decided = [all(ranks.decided for ranks in history) for history in histories]
     drowned = [_signatures(a) != _signatures(b) for a, b in zip(histories, rounded, strict=True)]
@@ -274,8 +274,7 @@ def _require_finite(points: Points, level: Level) -> None:
 
 
 def _without_crossings(points: Points, unit_costate: bool) -> Points:
-    """The points with those noted as irregular beside which points of ``P^level`` are so, or have other ranks at some
-    level."""
+    """The points, with a mark on points beside which points of ``P^level`` are irregular or have other ranks."""
     reliable = np.flatnonzero(points.regular)
     own = dict(zip(reliable, map(_signatures, _histories(select(points, reliable))), strict=True))
     if len(set(own.values())) < 2:

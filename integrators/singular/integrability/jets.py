@@ -68,8 +68,8 @@ class DerivativeArray(eqx.Module):
 
 
 def _taylor(field: Callable[..., Flat], slope: Callable[..., Array], w: Flat, u: Jet) -> Jet:
-    """Derivatives of ``slope`` along the solution of ``wdot = field(w, u)``, from those of the solution, one order at a
-    time."""
+    """Derivatives of ``slope`` along the solution of ``wdot = field(w, u)``, from the derivatives of the solution by
+    orders."""
     if len(u) == 1:
         return slope(w, u[0])[None]
     rates, controls = [field(w, u[0])], list(u[1:])

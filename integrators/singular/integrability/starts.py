@@ -121,8 +121,10 @@ def _with_costate(
     action: Array,
     lengths: Array,
 ) -> Pair:
-    """The state with a costate of this action: random, or that of ``near`` and, but at ``near`` itself, a random part
-    of it."""
+    """The state with a costate of this action, random, or the costate of ``near`` with a random part.
+
+    At ``near`` itself there is no random part.
+    """
     frame = problem.manifold.basis(q)
     if near is None:
         return q, vec.combine(frame, vec.components(frame, p) * action / lengths)
@@ -178,15 +180,14 @@ def _ratio(a: Array, b: Array) -> Array:
 
 
 def _middle(sizes: Array) -> Array:
-    """The median of the finite ones; the largest where that is zero."""
+    """The median of the finite sizes, or their largest if the median is zero."""
     known = jnp.where(jnp.isfinite(sizes), sizes, jnp.nan)
     median = jnp.nanmedian(known)
     return jnp.where(median > 0, median, jnp.nanmax(known))
 
 
 def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first: Array) -> Array:
-    """Typical size of the velocity at the centers over that of its change by these controls; one where either is
-    zero."""
+    """The ratio of typical sizes of the velocity and of its change by these controls, one if either is zero."""
 
     def sizes(at: tuple[Ambient, Ambient, Array]) -> tuple[Array, Array]:
         q, center, c = at

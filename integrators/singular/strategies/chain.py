@@ -95,8 +95,7 @@ class ReductionChain(eqx.Module):
 def reduce_until_regular(
     problem: OptimalControlProblem, singular: tuple[int, ...] | None = None, near: Near | None = None
 ) -> ReductionChain:
-    """Goh's reduction by the controls ``singular``, then by those in which the reduced Hamiltonian is affine, until
-    none is.
+    """Goh's reduction by the controls ``singular``, repeated until the reduced Hamiltonian is affine in no control.
 
     By default the first ones, too, are those in which the Hamiltonian is affine. ``near``: a state and a control around
     which the problem's functions are looked at, by default random ones. Raises ``InvalidInputError`` where there are no

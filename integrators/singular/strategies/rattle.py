@@ -215,7 +215,7 @@ class _Facts(NamedTuple):
 
 
 def _finite(found: list[Any], what: str) -> list[Any]:
-    """Those at points where all is finite. Raises ``NotApplicableError`` if there are none."""
+    """The values at points where all is finite. Raises ``NotApplicableError`` if there are none."""
     finite = [one for one in found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(one))]
     if not finite:
         raise NotApplicableError(f"the {what} are finite at none of {many(len(found), 'point')} of P_f")

@@ -120,7 +120,7 @@ def singular_integrator(
 def _first(
     names: list[str], classification: Classification, lift: CotangentLift, gauge: Gauge | None
 ) -> tuple[tuple[SingularIntegrator, Choice] | None, dict[str, str]]:
-    """The first of these strategies that applies, if one does, and why those before it do not."""
+    """The first of these strategies that applies, if any, and the reasons against the strategies before."""
     refusals = dict[str, str]()
     for name in names:
         try:
