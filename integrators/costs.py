@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def require_cost(
     problem: "OptimalControlProblem", around: tuple[Ambient, Ambient, np.ndarray], end: Ambient, fixed: tuple[bool, ...]
 ) -> None:
-    """Raise if both costs are a number each; ``around``: a state, a control, and coordinates of others around that."""
+    """Raise unless both costs are a number each, around a state, a control, and coordinates of nearby controls."""
     q, u, near = around
     directions = np.concatenate([size * near for size in (1, 1e2, 1e4)])
     moves = (
@@ -61,7 +61,7 @@ def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...] = ()) -> 
 
 
 def _points(problem: "OptimalControlProblem", q: Ambient, fixed: tuple[bool, ...] = ()) -> Ambient:
-    """A point and random ones, along the leading axis; those of its arrays that are ``fixed`` are the same in all."""
+    """A point and random points along the leading axis; arrays that are ``fixed`` are the same in all points."""
     keys = jax.random.split(jax.random.key(0), CURVATURES)
     points = [jax.tree.map(np.asarray, x) for x in (q, *map(problem.manifold.random_point, keys))]
     leaves, structure = jax.tree.flatten(vec.stacked(points))

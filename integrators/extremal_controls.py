@@ -32,8 +32,7 @@ def find_control(
 
 
 def _control_sizes(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> Array:
-    """Sizes of the coordinates of a control: those of ``near``, and those of the steps that the parts of ``dH/du`` ask
-    for."""
+    """Sizes of the coordinates of a control, from ``near`` and from the steps that the parts of ``dH/du`` ask for."""
     q, p, near = jax.lax.stop_gradient((q, p, near))
 
     def asked_along(e: Array) -> Array:

@@ -104,7 +104,7 @@ class Inspection:
             )
 
     def require_smooth(self) -> None:
-        """Raise if the functions jump, hide their derivatives, or have a kink where ``d2H/du2`` is singular, as that of
+        """Raise if the functions jump, hide their derivatives, or have a kink where ``d2H/du2`` is singular, such as
         ``|u|``.
 
         A kink: null directions along which ``dH/du`` is not constant, and no second derivative accounts for it.
@@ -124,7 +124,7 @@ class Inspection:
 
     @property
     def is_regular(self) -> bool:
-        """Whether at one of the controls ``d2H/du2`` is invertible, or its null directions bend, as that of ``u^4``."""
+        """Whether at one of the controls ``d2H/du2`` is invertible, or its null directions bend, as for ``u^4``."""
         if self._is_curved:
             return True
         counts = np.cumsum([0, *map(len, self._flats)])

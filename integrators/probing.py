@@ -36,7 +36,7 @@ PARTS = "dynamics", "running_cost"
 
 
 class Probed(NamedTuple):
-    """What the functions of a problem give at a point: with the control asked for, and with others.
+    """The values of the functions of a problem at a point, with the given control and with other controls.
 
     Of both parts of ``H``, ``<p, X>`` and ``F``: ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``,
     at the control asked for and at the others, by coordinates in the chart around it.
@@ -226,7 +226,7 @@ def _departures(value: np.ndarray, slope: np.ndarray, curvature: float) -> tuple
 
 
 def _lasting(change: np.ndarray, rounding: np.ndarray) -> np.ndarray:
-    """At which places on a line a change lasts over the next ones outward: rounding of hidden terms grows from place to
+    """The places on a line at which a change lasts outward, because rounding of hidden terms grows from place to
     place."""
     outward = change[1:].reshape(2, -1)
     lasting = np.isfinite(outward) & (np.abs(outward) > rounding[1:].reshape(2, -1))
@@ -306,7 +306,7 @@ def failure_words(problem: "OptimalControlProblem", error: Exception, q: Ambient
 
 
 def _traceable(source: str) -> str:
-    """What to try in place of a line that JAX cannot trace."""
+    """Advice instead of a line that JAX cannot trace."""
     for pattern, words in IN_JAX.items():
         found = re.search(pattern, source)
         if found:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def statement(problem: "OptimalControlProblem") -> str:
-    """What is minimised, subject to what, with the names of the functions, in a few lines."""
+    """The statement of the problem in a few lines: minimised costs and conditions, with the names of the functions."""
     t, p = (", t" if problem.time_dependent else ""), (", p" if problem.takes_parameters else "")
     rate = "" if problem.abnormal else f"int_0^T {_name(problem.running_cost)}(q, u{t}{p}) dt"
     ends = ("q(0)", problem.initial_cost, ""), ("q(T)", problem.terminal_cost, ", T" if t else "")
@@ -57,7 +57,7 @@ def _between(name: str, lower: float, upper: float) -> str:
 
 
 def _name(function: Callable[..., Any] | Any) -> str:
-    """What a function is called."""
+    """The name of a function."""
     while isinstance(function, partial | Bound):
         function = function.func if isinstance(function, partial) else function.function
     name = getattr(function, "__name__", type(function).__name__)

@@ -239,7 +239,7 @@ def _solve_step(
     k: int,
 ) -> None:
     """Solve the equations of a step in all good lanes, with old Jacobians, with Jacobians of small steps, then with new
-    ones.
+    Jacobians.
 
     The first are tried only for speed; the others, in this order, are the iteration of ``numerics.chord_newton``.
     """
