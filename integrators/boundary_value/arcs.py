@@ -26,7 +26,7 @@ OWN, DURATIONS, LAST = "own", "durations", "duration of the last arc"
 
 
 class _Arc(NamedTuple):
-    """What holds at a time: the duration of the arc, the time of the problem, and the controls that are fixed, with
+    """The state of an arc at a time: its duration, the time of the problem, and the fixed controls with their
     values."""
 
     duration: Array
@@ -83,7 +83,7 @@ class Arcs:
         }
 
     def durations(self, found: Any) -> Any:
-        """The durations of all arcs from those that are free."""
+        """The durations of all arcs from the free durations."""
         return (
             found
             if is_free(self.horizon)

@@ -1,4 +1,4 @@
-"""What a solver is called with: checked, and as what it computes with."""
+"""The arguments of a solve, checked and in the form that the solver computes with."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -30,7 +30,7 @@ Method = DiscretizationMap | Gauss
 
 
 class Given(NamedTuple):
-    """What an extremal is a function of; ``None`` where an end is free, and for no parameters."""
+    """The data that determine an extremal; ``None`` for a free end, and for no parameters."""
 
     start: Any
     end: Any
@@ -147,7 +147,7 @@ def check_accuracy(accuracy: Any) -> None:
 
 
 def check_classification(problem: OptimalControlProblem, classification: Any) -> None:
-    """Raise if the classification is that of something else than the problem."""
+    """Raise unless the classification belongs to the problem."""
     if not (isinstance(classification, Classification) and classification.is_of(problem.at_time(0.0))):
         raise InvalidInputError(
             f"classification must be that of the problem with its functions as they are, got {classification!r}; try "

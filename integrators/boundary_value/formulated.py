@@ -75,7 +75,7 @@ class Formulated:
 
     @property
     def solvers(self) -> list[Any]:
-        """Those that are made."""
+        """The solvers that are made."""
         return [solver for _, solver in self._made.values()]
 
     def of(self, horizon: Any, parameters: Any) -> tuple[Formulation, Any]:
@@ -93,8 +93,8 @@ class Formulated:
         return self._from_elsewhere(request, self._settled(request, self._solved(request)))
 
     def _from_elsewhere(self, request: Request, first: Solution) -> Solution:
-        """The solution; where it is none and the horizon is free, that of the nearest other magnitude from which there
-        is one."""
+        """The solution, or without success and with a free horizon, the solution from the nearest other magnitude that
+        has one."""
         horizon = request.given.horizon
         if not is_free(horizon) or _is_final(first):
             return first
@@ -110,8 +110,10 @@ class Formulated:
         return self._renewed(first, statistics=effort, result=self._result(horizon, first))
 
     def _result(self, horizon: Free, solution: Solution) -> str:
-        """The result of one without success, with a sentence where the horizon has become far shorter than guessed, and
-        one in place of its advice where it has become far longer and is to be longer still.
+        """The result of a solution without success, with a sentence on a horizon far from its guess.
+
+        A horizon far shorter than guessed adds a sentence. A horizon that is far longer, and is to be longer still,
+        replaces the advice. The cost changes by ``-H`` with the horizon.
 
         The cost changes by ``-H`` with the horizon.
         """

@@ -32,7 +32,7 @@ OWN = f"{factor_name(0)}, "  # how the names of the factors of Q begin in the pr
 
 
 class Kind(NamedTuple):
-    """What is free, and which of that is bounded: what decides the functions of a formulation."""
+    """The free and the bounded quantities, which decide the functions of a formulation."""
 
     horizon: bool
     horizon_bounds: tuple[bool, bool]
@@ -44,7 +44,7 @@ class Kind(NamedTuple):
 
     @classmethod
     def of(cls, horizon: Any, parameters: Any) -> "Kind":
-        """What is free in a horizon and in parameters."""
+        """The free and the bounded quantities of a horizon and of parameters."""
         leaves, structure = jax.tree.flatten(parameters, is_leaf=is_free)
         sides = np.isfinite(_rows(leaves, "lower")), np.isfinite(_rows(leaves, "upper"))
         free = tuple(place for place, leaf in enumerate(leaves) if is_free(leaf))
@@ -60,7 +60,7 @@ class Kind(NamedTuple):
         return sum(prod(self.shapes[place]) for place in self.free)
 
     def parameters(self, entries: Any, fixed: Any) -> Any:
-        """The parameters from the entries of the free ones in a row, and those that are not free."""
+        """The parameters, from the entries of the free parameters in a row and the fixed parameters."""
         remaining, begin, leaves = iter(fixed), 0, []
         for place, shape in enumerate(self.shapes):
             if place in self.free:
@@ -134,13 +134,14 @@ class Formulation:
         return inside(first, lower, upper, share)
 
     def _in_log(self, horizon: Any, name: str) -> np.ndarray:
-        """The guess, or a bound, of a free horizon as that of the constant that stands for it."""
+        """The guess, or a bound, of a free horizon as a value of the constant, the logarithm of the horizon over its
+        guess."""
         free, none = is_free(horizon), name == "lower" and is_free(horizon) and horizon.lower <= 0
         own = -np.inf if none else np.log(getattr(horizon, name) / horizon.guess) if free else 0.0
         return np.full(int(free), self.at_guess + own)
 
     def parameters(self, horizon: Any, parameters: Any) -> Any:
-        """The parameters of the formulation: those that are not free, and the bounds; None if there are none."""
+        """The parameters of the formulation, fixed parameters and bounds, or None without any."""
         if not self.takes:
             return None
         leaves = jax.tree.leaves(parameters, is_leaf=is_free)
@@ -203,7 +204,7 @@ class Formulation:
         )
 
     def _multipliers(self, found: Solution, rate: float) -> dict[str, np.ndarray]:
-        """The multipliers in the time of the problem; those of the bounds of ``s`` as those of the bounds of ``T``."""
+        """The multipliers in the time of the problem, with the bounds of ``s`` as bounds of ``T``."""
         between = self.own._boundary.names
         own = {name: values / (1.0 if name in between else rate) for name, values in found.multipliers.items()}
         times = {name: own[name] / (rate * found.horizon) for name in (HORIZON_LOWER, HORIZON_UPPER) if name in own}
@@ -333,7 +334,7 @@ class Formulation:
 
 
 def _named(values: dict[str, Any]) -> dict[str, Any]:
-    """Values of the factors of Q, without those of the added states, under the names that they have there."""
+    """Values of the factors of Q, without the added states, under the names of the factors in Q."""
     return {name.removeprefix(OWN): value for name, value in values.items() if name.startswith(OWN)}
 
 

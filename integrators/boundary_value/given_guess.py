@@ -114,8 +114,8 @@ class GuessReader:
         return Guess(*parts, *both)
 
     def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
-        """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it
-        has."""
+        """Raise if states are off the manifold, by at least ``violations``, a number for each of
+        ``states_to_check``."""
         begin, size, manifold = 0, self._parts[0].layout.size, self._parts[0].manifold
         for name in ("states", "nodes"):
             rows = getattr(flat, name)

@@ -241,7 +241,7 @@ def rolled_out(
 
 
 def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
-    """Times of the stages in fractions of the horizon, from those of the steps."""
+    """Times of the stages in fractions of the horizon, from the lengths of the steps."""
     inside = np.array(method.nodes) if isinstance(method, Gauss) else np.array([float(method.theta)])
     starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
     return (starts[:, None] + inside * fractions[:, None]).ravel()

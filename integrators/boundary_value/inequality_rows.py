@@ -19,7 +19,7 @@ Named = dict[str, np.ndarray]
 
 @final
 class InequalityRows:
-    """Those of a problem whose functions take ``parameters`` of some structure.
+    """The rows of the inequalities of a problem whose functions take ``parameters`` of some structure.
 
     A step has them at r places, each with c rows: at its s stages those at points, and at the last place, which is one
     more where ``s > 1``, those at nodes: at the end of the step, and behind them at its beginning. The latter are asked
@@ -65,12 +65,12 @@ class InequalityRows:
         return holds
 
     def at_stages(self, values: np.ndarray) -> Named:
-        """What belongs to those at points, of shape ``(B, N, r, c)``, under their names, ``(B, N s, k)``."""
+        """The values of the inequalities at points, of shape ``(B, N, r, c)``, under their names, ``(B, N s, k)``."""
         rows = values[:, :, : self.stages, : self.own]
         return self.limits.by_name(rows.reshape(len(rows), rows.shape[1] * self.stages, self.own), self.sizes)
 
     def at_nodes(self, values: np.ndarray) -> Named:
-        """What belongs to those at nodes, of shape ``(B, N, r, c)``, under their names, ``(B, N + 1, k)``."""
+        """The values of the inequalities at nodes, of shape ``(B, N, r, c)``, under their names, ``(B, N + 1, k)``."""
         rows = values[:, :, -1, self.own :]
         return entries_of(
             np.concatenate([rows[:, :1, self.nodes :], rows[:, :, : self.nodes]], axis=1), self.node_sizes
@@ -99,8 +99,10 @@ class InequalityRows:
 
     @cached_property
     def _depends(self) -> np.ndarray:
-        """Which of those at a node depend on which entries of the state, ``(c, E)``: by all if their functions are not
-        scalar operations."""
+        """Whether each inequality at a node depends on each entry of the state, ``(c, E)``.
+
+        Functions that are not scalar operations depend on all.
+        """
 
         from ...tape import NotTraceableError, Tape
 

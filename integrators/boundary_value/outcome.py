@@ -20,7 +20,7 @@ NEAR = 0.1  # relative: the cost of what lacks more, or violates inequalities by
 
 
 def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
-    """The solution, where it has no success with what in a function may be why."""
+    """The solution, with a possible reason in a function if there is no success."""
     if solution.success or solution.statistics.stopped or solution.result.startswith(sentence("concave")):
         return solution
     q, u = vec.taken((solution.stage_states, solution.controls), 0)
@@ -35,7 +35,7 @@ def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
 
 
 def _not_finite(problem: OptimalControlProblem, solution: Solution) -> str:
-    """Which function is not finite, or has no finite derivative, at the first stage where one is not."""
+    """Words on the function that is not finite, or has no finite derivative, at the first stage where there is one."""
     parts = {"dynamics": problem.velocity, "running_cost": problem.cost_rate}
 
     def at_stage(point: tuple[Ambient, Ambient]) -> Any:
@@ -67,7 +67,7 @@ def compiled_longer(solution: Solution, seconds: float) -> Solution:
 
 
 def outcomes(found: Found, tolerance: float) -> tuple[np.ndarray, list[str]]:
-    """Which of the finished iterations have success, and the results of all of them in words."""
+    """Whether each finished iteration has success, and the results of all in words."""
     largest = found.residuals.largest
     finite = np.isfinite(largest) & np.isfinite(found.assembled.cost)
     success = found.claimed & finite

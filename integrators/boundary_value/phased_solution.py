@@ -126,7 +126,8 @@ class PhasedSolution(Plotted):
         return self
 
     def _text(self, *, result: bool = True) -> str:
-        """What a user checks, of all phases and of each; first how it ended, unless that is said already."""
+        """The figures that a user checks, of all phases and of each phase, with the result first unless it is printed
+        already."""
         kind = "strict local minimum" if self.strict_minimum else "not shown to be a strict local minimum"
         rows = [
             ("result", self.result),
@@ -143,8 +144,7 @@ class PhasedSolution(Plotted):
 
 
 def _told(phases: Sequence[Solution], success: bool) -> str:
-    """What is said of all phases alike, and what is said of each of them besides; without success, of those that
-    fail."""
+    """The words on all phases alike, then the words on each phase; without success, on the phases that fail."""
     said = {k: phase.result for k, phase in enumerate(phases) if success or not phase.success}
     first, more = zip(*(f"{words} ".partition(". ")[::2] for words in said.values()), strict=True)
     if len(set(first)) > 1 or len(said) < len(phases):

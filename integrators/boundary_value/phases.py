@@ -155,14 +155,14 @@ def solve_phases(
 
 
 class _Task:
-    """What links phases."""
+    """The links between phases."""
 
     def __init__(self, links: list[Any], constraints: dict[str, Any], horizon: float | None, options: Options) -> None:
         self.links, self.constraints, self.horizon, self.options = links, constraints, horizon, options
         self.made = TracedPhases(options)
 
     def settled(self, phases: Sequence[Phase]) -> PhasedSolution:
-        """The extremal, from durations of another magnitude where there is none from those that are guessed."""
+        """The extremal, from durations of another magnitude if there is none from the guessed durations."""
         first = self._told(phases, self._in_own_units(phases))
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
         if not free or _is_final(first):
@@ -274,7 +274,7 @@ def _is_final(solution: PhasedSolution) -> bool:
 
 
 def _named(phases: Sequence[int]) -> str:
-    """What these phases are called."""
+    """The names of these phases."""
     return " and ".join(f"phase {k}" for k in phases)
 
 

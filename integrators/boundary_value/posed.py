@@ -110,7 +110,8 @@ class Posing:
         )
 
     def posed(self, request: Request, repeated: bool = False) -> Posed:
-        """The conditions and guesses of a request; ``repeated``: its first node has its constraints elsewhere."""
+        """The conditions and guesses of a request; ``repeated`` if the constraints of its first node belong to another
+        phase."""
         traced, ends = self.of(request), request.ends
         rows = for_all(ends.start, len(request)), for_all(ends.end, len(request))
         first, last = ends.prescribed

@@ -47,7 +47,7 @@ class PhaseEnds(NamedTuple):
 
 @final
 class _Inner:
-    """What a phase is solved with, in the states that it is posed in."""
+    """The means to solve a phase, in the states of its formulation."""
 
     def __init__(
         self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator
@@ -63,7 +63,7 @@ class _Inner:
 
     @staticmethod
     def _of(formulation: Formulation, fractions: np.ndarray, evaluator: Evaluator) -> "_Inner":
-        """What a formulation is solved with."""
+        """The means to solve a formulation."""
         inner = _Inner(formulation.problem, formulation.method, fractions, evaluator)
         inner.recording.formulation = formulation
         return inner
@@ -89,7 +89,7 @@ class PosedPhase(NamedTuple):
         return y if self.formulation is None else y[0]
 
     def ends(self, first: Any, last: Any) -> PhaseEnds:
-        """What a boundary constraint sees."""
+        """The arguments of a boundary constraint."""
         rate = 1.0 if self.formulation is None else self.formulation.rate(first)
         return PhaseEnds(self.state(first), self.state(last), rate * self.own.known.horizon)
 
@@ -106,14 +106,16 @@ class PosedPhase(NamedTuple):
         return solution
 
     def checked(self, solution: Solution, free: bool) -> Solution:
-        """The solution with what its conditions do not tell; ``free``: whether times are, of any phase."""
+        """The solution after the checks that its conditions do not show; ``free`` if times of any phase are free."""
         solution = solution if self.formulation is not None else explained(self.own.problem, solution)
         return self.outer.examination(solution, free, self.request.ends.prescribed)
 
 
 @final
 class TracedPhases:
-    """Makes the equations of phases; those with the same problem, method and steps are traced once.
+    """Makes the equations of phases, and traces phases with the same problem, method and steps once.
+
+    The request of a phase is checked the first time, and not again for other guesses.
 
     What is asked of a phase is checked the first time, and not again for other guesses.
     """
@@ -125,7 +127,7 @@ class TracedPhases:
         self._vanishing: dict[int, tuple[Any, Vanishing]] = {}
 
     def inner(self, phase: Any) -> _Inner:
-        """What a phase is solved with."""
+        """The means to solve a phase."""
         fractions = fractions_of(phase.steps)
         key = id(phase.problem), id(phase.method), fractions.tobytes()
         if key not in self._made:  # with the phase, so that nothing else comes to have its number
@@ -133,14 +135,14 @@ class TracedPhases:
         return self._made[key][1]
 
     def vanishing(self, phase: Any) -> Vanishing:
-        """What tells whether the duration of a phase tends to zero."""
+        """The test whether the duration of a phase tends to zero."""
         key = id(phase.problem)
         if key not in self._vanishing:
             self._vanishing[key] = phase, Vanishing(phase.problem, all_guessed(phase.parameters))
         return self._vanishing[key][1]
 
     def request(self, number: int, phase: Any) -> Request:
-        """What is asked of a phase."""
+        """The request of a phase."""
         reader, given = self.inner(phase)._reader, Given(phase.start, phase.end, phase.duration, phase.parameters)
         if number in self._asked:
             return self._asked[number].again(reader, given, phase.guess)
@@ -148,8 +150,10 @@ class TracedPhases:
 
 
 def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases, repeated: bool) -> PosedPhase:
-    """The equations of a phase that is guessed to begin at a time; ``repeated``: its first node is the last one of a
-    phase with the same constraints."""
+    """The equations of a phase that begins at a guessed time.
+
+    ``repeated``: its first node is the last one of a phase with the same constraints.
+    """
     problem, outer = phase.problem, phases.inner(phase)
     inner, formulation = outer, None
     try:

@@ -60,8 +60,10 @@ class Regularity:
         return self._classes[key][1]
 
     def has_to_be_shown(self, request: Request) -> bool:
-        """Whether the problem was regular with other parameters before, and nobody says what it is with these: then a
-        solution can show that it is regular again."""
+        """Whether a solution can show that the problem is regular, as with earlier parameters.
+
+        Nobody gave a classification or an integrator for the present parameters.
+        """
         if not (request.classification is None and request.integrator is None):
             return False
         values, found = self._classes.get(self._key(request), (None, None))

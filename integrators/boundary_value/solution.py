@@ -119,8 +119,11 @@ class Solution(Plotted):
 
     @property
     def status(self) -> Status:
-        """``"minimum"`` of a strict local minimum of the discrete problem, ``"stationary"`` where the conditions of
-        first order hold and a minimum is not shown, ``"failed"`` without success."""
+        """The status: ``"minimum"``, ``"stationary"`` or ``"failed"``.
+
+        A ``"minimum"`` is a strict local minimum of the discrete problem. A ``"stationary"`` solution satisfies the
+        conditions of first order without a proof of a minimum. ``"failed"`` means no success.
+        """
         return status_of(self.success, self.checks.strict_minimum)
 
     @property

@@ -47,7 +47,7 @@ HELD = ", or give what changes as parameters"
 
 
 class _Kept(NamedTuple):
-    """The KKT system of a solution, one place of those of a batch."""
+    """The KKT system of a solution, which is one place of a batch."""
 
     posed: Posed
     found: Found

@@ -120,7 +120,7 @@ def _between(solution: Solution, before: int, after: int) -> float:
 
 
 def _runs(sides: np.ndarray, u: np.ndarray, stages: int) -> list[_Run]:
-    """The runs of one entry: those at bounds begin and end by jumps, or at the ends."""
+    """The runs of one entry; a run at a bound begins and ends by a jump, or at an end."""
     cuts = [0, *(np.flatnonzero(np.diff(sides)) + 1), len(sides)]
     every = [_Run(int(a), int(b), int(sides[a])) for a, b in pairwise(cuts)]
     runs = _merged([run for run in every if run.end - run.begin > stages] or every[:1])
