@@ -1,4 +1,4 @@
-"""What a singular extremal claims, evaluated at the states, costates and controls that are returned."""
+"""The conditions of a singular extremal, evaluated at the states, costates and controls that are returned."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
