@@ -29,10 +29,10 @@ Constraint = Callable[..., Any]
 class Inequalities(eqx.Module):
     """Bounds ``lower <= u <= upper``, functions of ``(q, u)`` and functions of ``q``, each ``<= 0``.
 
-    ``lower``, ``upper``: of all entries of ``u`` in a row, infinite where there is no bound; empty where there is none
-    at all. ``names`` of the ``functions``, which hold at the points of a trajectory; ``at_first`` are those that hold
-    at the first of them only. ``node_functions`` hold at its nodes. ``clock``: whether the last entry of the state is
-    the time, and that of the end is given, or None.
+    ``lower``, ``upper``: bounds of all entries of ``u`` in a row, infinite without a bound; empty without any bounds.
+    ``names``: names of the ``functions``, which hold at the points of a trajectory. Functions ``at_first`` hold at the
+    first point only, ``node_functions`` at the nodes. ``clock``: whether the end of the time is given, if the last
+    entry of the state is the time, or None.
     """
 
     lower: tuple[float, ...] = eqx.field(static=True, default=())

@@ -76,8 +76,6 @@ class Layout:
         input.
 
         Other input may still be points: this check accepts most points at once.
-
-        That may still be points: this sees most that are at once.
         """
         leaves, structure = jax.tree.flatten(points)
         if structure != self._structure:

@@ -38,8 +38,8 @@ PARTS = "dynamics", "running_cost"
 class Probed(NamedTuple):
     """The values of the functions of a problem at a point, with the given control and with other controls.
 
-    Of both parts of ``H``, ``<p, X>`` and ``F``: ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``,
-    at the control asked for and at the others, by coordinates in the chart around it.
+    ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``, are derivatives of both parts of ``H``,
+    ``<p, X>`` and ``F``, by coordinates in the chart around the given control.
     """
 
     controls: Ambient

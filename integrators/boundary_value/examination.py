@@ -40,7 +40,7 @@ class Examination:
     def __call__(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
         """The examined solution, without success if it passes a jump, and the same object if there is nothing to add.
 
-        It is no strict minimum where constraints that hold it do not determine their multipliers.
+        The solution is no strict minimum where constraints that hold it do not determine their multipliers.
 
         With a free horizon a jump in an explicit time counts too, because the horizon shifts it. There is no success
         either where what is prescribed of the ends violates a constraint of the states, of which the conditions at the

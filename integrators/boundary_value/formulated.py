@@ -114,8 +114,6 @@ class Formulated:
 
         A horizon far shorter than guessed adds a sentence. A horizon that is far longer, and is to be longer still,
         replaces the advice. The cost changes by ``-H`` with the horizon.
-
-        The cost changes by ``-H`` with the horizon.
         """
         if HELD * horizon.lower < solution.horizon <= guessed(horizon) / LONG:
             return solution.result + SHRUNK.format(guessed(horizon), solution.horizon, solution.cost)

@@ -21,9 +21,9 @@ Named = dict[str, np.ndarray]
 class InequalityRows:
     """The rows of the inequalities of a problem whose functions take ``parameters`` of some structure.
 
-    A step has them at r places, each with c rows: at its s stages those at points, and at the last place, which is one
-    more where ``s > 1``, those at nodes: at the end of the step, and behind them at its beginning. The latter are asked
-    for in the first step alone.
+    A step has rows at r places, c at each place. The s stages have the inequalities at points. The last place, which is
+    one more if ``s > 1``, has the inequalities at nodes: at the end of the step, then at its beginning, which only the
+    first step uses.
     """
 
     def __init__(self, problem: OptimalControlProblem, parameters: Any, stages: int) -> None:

@@ -116,8 +116,6 @@ class TracedPhases:
     """Makes the equations of phases, and traces phases with the same problem, method and steps once.
 
     The request of a phase is checked the first time, and not again for other guesses.
-
-    What is asked of a phase is checked the first time, and not again for other guesses.
     """
 
     def __init__(self, options: Options) -> None:

@@ -23,8 +23,7 @@ def not_finite_words(
 ) -> tuple[str, str]:
     """Words on a Hamiltonian without finite values or derivatives at the start or at the last node; otherwise empty.
 
-    Step ``failed`` begins at the last node. Derivatives at the start count if no step was solved: the motion may leave
-    a place where there are none.
+    Step ``failed`` begins at the last node.
 
     Derivatives at the start count if no step was solved: the motion may leave a place where there are none.
     """

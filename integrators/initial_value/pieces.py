@@ -29,9 +29,9 @@ class Steps(ABC):
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[Any, np.ndarray, float]:
         """Run ``count`` more steps, or until a step fails, after ``done`` steps, of which ``phase`` begin a block.
 
-        What is kept of the last state of each block of ``every`` steps, rows along the leading axis of every array: at
-        least those that the piece reached, ``size`` at most. For every trajectory -1 or the step at which it stopped.
-        And the seconds of the steps themselves.
+        Returns the kept values of the last state of each block of ``every`` steps, in rows along the leading axis of
+        every array: at least the rows that the piece reached, at most ``size``. Returns also, for every trajectory, -1
+        or the step at which the trajectory stopped, and the seconds of the steps themselves.
         """
 
 

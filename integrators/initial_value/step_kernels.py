@@ -183,8 +183,6 @@ def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool
     are any.
 
     A lane begins at the prediction if ``restart`` is 2, or if ``restart`` is 1 and the lane was led away.
-
-    They begin at the prediction: all of them if ``restart`` is 2, those that were led away if it is 1.
     """
     m, some = places[COUNT], False
     for j in range(v.shape[1]):
@@ -241,7 +239,8 @@ def _solve_step(
     """Solve the equations of a step in all good lanes, with old Jacobians, with Jacobians of small steps, then with new
     Jacobians.
 
-    The first are tried only for speed; the others, in this order, are the iteration of ``numerics.chord_newton``.
+    Old Jacobians are tried only for speed. The remaining two, in this order, are the iteration of
+    ``numerics.chord_newton``.
     """
     inverses, spent, differences, small, _ = known
     inverse, fresh, renewed, no = inverses[block, k], True, 0, False

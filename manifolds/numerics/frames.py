@@ -98,9 +98,6 @@ def null_frame(rows: Float[Array, "m n"]) -> Float[Array, "n-m n"]:
 
     The rows come from a fixed basis, projected and made orthonormal again. Their derivatives are right everywhere; the
     derivatives of LAPACK's reflections are NaN where a row is a multiple of a unit vector.
-
-    Their derivatives are right everywhere; those of LAPACK's reflections are NaN where a row is a multiple of a unit
-    vector.
     """
     fixed = jax.lax.stop_gradient(jnp.linalg.qr(rows.T, mode="complete")[0].T[rows.shape[0] :])
     carried = fixed - (fixed @ rows.T) @ solve_small(rows @ rows.T, rows)

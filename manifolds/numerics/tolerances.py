@@ -1,9 +1,7 @@
 """Tolerances with one meaning in several files, from the tightest on.
 
-A tolerance of a single algorithm stands beside the algorithm. They are relative to what a number is made of, and most
+A tolerance of a single algorithm stands beside the algorithm. Tolerances are relative to the terms of a number, and most
 are multiples or powers of eps, which is 2e-16.
-
-They are relative to what a number is made of, and most are multiples or powers of eps, which is 2e-16.
 """
 
 from typing import Any

@@ -86,9 +86,6 @@ def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
 
     NaN occurs on SL(n) far out, where det is lost. Elements of the groups of rotations and of rigid motions, whose
     functions keep to the group by their form, are left as they are.
-
-    Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as
-    they are.
     """
     return g if isinstance(group, SO | SE | U | SU) else nan_unless(is_on_group(group, g), g)
 

@@ -97,7 +97,7 @@ def reduce_until_regular(
 ) -> ReductionChain:
     """Goh's reduction by the controls ``singular``, repeated until the reduced Hamiltonian is affine in no control.
 
-    By default the first ones, too, are those in which the Hamiltonian is affine. ``near``: a state and a control around
+    By default ``singular`` are the controls in which the Hamiltonian is affine. ``near``: a state and a control around
     which the problem's functions are looked at, by default random ones. Raises ``InvalidInputError`` where there are no
     such controls, or a reduction does not apply.
     """

@@ -82,9 +82,6 @@ def solved(study: Study, members: np.ndarray) -> dict[str, Any]:
 
     ``kept`` arrays have rows for the solved members, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration
     was stopped.
-
-    ``kept`` arrays have rows for the others, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration was
-    stopped.
     """
     return _joined([_tried(study, members[first : first + BATCH]) for first in range(0, len(members), BATCH)])
 
