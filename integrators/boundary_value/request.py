@@ -108,7 +108,7 @@ class Request:
     """The arguments of ``solve`` or ``solve_many``, checked and completed, for B trajectories, one for ``solve``.
 
     ``given`` and ``guess`` are as they came, ``known`` has the guesses of the horizon and of parameters that are free.
-    ``ends``: unknown ends are the ends of the guess, or arbitrary. ``structure``: the structure of the parameters of one
+    ``ends``: unknown ends are the ends of the guess, or arbitrary. ``structure``: structure of the parameters of one
     member, which are ``rows`` of shape (B, P). ``classification``: None for a regular problem, and before a
     classification.
     """

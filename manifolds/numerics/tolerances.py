@@ -1,6 +1,6 @@
 """Tolerances with one meaning in several files, from the tightest on.
 
-A tolerance of a single algorithm stands beside the algorithm. Tolerances are relative to the terms of a number, and most
+A tolerance of a single algorithm stands beside the algorithm. Tolerances are relative to the terms of a number. Most
 are multiples or powers of eps, which is 2e-16.
 """
 
