@@ -169,7 +169,7 @@ def _frame_times(phases: Sequence[Sequence[Any]], views: list[list[View]]) -> np
 
 
 def _states_at(times: np.ndarray, phases: Sequence[Any], views: list[View]) -> list[np.ndarray]:
-    """States of a record at the times of the frames: its polynomials, or its nearest nodes; at its ends outside."""
+    """States of a record at the times of the frames, from its polynomials, nearest nodes or ends."""
     begins = [found.times[0] for found in views[1:]]
     place = np.searchsorted(begins, times, side="right")
     parts = []
@@ -215,8 +215,10 @@ def _scene(views: list[View], states: list[list[np.ndarray]], body: _Body) -> di
 
 
 def _moving(found: View, states: list[np.ndarray]) -> tuple[str, Any, Any]:
-    """The space, the quantity and the values to draw: the first attitude or pose, else the first point on S^2, or in
-    R^2 or R^3; or nothing."""
+    """The space, the quantity and the values to draw, or nothing.
+
+    These are the first attitude or pose, else the first point on S^2, or in R^2 or R^3.
+    """
     pairs = list(zip(found.quantities.states, states, strict=True))
     for quantity, values in pairs:
         if quantity.space in BODY:
