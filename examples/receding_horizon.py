@@ -10,8 +10,11 @@ body, and torque and rate are limited:
 .. math::
 
     \text{minimise } \tfrac12 \int_t^{t+T} \lvert u\rvert^2\,d\tau, \qquad
-    \dot R = R\,\hat w, \quad J\dot w + w \times Jw = u, \qquad
-    \lvert u_i\rvert \le 8\ \mathrm{N\,m}, \quad
+    \dot R = R\,\hat w, \quad J\dot w + w \times Jw = u
+
+.. math::
+
+    \lvert u_i\rvert \le 8\ \mathrm{N\,m}, \qquad
     \lvert w\rvert \le 3^\circ/\mathrm s
 
 The end of each plan is the target attitude at rest. The horizon :math:`T`
