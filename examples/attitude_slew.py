@@ -30,7 +30,7 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import retrax as rx
-from retrax.integrators import discretization_error
+from retrax.integrators import Solution, discretization_error
 from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)
@@ -102,10 +102,10 @@ assert solution.checks.manifold_violation <= 1e-13
 assert difference <= 1e-11
 
 # %%
-# A file keeps the solution unchanged:
+# A file keeps the ``Solution`` unchanged:
 with tempfile.TemporaryDirectory() as folder:
     solution.save(f"{folder}/slew.npz")
-    loaded = rx.load(f"{folder}/slew.npz")
+    loaded: Solution = rx.load(f"{folder}/slew.npz")
 assert np.array_equal(loaded.controls, solution.controls)
 
 # sphinx_gallery_start_ignore

@@ -40,7 +40,7 @@ class Torus(rx.LevelSet):
 
 
 def summary(report):
-    """The first line of a report; the other lines list the checks."""
+    """The first line of a report; each other line is a ``Check``."""
     print(str(report).splitlines()[0])
     assert not report.failures
 

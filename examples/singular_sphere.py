@@ -22,13 +22,17 @@ import jax.numpy as jnp
 import matplotlib.pyplot as plt
 import numpy as np
 import retrax as rx
-from retrax.integrators import singular_integrator, symplecticity_defect
+from retrax.integrators import (
+    Classification,
+    singular_integrator,
+    symplecticity_defect,
+)
 from retrax.retractions import Projection
 
 jax.config.update("jax_enable_x64", True)
 
 problem = rx.problems.SINGULAR["sphere"]().problem
-found = rx.classify(problem)
+found: Classification = rx.classify(problem)
 print(found)
 
 # %%
