@@ -1,157 +1,168 @@
-r"""Gallery of singular problems
+r"""
+Gallery of singular problems
+============================
 
-A gallery of singular problems: what the integrability algorithm finds, beside what is known, and the motion on
-:math:`P_f`.
-
-- Aly and Chan's problem: on :math:`P_f` an oscillator, :math:`u = -\sin t` from (0, 1), cost 0 at :math:`\pi/2`.
-- Chains of :math:`n` integrators: :math:`P_f` is the origin, after :math:`2n` levels.
-- A charged particle without mass, :math:`p = A(q)`: two primary equations of second class; it drifts along the level
-  lines of its potential energy, :math:`\dot q = (-2y, x)/\operatorname{curl} A`.
-- Brown's Lagrangian of four degrees of freedom: all four classes of equations. The difference :math:`d = q_4 - q_2`
-  is an oscillator, whatever the gauge control is.
-- :math:`H = p_1 x_2 + p_2 u`: :math:`P_f = \{p = 0\}` with zero form, so that the control is free: every motion with
-  :math:`\dot x_1 = x_2` is an extremal.
-- Two problems without extremals.
-
-    python examples/singular_gallery.py [--only aly-chan brown] [--steps 120] [--output examples/output]
+The integrability algorithm classifies nine singular problems of the literature.
+It finds the manifold :math:`P_f` of the extremals, its presymplectic form, and
+the controls that stay free (gauge). Four problems have a motion on
+:math:`P_f` in closed form.
 """
 
-import argparse
-from pathlib import Path
-
+# %%
+# The classification
+# ------------------
+# The table compares each outcome with the known outcome: the dimension of
+# :math:`P_f`, the rank of its form, the number of levels, and the number of
+# gauge controls. For two problems there are no extremals.
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
-from retrax.integrators import integrate
-from retrax.integrators.singular import classify, singular_integrator
-from retrax.problems import SINGULAR
-from retrax.retractions import Midpoint, default_retraction
+import retrax as rx
+from retrax.integrators import singular_integrator
+from retrax.retractions import default_retraction
 
 jax.config.update("jax_enable_x64", True)
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
-CHAINS = ("chain of 2", "chain of 3", "chain of 4")
-EMPTY = ("linear cost", "unpaid control")
-ROW = "{:18s} {:>6s} {:>6s} {:>9s} {:>6s}  {}"
-
-
-def outcome(record):
-    """Dimension of P_f, rank of its form, levels, and number of gauge controls; None where P_f is empty."""
-    return (
-        None if record.empty else (record.dimension, record.rank, (record.k_f, record.k_f_base), record.gauge_controls)
+NAMES = (
+    *("aly-chan", "massless particle", "brown", "gauge"),
+    *("chain of 2", "chain of 3", "chain of 4"),
+    *("linear cost", "unpaid control"),
+)
+found = {}
+print(f"{'problem':18} {'dim':>4} {'rank':>4} {'levels':>7} {'gauge':>5}")
+for name in NAMES:
+    known = rx.problems.SINGULAR[name]()
+    c = found[name] = rx.classify(known.problem)
+    if known.empty_at is not None:
+        print(f"{name:18} no extremals, found at level {len(c.levels) - 1}")
+        assert c.empty
+        assert len(c.levels) - 1 == known.empty_at
+        continue
+    print(
+        f"{name:18} {c.dimension:4} {c.rank:4} {c.k_f:7} {c.gauge_controls:5}"
+    )
+    assert (c.dimension, c.rank) == (known.dimension, known.rank)
+    assert ((c.k_f, c.k_f_base), c.gauge_controls) == (
+        known.levels,
+        known.gauge,
     )
 
 
-def known_outcome(known):
-    """The same from the library of problems."""
-    return None if known.empty_at is not None else (known.dimension, known.rank, known.levels, known.gauge)
+def motion(name, start, time, gauge=None):
+    """The motion on the manifold from one of its points, in 120 steps."""
+    problem = found[name].problem
+    step = rx.Midpoint(default_retraction(problem.manifold))
+    method, choice = singular_integrator(found[name], step, gauge=gauge)
+    print(choice)
+    return rx.integrate(problem, method, start, time / 120, 120)
 
 
-def report(name, known, record):
-    """Print a row of the table; whether the algorithm found what is known."""
-    found = outcome(record)
-    agrees = found == known_outcome(known) and (found or len(record.levels) - 1 == known.empty_at)
-    if found is None:
-        words = ["empty", "", f"at {len(record.levels) - 1}", ""]
-    else:
-        dimension, rank, (k_f, base), gauge = found
-        words = [str(dimension), str(rank), f"{k_f} (P {base})", str(gauge)]
-    print(ROW.format(name, *words, "as known" if agrees else f"known: {known_outcome(known)}, {known.empty_at}"))
-    return bool(agrees)
+# %%
+# The problem of Aly and Chan
+# ---------------------------
+# On :math:`P_f` the state is an oscillator. From :math:`(0, 1)` the control is
+# :math:`u = -\sin t`, and the cost up to the time :math:`\pi/2` is zero:
+#
+# .. math::
+#
+#    \dot x_1 = x_2, \quad \dot x_2 = u, \qquad
+#    \text{minimise } \int \tfrac12 (x_2^2 - x_1^2)\,dt
+start = jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0])
+path = motion("aly-chan", start, np.pi / 2)
+t, u = path.stage_times, path.controls[:, 0]
+cost = np.trapezoid((path.q[:, 1] ** 2 - path.q[:, 0] ** 2) / 2, path.times)
+error = np.max(np.abs(u + np.sin(t)))
+print(f"error of the control {error:.1e}, cost {cost:.1e}")
+assert max(error, abs(cost)) <= 5e-5
 
+figure, axis = plt.subplots(figsize=(7, 3.5), layout="constrained")
+axis.plot(path.times, path.q, label=["$x_1$", "$x_2$"])
+axis.plot(t, u, label="$u$")
+axis.plot(t, -np.sin(t), "k:", label=r"$-\sin t$")
+axis.set(xlabel="time")
+axis.legend()
 
-def integrated(record, start, time, steps, gauge=None):
-    """The trajectory on P_f from a point of it, by the strategy that the classification chooses."""
-    method, choice = singular_integrator(record, Midpoint(default_retraction(record.problem.manifold)), gauge=gauge)
-    print(f"    {choice}")
-    return integrate(record.problem, method, start, time / steps, steps)
+# %%
+# A charged particle without mass
+# -------------------------------
+# The momentum is :math:`p = A(q)`. The particle drifts along the level lines of
+# its potential energy :math:`V = x^2/2 + y^2`:
+#
+# .. math::
+#
+#    \dot q = (-2y, x)/\operatorname{curl} A
+start = jnp.array([0.6, 0.0]), jnp.array([0.0, 0.3 * (1 + 0.36)])
+path = motion("massless particle", start, 8.0)
+x, y = np.asarray(path.q).T
+potential = ((1 + x**2 + y**2) / 2 * np.stack([-y, x])).T
+change, missed = np.ptp(x**2 / 2 + y**2), np.max(np.abs(path.p - potential))
+print(f"change of V {change:.1e}, distance from p = A(q) {missed:.1e}")
+assert max(change, missed) <= 3e-4
 
+angle = np.linspace(0, 2 * np.pi, 200)
+figure, axis = plt.subplots(figsize=(5, 4), layout="constrained")
+axis.plot(x, y, ".", label="nodes")
+ellipse = 0.6 * np.cos(angle), 0.6 / np.sqrt(2) * np.sin(angle)
+axis.plot(*ellipse, "k:", label="level line")
+axis.set(xlabel="$x$", ylabel="$y$", aspect="equal")
+axis.legend()
 
-def aly_chan(record, steps, axis):
-    """The error of the control against its closed form, and the cost."""
-    path = integrated(record, (jnp.array([0.0, 1.0]), jnp.array([1.0, 0.0])), np.pi / 2, steps)
-    t, u = np.asarray(path.stage_times), np.asarray(path.controls)[:, 0]
-    axis.plot(path.times, path.q, label=["x1", "x2"])
-    axis.plot(t, u, label="u")
-    axis.plot(t, -np.sin(t), "k:", label="-sin t")
-    axis.set(title="Aly-Chan", xlabel="t")
-    axis.legend()
-    cost = np.trapezoid((path.q[:, 1] ** 2 - path.q[:, 0] ** 2) / 2, path.times)
-    return {"control error": float(np.max(np.abs(u + np.sin(t)))), "cost": abs(float(cost))}
+# %%
+# The Lagrangian of Brown
+# -----------------------
+# This Lagrangian with four degrees of freedom has all four classes of
+# equations. The difference :math:`q_4 - q_2` is :math:`\cos t` for every gauge
+# control:
+start = jnp.array([-1.0, 0.0, 0.0, 1.0]), jnp.zeros(4)
+gauges = {
+    "0": lambda t, q, p: jnp.zeros(1),
+    r"\cos 3t": lambda t, q, p: jnp.cos(3 * t)[None],
+}
+figure, axis = plt.subplots(figsize=(7, 3.5), layout="constrained")
+differences = []
+for name, gauge in gauges.items():
+    path = motion("brown", start, 2 * np.pi, gauge)
+    differences.append(np.asarray(path.q[:, 3] - path.q[:, 1]))
+    axis.plot(path.times, path.q[:, 1], "--", label=f"$q_2$, gauge ${name}$")
+axis.plot(path.times, differences[0], label="$q_4 - q_2$")
+axis.set(xlabel="time")
+axis.legend()
+error = np.max(np.abs(differences - np.cos(path.times)))
+seen = np.max(np.abs(differences[0] - differences[1]))
+print(f"error {error:.1e}, change by the gauge {seen:.1e}")
+assert error <= 2e-3
+assert seen <= 1e-13
 
+# %%
+# A free control
+# --------------
+# For :math:`H = p_1 x_2 + p_2 u` the manifold is :math:`p = 0`, with a zero
+# form. So every motion with :math:`\dot x_1 = x_2` is an extremal. With the
+# gauge control :math:`\cos t` the motion is :math:`x_1 = 1 - \cos t`:
+start = jnp.zeros(2), jnp.zeros(2)
+path = motion("gauge", start, 2 * np.pi, lambda t, q, p: jnp.cos(t)[None])
+error = np.max(np.abs(path.q[:, 0] - (1 - np.cos(path.times))))
+print(f"error {error:.1e}, largest p {np.max(np.abs(path.p)):.1e}")
+assert error <= 5e-4
+assert np.max(np.abs(path.p)) <= 1e-14
 
-def massless_particle(record, steps, axis):
-    """The variation of the potential energy along a drift around the origin, and how far p = A(q) is missed."""
-    path = integrated(record, (jnp.array([0.6, 0.0]), jnp.array([0.0, 0.6 * (1 + 0.36) / 2])), 8.0, steps)
-    x, y = np.asarray(path.q).T
-    potential, angle = x**2 / 2 + y**2, np.linspace(0, 2 * np.pi, 200)
-    missed = np.asarray(path.p) - ((1 + x**2 + y**2) / 2 * np.stack([-y, x])).T
-    axis.plot(x, y, ".", label="nodes")
-    axis.plot(0.6 * np.cos(angle), 0.6 / np.sqrt(2) * np.sin(angle), "k:", label="level line of the energy")
-    axis.set(title="massless particle", xlabel="x", ylabel="y", aspect="equal")
-    axis.legend()
-    return {"energy variation": float(np.ptp(potential)), "distance from P_f": float(np.max(np.abs(missed)))}
+figure, axis = plt.subplots(figsize=(7, 3.5), layout="constrained")
+axis.plot(path.times, path.q, label=["$x_1$", "$x_2$"])
+axis.plot(path.times, 1 - np.cos(path.times), "k:", label=r"$1 - \cos t$")
+axis.set(xlabel="time")
+axis.legend()
 
+# sphinx_gallery_start_ignore
+if "__file__" in globals():  # python examples/NAME.py [--output FOLDER]
+    import sys
+    from pathlib import Path
 
-def brown(record, steps, axis):
-    """With two gauge controls, the error of ``d = q4 - q2`` against ``cos t`` and how much of the gauge it sees."""
-    start, ends = (jnp.array([-1.0, 0.0, 0.0, 1.0]), jnp.zeros(4)), []
-    for name, gauge in {"0": lambda t, q, p: jnp.zeros(1), "cos 3t": lambda t, q, p: jnp.cos(3 * t)[None]}.items():
-        path = integrated(record, start, 2 * np.pi, steps, gauge)
-        ends.append(np.asarray(path.q[:, 3] - path.q[:, 1]))
-        axis.plot(path.times, path.q[:, 1], "--", label=f"q2, gauge control {name}")
-        axis.plot(path.times, ends[-1], label=f"q4 - q2, gauge control {name}", linewidth=6 / len(ends) ** 2)
-    axis.set(title="Brown", xlabel="t", ylim=(-1.15, 1.75))
-    axis.legend(loc="upper center", fontsize="small", ncols=2)
-    errors = [np.max(np.abs(end - np.cos(path.times))) for end in ends]
-    return {"error of q4 - q2": float(max(errors)), "seen of the gauge": float(np.max(np.abs(ends[0] - ends[1])))}
-
-
-def gauge(record, steps, axis):
-    """The error of ``x1 = 1 - cos t`` with the gauge control ``cos t``, and of ``p = 0``."""
-    path = integrated(record, (jnp.zeros(2), jnp.zeros(2)), 2 * np.pi, steps, lambda t, q, p: jnp.cos(t)[None])
-    axis.plot(path.times, path.q, label=["x1", "x2"])
-    axis.plot(path.times, 1 - np.cos(path.times), "k:", label="1 - cos t")
-    axis.set(title="p1 x2 + p2 u with u = cos t", xlabel="t")
-    axis.legend()
-    errors = path.q[:, 0] - (1 - np.cos(path.times)), path.p
-    return {"error of x1": float(np.max(np.abs(errors[0]))), "p": float(np.max(np.abs(errors[1])))}
-
-
-MOTIONS = {"aly-chan": aly_chan, "massless particle": massless_particle, "brown": brown, "gauge": gauge}
-NAMES = (*MOTIONS, *CHAINS, *EMPTY)
-
-
-def main(arguments=None):
-    """Classify, compare, integrate, plot; returns whether each outcome is the known one, and the numbers of each
-    motion."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--only", nargs="+", choices=NAMES, default=NAMES, metavar="PROBLEM", help=", ".join(NAMES))
-    parser.add_argument("--steps", type=int, default=120, help="number of steps of each motion")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
-    options = parser.parse_args(arguments)
-    options.output.mkdir(parents=True, exist_ok=True)
-
-    figure, axes = plt.subplots(2, 2, figsize=(11, 8), layout="constrained")
-    panels, agree, numbers = dict(zip(MOTIONS, axes.flat, strict=True)), {}, {}
-    print(ROW.format("problem", "dim", "rank", "levels", "gauge", ""))
-    for name in options.only:
-        known = SINGULAR[name]()
-        record = classify(known.problem)
-        agree[name] = report(name, known, record)
-        if name in MOTIONS:
-            numbers[name] = MOTIONS[name](record, options.steps, panels[name])
-            print("    " + ", ".join(f"{what} {value:.1e}" for what, value in numbers[name].items()))
-    for name in set(MOTIONS) - set(options.only):
-        panels[name].set_visible(False)
-    path = options.output / "singular_gallery.png"
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
-    print(f"written: {path}")
-    return agree, numbers
-
-
-if __name__ == "__main__":
-    main()
+    default = Path(__file__).parent / "output"
+    output = Path(sys.argv[2]) if sys.argv[1:2] == ["--output"] else default
+    output.mkdir(parents=True, exist_ok=True)
+    for number in plt.get_fignums():
+        path = output / f"{Path(__file__).stem}_{number}.png"
+        plt.figure(number).savefig(path, dpi=150)
+        print(f"written: {path}")
+# sphinx_gallery_end_ignore

@@ -1,116 +1,127 @@
-r"""Singular arcs on the sphere
+r"""
+Singular arcs on the sphere
+===========================
 
-A singular problem on the sphere: RATTLE on its final constraint manifold, beside a projection method.
+The control of this problem has no cost. Its extremals lie on a curved manifold
+:math:`P_f` in :math:`T^*S^2` with a symplectic form. RATTLE preserves both to
+rounding. A projection method preserves the manifold only, so its energy
+drifts:
 
-    \dot q = f(q) + u\,e_3 \times q \text{ on } S^2, \qquad \min \int F(q)\,dt
+.. math::
 
-The control has no cost. :math:`P_f` is a curved surface in :math:`T^*S^2` with a symplectic form. RATTLE keeps both
-to rounding; a projection method keeps :math:`P_f` alone, changes its form by :math:`O(h^3)` a step, and its energy
-drifts.
-
-    python examples/singular_sphere.py [--steps 100000] [--output examples/output]
+    \dot q = f(q) + u\,e_3 \times q \quad \text{on } S^2, \qquad
+    \text{minimise } \int F(q)\,dt
 """
 
-import argparse
-from pathlib import Path
-
+# %%
+# The classification
+# ------------------
+# The problem library has this problem:
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
-from retrax.integrators import classify, integrate, singular_integrator, symplecticity_defect
-from retrax.manifolds.numerics import ambient as vec
-from retrax.problems import SINGULAR
-from retrax.retractions import Midpoint, Projection
+import retrax as rx
+from retrax.integrators import (
+    Classification,
+    singular_integrator,
+    symplecticity_defect,
+)
+from retrax.retractions import Projection
 
 jax.config.update("jax_enable_x64", True)
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
-GUESS = jnp.array([-0.93, 0.09, 0.3557]), jnp.array([0.11, -0.01, 0.295])
-SIZES = np.array([0.2, 0.1, 0.05])
-STEP = 0.1
-BLOCK = 25  # nodes kept of which the figure shows the range
+problem = rx.problems.SINGULAR["sphere"]().problem
+found: Classification = rx.classify(problem)
+print(found)
 
-
-def energies(problem, classification, path):
-    """Pontryagin's Hamiltonian along a trajectory: on ``P_f`` it does not depend on the control."""
-    u = classification.stratum.u
-    return np.asarray(jax.vmap(lambda q, p: problem.hamiltonian(q, p, u))(path.q, path.p))
-
-
-def drift(times, errors, blocks=50):
-    """Slope of a line through the means of blocks, and its standard error."""
-    t, e = (np.array([np.mean(part) for part in np.array_split(a, blocks)]) for a in (times, errors))
-    (slope, _), covariance = np.polyfit(t, e, 1, cov=True)
-    return slope, np.sqrt(covariance[0, 0])
+# %%
+# Both integrators
+# ----------------
+# ``nearby`` returns a point of the manifold near a guess. The defect is the
+# change of the symplectic form over one step.
+final = found.manifold
+start = final.nearby(
+    (jnp.array([-0.93, 0.09, 0.3557]), jnp.array([0.11, -0.01, 0.295]))
+)
+SIZES, STEP = np.array([0.2, 0.1, 0.05]), 0.1
+STEPS = {"rattle": 20_000, "project": 5_000}
 
 
-def plot(defects, runs, path):
-    """The defects against the step, those of zero at 1e-17, and the range of the energy errors against time."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
-    for name, defect in defects.items():
-        left.loglog(SIZES, np.maximum(defect, 1e-17), "o-", label=name)
-    left.loglog(SIZES, 0.02 * SIZES**3, "k:", label="slope 3")
-    left.set_xticks(SIZES, [f"{h:g}" for h in SIZES])
-    left.minorticks_off()
-    left.set(xlabel="step", ylim=(5e-18, 1e-2), title="change of $\\omega_f$ over one step")
-    left.legend(loc="center right")
-    for name, (times, error) in runs.items():
-        parts = np.array_split(error, len(error) // BLOCK)
-        middles = [np.mean(part) for part in np.array_split(times, len(parts))]
-        right.fill_between(
-            middles, [np.min(part) for part in parts], [np.max(part) for part in parts], alpha=0.7, label=name
-        )
-    right.ticklabel_format(axis="y", scilimits=(0, 0))
-    right.set(xscale="log", xlabel="time", title=f"energy error, its range over every {BLOCK} nodes")
-    right.legend(loc="lower left")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+def size(equations):
+    """The largest entry of the equations of the manifold."""
+    leaves = jax.tree.leaves(equations)
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(leaf)) for leaf in leaves]))
 
 
-def main(arguments=None):
-    """Returns the defects by method, the largest residual of ``P_f`` and the drift with its standard error by
-    method."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument(
-        "--steps",
-        type=int,
-        default=100_000,
-        help="steps of RATTLE, a multiple of 500, at least 5000; a tenth projected",
+defects, errors, gaps = {}, {}, {}
+for name, steps in STEPS.items():
+    method, choice = singular_integrator(
+        found, rx.Midpoint(Projection(problem.manifold)), name
     )
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
-    options = parser.parse_args(arguments)
-    if options.steps < 5000 or options.steps % 500:
-        parser.error(f"--steps must be a multiple of 500, at least 5000, got {options.steps}")
-    options.output.mkdir(parents=True, exist_ok=True)
+    print(choice)
+    defects[name] = symplecticity_defect(
+        found.presymplectic, method, problem, start, SIZES
+    )
+    path = rx.integrate(problem, method, start, STEP, steps, save_every=10)
+    # On the manifold the Hamiltonian does not depend on the control.
+    energy = np.asarray(
+        jax.vmap(lambda q, p: problem.hamiltonian(q, p, found.stratum.u))(
+            path.q, path.p
+        )
+    )
+    errors[name] = np.asarray(path.times), energy - energy[0]
+    residuals = jax.vmap(lambda q, p: size(final.equations((q, p))))
+    gaps[name] = float(jnp.max(residuals(path.q, path.p)))
+    print(f"    equations of the manifold: {gaps[name]:.1e}")
+assert gaps["rattle"] <= 1e-14
 
-    problem = SINGULAR["sphere"]().problem
-    classification = classify(problem)
-    print(f"{classification}\n")
-    final = classification.manifold
-    z = final.nearby(GUESS)
-    defects, gaps, runs, drifts = {}, {}, {}, {}
-    for name, steps in (("rattle", options.steps), ("project", options.steps // 10)):
-        method, choice = singular_integrator(classification, Midpoint(Projection(problem.manifold)), name)
-        path = integrate(problem, method, z, STEP, steps, save_every=10)
-        defects[name] = np.asarray(symplecticity_defect(classification.presymplectic, method, problem, z, SIZES))
-        gaps[name] = float(jnp.max(jax.vmap(lambda q, p: vec.size(final.equations((q, p))))(path.q, path.p)))
-        energy = energies(problem, classification, path)
-        runs[name] = np.asarray(path.times), energy - energy[0]
-        drifts[name] = drift(*runs[name])
-        quarters = [np.max(np.abs(part)) for part in np.array_split(runs[name][1], 4)]
-        print(choice)
-        print(f"    omega_f changes over one step of {SIZES} by {defects[name]}")
-        print(f"    equations of P_f over {steps} steps: {gaps[name]:.1e}")
-        print("    max |energy error| in each quarter: " + "  ".join(f"{quarter:.2e}" for quarter in quarters))
-        print(f"    drift of the energy: {drifts[name][0]:.1e} +- {drifts[name][1]:.1e} per unit of time")
+# %%
+# The symplectic form
+# -------------------
+# The form changes by :math:`O(h^3)` in a step of the projection method:
+figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
+for name, defect in defects.items():
+    print(f"{name}: the form changes by {np.asarray(defect)}")
+    axis.loglog(SIZES, np.maximum(defect, 1e-17), "o-", label=name)
+axis.loglog(SIZES, 0.02 * SIZES**3, "k:", label="slope 3")
+axis.set(xlabel="step", ylabel="change of the symplectic form")
+axis.legend()
+slope, _ = np.polyfit(np.log(SIZES), np.log(defects["project"]), 1)
+assert max(defects["rattle"]) <= 1e-13
+assert abs(slope - 3) <= 0.2
 
-    path = options.output / "singular_sphere.png"
-    plot(defects, runs, path)
-    print(f"written: {path}")
-    return defects, gaps, drifts
+# %%
+# The energy
+# ----------
+# The drift is the slope of a line through means of the energy error, here with
+# its standard error:
+figure, axis = plt.subplots(figsize=(7, 4), layout="constrained")
+drifts = {}
+for name, (times, error) in errors.items():
+    t, e = (
+        np.array([np.mean(part) for part in np.array_split(a, 50)])
+        for a in (times, error)
+    )
+    (slope, _), covariance = np.polyfit(t, e, 1, cov=True)
+    drifts[name] = abs(slope) / np.sqrt(covariance[0, 0])
+    print(f"{name}: drift {slope:.1e}, {drifts[name]:.1f} standard errors")
+    axis.semilogx(times[1:], error[1:], ".", markersize=2, label=name)
+axis.set(xlabel="time", ylabel="energy error")
+axis.legend()
+assert drifts["rattle"] <= 2
+assert drifts["project"] >= 10
 
+# sphinx_gallery_start_ignore
+if "__file__" in globals():  # python examples/NAME.py [--output FOLDER]
+    import sys
+    from pathlib import Path
 
-if __name__ == "__main__":
-    main()
+    default = Path(__file__).parent / "output"
+    output = Path(sys.argv[2]) if sys.argv[1:2] == ["--output"] else default
+    output.mkdir(parents=True, exist_ok=True)
+    for number in plt.get_fignums():
+        path = output / f"{Path(__file__).stem}_{number}.png"
+        plt.figure(number).savefig(path, dpi=150)
+        print(f"written: {path}")
+# sphinx_gallery_end_ignore

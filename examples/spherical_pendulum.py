@@ -1,35 +1,35 @@
-r"""The spherical pendulum
+r"""
+Spherical pendulum
+==================
 
-The spherical pendulum on :math:`T^*S^2` for 100 000 steps, beside a method of the same order that knows no geometry.
+A pendulum of unit mass and length swings for 100 000 steps on the sphere. The
+energy error of a symplectic integrator stays bounded. The energy error of a
+method of the same order without geometry grows. The Hamiltonian is
 
-    H(q, p) = \tfrac12 \lvert p\rvert^2 + q_3 \qquad \text{(unit mass, length and gravity)}
+.. math::
 
-The midpoint map of the projection retraction, lifted to the cotangent bundle, gives a symplectic integrator of order
-2. It conserves the vertical angular momentum to rounding, because the retraction commutes with rotations, and its
-energy error stays bounded. The explicit midpoint rule on the embedded equations, projected to :math:`T^*S^2` after
-every step, drifts.
-
-    python examples/spherical_pendulum.py [--steps 100000] [--output examples/output]
+    H(q, p) = \tfrac12 \lvert p\rvert^2 + q_3 \qquad \text{on } T^*S^2
 """
 
-import argparse
-from pathlib import Path
-
+# %%
+# The symplectic integrator
+# -------------------------
+# The lift of the midpoint map to the cotangent bundle gives a symplectic
+# integrator of order 2. The projection retraction commutes with rotations, so
+# the integrator conserves the vertical angular momentum to rounding.
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
-from retrax.integrators import SymplecticIntegrator, integrate
-from retrax.manifolds import Sphere
-from retrax.retractions import CotangentLift, Midpoint, Projection
+import retrax as rx
+from retrax.integrators import SymplecticIntegrator
+from retrax.retractions import CotangentLift, Projection
 
 jax.config.update("jax_enable_x64", True)
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
-S2 = Sphere(2)
-STEP = 0.02
-START = (jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.6, 0.3]))
+S2 = rx.Sphere(2)
+STEP, STEPS, EVERY = 0.02, 100_000, 50
+START = jnp.array([1.0, 0.0, 0.0]), jnp.array([0.0, 0.6, 0.3])
 
 
 def energy(q, p):
@@ -37,78 +37,79 @@ def energy(q, p):
     return p @ p / 2 + q[2]
 
 
-def explicit_midpoint(start, steps, every):
-    """The projected explicit midpoint rule on q' = p, p' = -P_q e_3 - |p|^2 q; one state in ``every``."""
+method = SymplecticIntegrator(CotangentLift(rx.Midpoint(Projection(S2))))
+path = rx.integrate(energy, method, START, STEP, STEPS, save_every=EVERY)
+q, p = np.asarray(path.q[1:]), np.asarray(path.p[1:])
+momentum = np.cross(q, p)[:, 2] - jnp.cross(*START)[2]
+off = np.linalg.norm(q, axis=1) - 1
+print(f"error of the vertical momentum {np.max(np.abs(momentum)):.1e}")
+print(f"distance from the sphere {np.max(np.abs(off)):.1e}")
 
-    def field(q, p):
-        return p, -S2.projection(q, jnp.array([0.0, 0.0, 1.0])) - (p @ p) * q
-
-    def step(z, _):
-        q, p = z
-        dq, dp = field(q, p)
-        dq, dp = field(q + STEP / 2 * dq, p + STEP / 2 * dp)
-        q, p = q + STEP * dq, p + STEP * dp
-        q = q / jnp.linalg.norm(q)
-        return (q, S2.projection(q, p)), None
-
-    def block(z, _):
-        z, _ = jax.lax.scan(step, z, None, length=every)
-        return z, z
-
-    return jax.jit(lambda z: jax.lax.scan(block, z, None, length=steps // every)[1])(start)
+# %%
+# The method without geometry
+# ---------------------------
+# The explicit midpoint rule in :math:`\mathbb R^3`, for
+# :math:`\dot q = p`, :math:`\dot p = -P_q e_3 - \lvert p\rvert^2 q`, projects
+# the state to :math:`T^*S^2` after every step.
 
 
-def largest(times, error, windows=100):
-    """The largest size of an error in each of some windows of the logarithm of time, and the times where these end."""
-    window = np.digitize(times, np.geomspace(times[0], times[-1], windows)[:-1])
-    begins = np.flatnonzero(np.diff(window, prepend=-1))
-    return np.append(times[begins[1:] - 1], times[-1]), np.maximum.reduceat(np.abs(error), begins)
+def field(q, p):
+    """Velocities of the position and of the momentum."""
+    return p, -S2.projection(q, jnp.array([0.0, 0.0, 1.0])) - (p @ p) * q
 
 
-def plot(times, errors, path):
-    """Energy errors of both methods against time: the largest ones, for they swing between these and zero."""
-    figure, axis = plt.subplots(figsize=(9, 5), layout="constrained")
-    for name, error in errors.items():
-        (line,) = axis.loglog(*largest(times, error), label=name)
-        axis.loglog(times, np.abs(error), ".", color=line.get_color(), markersize=1, alpha=0.4)
-    axis.set_xlabel("time")
-    axis.set_ylabel("|energy error|")
-    axis.set_title(f"Spherical pendulum, steps of {STEP}; lines: the largest error in each window of time")
-    axis.legend()
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+def step(z, _):
+    """One step with a projection."""
+    q, p = z
+    dq, dp = field(q, p)
+    dq, dp = field(q + STEP / 2 * dq, p + STEP / 2 * dp)
+    q, p = q + STEP * dq, p + STEP * dp
+    q = q / jnp.linalg.norm(q)
+    return (q, S2.projection(q, p)), (q, p)
 
 
-def main(arguments=None):
-    """Integrate both ways, print the errors, plot; returns the energy errors and the largest momentum error."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--steps", type=int, default=100_000, help="number of steps, a multiple of 50")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
-    options = parser.parse_args(arguments)
-    options.output.mkdir(parents=True, exist_ok=True)
-    every = 50
-
-    integrator = SymplecticIntegrator(CotangentLift(Midpoint(Projection(S2))))
-    trajectory = integrate(energy, integrator, START, STEP, options.steps, save_every=every)
-    q, p = np.asarray(trajectory.q[1:]), np.asarray(trajectory.p[1:])
-    other = explicit_midpoint(START, options.steps, every)
-    exact = float(energy(*START))
-    errors = {
-        "cotangent-lifted midpoint (retrax)": np.asarray(jax.vmap(energy)(q, p)) - exact,
-        "projected explicit midpoint": np.asarray(jax.vmap(energy)(*other)) - exact,
-    }
-    momentum = np.cross(q, p)[:, 2] - float(jnp.cross(*START)[2])
-    for name, error in errors.items():
-        quarters = [np.max(np.abs(part)) for part in np.array_split(error, 4)]
-        print(f"{name:36s} max |energy error| in each quarter: " + "  ".join(f"{m:.2e}" for m in quarters))
-    print(f"vertical angular momentum: error {np.max(np.abs(momentum)):.1e} after {options.steps} steps")
-    print(f"distance from the sphere:  {np.max(np.abs(np.linalg.norm(q, axis=1) - 1)):.1e}")
-
-    path = options.output / "spherical_pendulum_energy.png"
-    plot(np.asarray(trajectory.times[1:]), errors, path)
-    print(f"written: {path}")
-    return errors, float(np.max(np.abs(momentum)))
+@jax.jit
+def projected(z):
+    """One state in ``EVERY``."""
+    _, found = jax.lax.scan(step, z, None, length=STEPS)
+    return jax.tree.map(lambda a: a[EVERY - 1 :: EVERY], found)
 
 
-if __name__ == "__main__":
-    main()
+errors = {
+    name: np.asarray(jax.vmap(energy)(*states)) - energy(*START)
+    for name, states in {
+        "symplectic": (q, p),
+        "projected": projected(START),
+    }.items()
+}
+
+# %%
+# The energy errors
+# -----------------
+# The largest error in each quarter of the time:
+figure, axis = plt.subplots(figsize=(8, 4.5), layout="constrained")
+quarters = {}
+for name, error in errors.items():
+    parts = np.array_split(np.abs(error), 4)
+    quarters[name] = [np.max(part) for part in parts]
+    print(name, " ".join(f"{most:.2e}" for most in quarters[name]))
+    axis.loglog(path.times[1:], np.abs(error), ".", markersize=2, label=name)
+axis.set(xlabel="time", ylabel="size of the energy error")
+axis.legend()
+assert np.max(np.abs(momentum)) <= 1e-12
+assert quarters["symplectic"][3] <= 1.05 * quarters["symplectic"][0]
+assert quarters["projected"][3] >= 3 * quarters["projected"][0]
+
+# sphinx_gallery_start_ignore
+if "__file__" in globals():  # python examples/NAME.py [--output FOLDER]
+    import sys
+    from pathlib import Path
+
+    default = Path(__file__).parent / "output"
+    output = Path(sys.argv[2]) if sys.argv[1:2] == ["--output"] else default
+    output.mkdir(parents=True, exist_ok=True)
+    for number in plt.get_fignums():
+        path = output / f"{Path(__file__).stem}_{number}.png"
+        plt.figure(number).savefig(path, dpi=150)
+        print(f"written: {path}")
+# sphinx_gallery_end_ignore
