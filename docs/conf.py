@@ -11,7 +11,6 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_site"))
 
 import docstrings  # noqa: E402
-import gallery  # noqa: E402
 import links  # noqa: E402
 import problem_pages  # noqa: E402
 import reference  # noqa: E402
@@ -40,7 +39,7 @@ mathjax3_config = {
     "chtml": {"mtextInheritFont": True}
 }  # the packaged release is 3.2.2
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
-exclude_patterns = ["_site", "_gallery"]
+exclude_patterns = ["_site"]
 html_theme, html_title = "furo", f"retrax {__version__}"
 html_static_path, html_css_files = ["_site/static"], ["landing.css"]
 html_show_sourcelink = False
@@ -54,10 +53,10 @@ templates_path: list[str] = []
 # Which examples run when the site is built, a pattern: all of them, or one while its page is written.
 RUN = os.environ.get("RETRAX_SITE_EXAMPLES", ".*")
 sphinx_gallery_conf = {
-    "examples_dirs": [str(HERE / "_gallery")],
+    "examples_dirs": [str(HERE.parent / "examples")],
     "gallery_dirs": ["examples"],
     "filename_pattern": rf"/({RUN})\.py$",
-    "image_scrapers": (gallery.written,),
+    "capture_repr": (),  # a cell shows what it prints
     "remove_config_comments": True,
     "abort_on_example_error": True,
     "within_subsection_order": "FileNameSortKey",
@@ -68,7 +67,6 @@ sphinx_gallery_conf = {
 }
 suppress_warnings = ["config.cache"]
 
-gallery.prepare(HERE.parent / "examples", HERE / "_gallery")
 reference.write(HERE / "api")
 problem_pages.write(HERE / "library")
 

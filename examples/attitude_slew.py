@@ -1,115 +1,123 @@
-r"""Rest-to-rest slew
+r"""
+Rest-to-rest slew
+=================
 
-Rest-to-rest slew of a spacecraft: 150 degrees about (1, 2, -2)/3 in 60 seconds with least torque.
+A spacecraft turns by 150 degrees about :math:`(1, 2, -2)/3` in 60 seconds, from
+rest to rest, with least torque. The attitude :math:`R` is a rotation matrix,
+from the body frame to the inertial frame. The body rate :math:`w` and the
+torque :math:`u` are in the body frame:
 
-    \dot R = R\,\hat w, \qquad J\dot w + w \times Jw = u, \qquad \text{minimise } \tfrac12 \int \lvert u\rvert^2\,dt
+.. math::
 
-on :math:`SO(3) \times \mathbb R^3`. Inertia :math:`J = \mathrm{diag}(5621, 4547, 2364)\ \mathrm{kg\,m^2}`: the
-spacecraft of the minimum-time reorientation problem in J. T. Betts, "Practical Methods for Optimal Control and
-Estimation Using Nonlinear Programming", SIAM 2010, section 6.8. The reference optimum is the limit of the discrete
-ones as the steps shrink, 2504.24655710 N^2 m^2 s.
+    \dot R = R\,\hat w, \qquad J\dot w + w \times Jw = u, \qquad
+    \text{minimise } \tfrac12 \int_0^T \lvert u\rvert^2\,dt
+    \qquad \text{on } SO(3) \times \mathbb R^3
 
-Run it to solve, print the report, compare with the reference, and write two figures and the solution:
-
-    python examples/attitude_slew.py [--steps 50] [--output examples/output]
+The moments of inertia :math:`J` are those of the spacecraft in J. T. Betts,
+*Practical Methods for Optimal Control and Estimation Using Nonlinear
+Programming*, SIAM 2010, section 6.8.
 """
 
-import argparse
-from pathlib import Path
+# %%
+# The problem
+# -----------
+# Write the dynamics and the cost with ``jax.numpy``. The report and the figures
+# use the labels and units.
+import tempfile
 
 import jax
 import jax.numpy as jnp
-import matplotlib as mpl
+import matplotlib.pyplot as plt
 import numpy as np
-from retrax import plotting
-from retrax.integrators import OptimalControlProblem, Solution, discretization_error, load_solution, solve
-from retrax.manifolds import SO, Euclidean, hat
-from retrax.retractions import Cayley, Gauss
+import retrax as rx
+from retrax.integrators import discretization_error
 from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)
-mpl.use("Agg")
-import matplotlib.pyplot as plt
 
-INERTIA = jnp.array([5621.0, 4547.0, 2364.0])  # kg m^2, principal axes
-AXIS = np.array([1.0, 2.0, -2.0]) / 3
-ANGLE = np.deg2rad(150)
-HORIZON = 60.0  # s
-REFERENCE_COST = 2504.24655710  # N^2 m^2 s
-
-Q = SO(3) * Euclidean(3)  # attitude R (body to inertial frame), body rate w in rad/s
+J = jnp.array([5621.0, 4547.0, 2364.0])  # kg m^2, principal axes
+Q = rx.SO(3) * rx.Euclidean(3)  # attitude R, body rate w in rad/s
 
 
 def dynamics(q, u):
-    """Velocity of the attitude and of the body rate under a torque u in the body frame, N m."""
-    attitude, rate = q
-    return attitude @ hat(rate), (u - jnp.cross(rate, INERTIA * rate)) / INERTIA
+    """Velocity of the attitude and of the body rate under the torque u."""
+    R, w = q
+    return R @ rx.hat(w), (u - jnp.cross(w, J * w)) / J
 
 
-def torque_effort(q, u):
-    """Running cost |u|^2 / 2."""
-    return u @ u / 2
-
-
-PROBLEM = OptimalControlProblem(
+problem = rx.OptimalControlProblem(
     Q,
     dynamics,
-    torque_effort,
+    running_cost=lambda q, u: u @ u / 2,
     controls=3,
     labels={"states": ("attitude", "body rate"), "controls": "torque"},
-    units={"states": ("", "rad/s"), "controls": "N m", "time": "s", "cost": "N^2 m^2 s"},
+    units={
+        "states": ("", "rad/s"),
+        "controls": "N m",
+        "time": "s",
+        "cost": "N^2 m^2 s",
+    },
 )
-METHOD = Gauss(4, Cayley(Q))  # of order 8
+turn = Rotation.from_rotvec([50, 100, -100], degrees=True)
+start = np.eye(3), np.zeros(3)
+end = turn.as_matrix(), np.zeros(3)
 
+# %%
+# The solution
+# ------------
+# A Gauss method with four stages has order 8, so 50 steps are plenty. The
+# report states whether the trajectory is a local minimum.
+method = rx.Gauss(4, rx.Cayley(Q))
+solution = rx.solve(problem, start, end, horizon=60.0, method=method, steps=50)
+solution.report()
 
-def slew(steps):
-    """The optimal slew with a number of equal steps."""
-    start = (np.eye(3), np.zeros(3))
-    end = (Rotation.from_rotvec(ANGLE * AXIS).as_matrix(), np.zeros(3))
-    return solve(PROBLEM, start, end, horizon=HORIZON, method=METHOD, steps=steps)
+# %%
+# The figure shows the paths of the body axes on the sphere of directions, in
+# the inertial frame:
+rx.plotting.body_axes(solution)
 
+# %%
+# The attitude as a rotation vector, the body rate and the torque. The last
+# panel shows the errors of the quantities that the continuous flow conserves:
+figure, axes = plt.subplots(
+    2, 2, figsize=(10, 7), sharex=True, layout="constrained"
+)
+rx.plotting.histories(solution, ax=axes.flat[:3])
+rx.plotting.conserved(solution, ax=axes[1, 1])
 
-def plot_histories(solution: Solution, path):
-    """Attitude as a rotation vector, body rate, torque, and the errors of what the continuous flow conserves."""
-    figure, axes = plt.subplots(2, 2, figsize=(10, 7), sharex=True, layout="constrained")
-    plotting.histories(solution, ax=axes.flat[:3])
-    plotting.conserved(solution, ax=axes[1, 1])
-    figure.suptitle(f"Slew of {np.rad2deg(ANGLE):.0f} deg in {HORIZON:.0f} s, cost {solution.cost:.4f} N$^2$ m$^2$ s")
-    figure.savefig(path, dpi=150)
-    plt.close(figure)
+# %%
+# The error
+# ---------
+# The reference is the limit of the optimal costs as the steps shrink.
+# ``discretization_error`` propagates the torque with an independent integrator.
+REFERENCE = 2504.24655710  # N^2 m^2 s
 
+difference = abs(solution.cost / REFERENCE - 1)
+errors = discretization_error(problem, method.retraction, solution).largest
+attitude, rate = errors.values()
+print(f"relative difference of the cost: {difference:.1e}")
+print(f"error of the attitude {attitude:.1e} rad, of the rate {rate:.1e} rad/s")
+assert solution.checks.strict_minimum
+assert solution.checks.manifold_violation <= 1e-13
+assert difference <= 1e-11
 
-def plot_paths(solution: Solution, path):
-    """The three body axes as paths on the sphere of directions."""
-    axis = plotting.body_axes(solution)
-    axis.set_title("Body axes in the inertial frame, from the open to the full dot")
-    axis.figure.savefig(path, dpi=150)
-    plt.close(axis.figure)
+# %%
+# A file keeps the solution unchanged:
+with tempfile.TemporaryDirectory() as folder:
+    solution.save(f"{folder}/slew.npz")
+    loaded = rx.load(f"{folder}/slew.npz")
+assert np.array_equal(loaded.controls, solution.controls)
 
+# sphinx_gallery_start_ignore
+if "__file__" in globals():  # python examples/NAME.py [--output FOLDER]
+    import sys
+    from pathlib import Path
 
-def main(arguments=None):
-    """Solve, print, compare, plot, save; returns the solution."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--steps", type=int, default=50, help="number of steps")
-    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "output", help="folder of the figures")
-    options = parser.parse_args(arguments)
-    options.output.mkdir(parents=True, exist_ok=True)
-
-    solution = slew(options.steps)
-    solution.report()
-    error = abs(solution.cost - REFERENCE_COST) / REFERENCE_COST
-    print(f"\nreference optimum {REFERENCE_COST:.8f} N^2 m^2 s, relative difference {error:.1e}")
-    attitude, rate = discretization_error(PROBLEM, METHOD.retraction, solution).largest.values()
-    print(f"error of the discrete solution, by propagation of its torque: {attitude:.1e} rad, {rate:.1e} rad/s")
-
-    stem = options.output / "attitude_slew"
-    plot_histories(solution, f"{stem}_histories.png")
-    plot_paths(solution, f"{stem}_paths.png")
-    solution.save(f"{stem}.npz")
-    unchanged = np.array_equal(load_solution(f"{stem}.npz").controls, solution.controls)
-    print(f"written: {stem}_histories.png, {stem}_paths.png, {stem}.npz (loads back unchanged: {unchanged})")
-    return solution
-
-
-if __name__ == "__main__":
-    main()
+    default = Path(__file__).parent / "output"
+    output = Path(sys.argv[2]) if sys.argv[1:2] == ["--output"] else default
+    output.mkdir(parents=True, exist_ok=True)
+    for number in plt.get_fignums():
+        path = output / f"{Path(__file__).stem}_{number}.png"
+        plt.figure(number).savefig(path, dpi=150)
+        print(f"written: {path}")
+# sphinx_gallery_end_ignore
