@@ -2,6 +2,7 @@
 
 import importlib.util
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 from PIL import Image
@@ -29,9 +30,14 @@ def main() -> None:
             axis.label_outer()
         right.align_ylabels()
         right.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)  # off the curves
-        figure.savefig(ROOT / "docs" / "slew.png", dpi=200)
-    with Image.open(ROOT / "docs" / "slew.png") as picture:  # few colours, a third of the size
-        picture.convert("RGB").quantize(128).save(ROOT / "docs" / "slew.png", optimize=True)
+        save(figure, ROOT / "docs" / "slew.png")
+
+
+def save(figure: Any, path: Path) -> None:
+    """Write a figure in few colours, which is a third of the size."""
+    figure.savefig(path, dpi=200)
+    with Image.open(path) as picture:
+        picture.convert("RGB").quantize(128).save(path, optimize=True)
 
 
 if __name__ == "__main__":

@@ -10,7 +10,7 @@ from ...manifolds import DomainError, InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_finite_number
 from ...retractions import Gauss
-from ..controls import resting_control
+from ..controls import resting_control, within_bounds
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from ..records import shapes
@@ -122,7 +122,7 @@ class Guess(NamedTuple):
         Returns
         -------
         Guess
-            States at the stages, controls at rest, and costates that are zero.
+            States at the stages, controls at rest or inside their bounds, and costates that are zero.
 
         Raises
         ------
@@ -163,7 +163,7 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
     Returns
     -------
     Guess
-        States at the stages, controls at rest, and costates that are zero.
+        States at the stages, controls at rest or inside their bounds, and costates that are zero.
 
     Raises
     ------
@@ -248,7 +248,8 @@ def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
 
 
 def _rest(problem: OptimalControlProblem, count: int) -> Any:
-    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), resting_control(problem.controls))
+    first = within_bounds(problem.limits, resting_control(problem.controls))
+    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), first)
 
 
 def _zero(problem: OptimalControlProblem, steps: int) -> Any:

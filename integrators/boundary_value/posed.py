@@ -120,37 +120,22 @@ class Posing:
         data = Data(request.horizons[:, None] * self.fractions, request.rows, asked)
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
         conditions = Conditions(traced.steps, traced.nodes, own, data)
-        return Posed(traced, conditions, self._finite(conditions, self._guess(traced, request, rows, data)))
+        return Posed(traced, conditions, self._guess(traced, request, rows, data))
 
     @cached_property
-    def _resting(self) -> np.ndarray:
-        return self.control.rows(resting_control(self.problem.controls), 0)
-
-    @cached_property
-    def _inside(self) -> np.ndarray:
+    def _first_control(self) -> np.ndarray:
         """The control at rest, or inside the bounds if it is not."""
         return self.control.rows(within_bounds(self.problem._limits, resting_control(self.problem.controls)), 0)
 
-    def _finite(self, conditions: Conditions, guess: Iterate) -> Iterate:
-        """The guess, with controls inside the bounds where all are at rest and the functions are not finite there."""
-        controls = guess.unknowns.controls
-        resting = np.all(controls == self._resting, axis=(1, 2, 3))
-        if not resting.any() or np.array_equal(self._inside, self._resting):
-            return guess
-        blocks = conditions.assemble(guess.bare).blocks
-        resting &= ~np.all(np.isfinite(blocks.hessian), axis=(1, 2, 3))
-        controls = np.where(resting[:, None, None, None], self._inside, controls)
-        return guess._replace(unknowns=guess.unknowns._replace(controls=controls))
-
     def _guess(self, traced: Traced, request: Request, rows: tuple[np.ndarray, np.ndarray], data: Data) -> Iterate:
-        """The guesses that are given, or curves from start to end with controls at rest and costates zero."""
+        """The guesses that are given, or curves from start to end with first controls and costates zero."""
         count, size = len(request), self.state.size
         shape = count, len(self.fractions), len(self.stages)
         if request.guesses is None:
             request.ends.require_known(request.given.start)
             slacks, states = None, self._start.states(*rows, self._places).reshape(*shape, size)
             controls = np.empty((*shape, self.control.size))
-            controls[...] = self._resting
+            controls[...] = self._first_control
             costates, known = np.zeros((count, shape[1] + 1, size)), None
         else:
             own = request.guesses.of(count)

@@ -92,7 +92,8 @@ def view(record: Any, problem: About = None) -> View:
     arrays.
     """
     if isinstance(record, Solution):
-        states, costates, controls = map(_leaves, (record.states, record.costates, record.controls))
+        states, costates = map(_leaves, (record.states, record.costates))
+        controls = [leaf for leaf in _leaves(record.controls) if leaf.size]
         given = record.quantities if problem is None else problem
         quantities, is_held = _quantities(given, states, controls), len(record.stage_times) == record.steps
         found = View(record.times, states, costates, record.stage_times, controls, quantities, is_held)

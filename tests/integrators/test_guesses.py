@@ -10,7 +10,7 @@ import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, default_guess, solve
 from retrax.integrators.boundary_value.engine import start as start_module
 from retrax.integrators.boundary_value.engine.start import Start
-from retrax.manifolds import SO, DomainError, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, Sphere
+from retrax.manifolds import SE, SO, DomainError, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Projection, Retraction, default_retraction
 from scipy.linalg import block_diag
@@ -246,3 +246,39 @@ def test_controls_lead_to_states_in_an_explicit_time():
     np.testing.assert_allclose(guess.states[:, 0], times - np.sin(times), atol=1e-7)
     ended = solver.solve(np.zeros(2), np.array([3.0 - np.sin(3.0), 1.0 - np.cos(3.0)]), 3.0, guess=guess)
     assert ended.cost < 1e-4
+
+
+def quadrotor():
+    """A quadrotor whose rotors only push: thrust along body axis z and torques, from the thrusts of four rotors."""
+    space, weight = SE(3) * Euclidean(6), 0.5 * 9.81
+    mixer = jnp.array([[-0.12, -0.12, 0.12, 0.12], [-0.12, 0.12, 0.12, -0.12], [0.016, -0.016, 0.016, -0.016]])
+    inertia = jnp.array([2.3e-3, 2.3e-3, 4.0e-3])
+
+    def dynamics(q, u):
+        pose, (w, v) = q[0], (q[1][:3], q[1][3:])
+        up = pose[2, :3]
+        force = jnp.array([0.0, 0.0, 1.0]) * jnp.sum(u) - weight * up
+        turning = (mixer @ u - jnp.cross(w, inertia * w)) / inertia
+        return pose @ SE(3).hat(q[1]), jnp.concatenate([turning, force / 0.5 - jnp.cross(w, v)])
+
+    def cost(q, u):
+        return (u - weight / 4) @ (u - weight / 4)
+
+    return OptimalControlProblem(space, dynamics, cost, 4, control_bounds=(0.0, weight / 2))
+
+
+def test_controls_begin_inside_bounds_that_exclude_rest():
+    """Without thrust no tilt moves the quadrotor: from controls at their lower bounds no flight aside is found."""
+    problem, steps = quadrotor(), 12
+    method = Gauss(2, Cayley(problem.manifold))
+    solver, start = Solver(problem, method, steps), (np.eye(4), np.zeros(6))
+    for x, y, z in [(3.0, 0.0, 0.0), (3.0, 1.0, 1.0), (0.0, 2.0, -1.0)]:
+        goal = np.eye(4)
+        goal[:3, 3] = x, y, z
+        given = default_guess(problem, method, start, (goal, np.zeros(6)), steps)
+        assert np.all((given.controls > 0) & (given.controls < problem.limits.upper[0]))
+        found = solver.solve(start, (goal, np.zeros(6)), 1.5, throw=False)
+        hovering = given._replace(controls=np.full((2 * steps, 4), 0.5 * 9.81 / 4))
+        best = solver.solve(start, (goal, np.zeros(6)), 1.5, guess=hovering)
+        assert found.success, (x, y, z)
+        assert found.cost == pytest.approx(best.cost, rel=1e-9)

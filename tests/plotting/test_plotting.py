@@ -170,6 +170,19 @@ def test_a_solution_is_drawn_between_its_nodes_and_a_file_without_a_retraction_i
     np.testing.assert_array_equal(plotting.histories(bare)[0].lines[0].get_xdata(), solution.times)
 
 
+@pytest.mark.parametrize("stages", [1, 3])
+def test_a_solution_without_controls_is_drawn_by_its_states(stages):
+    line = Euclidean(1)
+    problem = OptimalControlProblem(line, lambda q, u: -q, lambda q, u: q @ q, 0)
+    method = Gauss(stages, Addition(line))
+    solution = solve(problem, np.ones(1), None, 1.0, method=method, steps=4)
+    (axis,) = plotting.histories(solution)
+    times, values = axis.lines[0].get_data()
+    np.testing.assert_allclose(values, np.exp(-times), atol=2e-2)
+    with pytest.raises(InvalidInputError, match="no controls"):
+        plotting.controls(solution)
+
+
 def test_the_sphere_is_round():
     """What is drawn on it has one scale, wherever the curve is."""
     record = made_by_hand(q=Rotation.from_rotvec(np.linspace(0, 0.3, 5)[:, None] * [1, 0, 0]).as_matrix()[:, 1])

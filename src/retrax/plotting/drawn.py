@@ -140,7 +140,7 @@ def _between_nodes(record: Solution, found: View) -> View:
         return found
     states = [leaf.reshape(-1, *leaf.shape[2:]) for leaf in states]
     smooth = found._replace(times=sample.times.ravel(), states=states)
-    if found.is_held:
+    if found.is_held or not found.controls:
         return smooth
     rows = zip(controls, found.controls, found.quantities.controls, strict=True)
     within = list(_within_bounds(record.steps, rows))
