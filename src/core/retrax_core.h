@@ -11,6 +11,7 @@
  *   3. Dense linear algebra for small matrices
  *   4. Block elimination: the linear system of a Newton step along a trajectory
  *   5. Condensing: the inner unknowns of collocation steps
+ *   6. Transcription: from the iterate of a trajectory to the linear system of a Newton step
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
@@ -37,7 +38,7 @@ extern "C" {
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Version of the interface below; it changes whenever a struct or a function does. */
-#define RETRAX_CORE_VERSION 1
+#define RETRAX_CORE_VERSION 2
 
 /* Counts and places in arrays; signed, as wide as a pointer. */
 typedef ptrdiff_t retrax_index;
@@ -112,7 +113,7 @@ typedef struct {
     const double *inputs;               /* array that inputs are read from */
     retrax_index input_size;            /* its length */
     const retrax_index (*sources)[2];   /* [tape.inputs][2]: place of the first point, distance to the next */
-    double *outputs;                    /* array that outputs are written to; it does not overlap inputs */
+    double *outputs;                    /* array that outputs are written to, at no place that an input is read from */
     retrax_index output_size;           /* its length */
     const retrax_index (*targets)[2];   /* [tape.outputs][2] */
 } retrax_tape_data;
@@ -303,6 +304,164 @@ RETRAX_API void retrax_expand(const retrax_collocation_system *system, const ret
 RETRAX_API void retrax_condense_slope(const retrax_collocation_system *system,
                                       const retrax_condensed_system *condensed, const double *slope,
                                       const double *end_slope, double *inner, double *outer);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 6. Transcription
+ *
+ * A trajectory has N steps and N + 1 nodes. Its iterate consists of
+ *
+ *     x_k       the centre of a step, a point of the manifold (E numbers, n coordinates in a chart),
+ *     u_ki      controls at the s points of a step (U numbers, m coordinates),
+ *     p_k       covectors at the nodes, the multipliers of the equations of the nodes,
+ *
+ * and, where the method collocates (s >= 2), of the velocities nu_ki of the points in the chart of the step (n numbers)
+ * and of the covectors lambda_ki there. A discretization map (s = 1) has neither.
+ *
+ * The core knows no manifold and no dynamics. It sees points as rows of numbers, steps as coordinates in charts, and asks
+ * functions of the problem for the rest. retrax_evaluate_trajectory evaluates them,
+ * retrax_assemble_system makes the linear system of a Newton step of their values, and retrax_move_trajectory makes a part
+ * of such a step.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* The functions of a problem, with what they read -> write at one place. Derivatives are at the iterate, by the steps of
+ * the unknowns in their charts; "Lagrangian" is the cost with all multipliers. q = 3 n + m, z = n + s m. */
+typedef enum {
+    /* Discretization map: x, u, h, parameters -> begin [E], finish [E]. Collocation: x, eta -> the same. */
+    RETRAX_ENDS,
+    /* two points of the manifold -> a point amid them [E] */
+    RETRAX_MIDDLE,
+    /* node, fixed [n], gap [E], covector [E] -> frame [n][E]; in it, where fixed is 1, defect [n] and multipliers [n]; the
+     * covector with these multipliers [E] */
+    RETRAX_FRAMES,
+    /* Discretization map: x, u, the nodes on either side, the covectors there, h, parameters, multipliers of the
+     * inequalities [c] -> Hessian [z][z] and slope [z] of the Lagrangian, left [n][z], right [n][z], gradient [z] of the
+     * cost, derivatives [c][z] of the inequalities, both ends in the frames of the nodes [2][n], cost, inequalities [c].
+     * Collocation: x, xi, nu, u, lambda, weight, parameters, multipliers [c] -> Hessian [q][q], slope [q], derivatives
+     * [n][q] of the defect, gradient [q], derivatives [c][q], defect [n], cost, inequalities [c], frame [n][E],
+     * coordinates of lambda in it [n]. */
+    RETRAX_POINTS,
+    /* Collocation alone: x, eta, the nodes on either side, the covectors there -> Hessian [2 n][2 n] and slope [2 n] of the
+     * Lagrangian by (dx, deta), left [n][2 n], right [n][2 n], both ends in the frames of the nodes [2][n] */
+    RETRAX_BOTH_ENDS,
+    /* Discretization map: x, u, step [z], h, parameters -> x, u. Collocation: x, dx -> x, and the matrix [n][n] that
+     * carries velocities from one chart to the other. */
+    RETRAX_MOVE,
+    /* Collocation alone: u, du -> u */
+    RETRAX_MOVE_CONTROLS,
+    RETRAX_FUNCTIONS /* their number */
+} retrax_function_name;
+
+/* A function of the problem. `evaluate` reads and writes at `points` places, as retrax_tape_run does with a tape; numbers
+ * that it cannot compute are NaN. */
+typedef struct {
+    void (*evaluate)(void *context, const retrax_tape_data *data, retrax_index points);
+    void *context;
+} retrax_function;
+
+/* A tape as a function of the problem: the context of retrax_evaluate_tape. */
+typedef struct {
+    const retrax_tape *tape;
+    double *registers; /* [tape.registers][lanes]; functions may share them */
+    retrax_index lanes;
+    retrax_instruction_set set;
+} retrax_tape_function;
+
+/* Evaluates a retrax_tape_function. */
+RETRAX_API void retrax_evaluate_tape(void *context, const retrax_tape_data *data, retrax_index points);
+
+/* Sizes and functions of a transcribed problem. All arrays belong to the caller and are only read. */
+typedef struct {
+    retrax_index steps;           /* N >= 1 */
+    retrax_index points;          /* s: 1 of a discretization map, at least 2 of a collocation method */
+    retrax_index state_size;      /* n >= 1: dimension of the manifold */
+    retrax_index state_numbers;   /* E >= 1: numbers of a point of the manifold */
+    retrax_index control_size;    /* m >= 0 */
+    retrax_index control_numbers; /* U >= 0 */
+    retrax_index parameters;      /* P >= 0 */
+    retrax_index inequalities;    /* c >= 0, at each point */
+    const double *matrix;         /* [s][s] of the tableau about the middle of the step; collocation alone */
+    const double *weights;        /* [s] */
+    const retrax_index *columns;  /* [E]: column of the matrix that an entry of a state belongs to, in 0, ..., E - 1 */
+    retrax_function functions[RETRAX_FUNCTIONS];
+} retrax_problem;
+
+/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0,
+ * p = s n, and k = 1 right-hand side, or 2 with inequalities, the second of which is multiplied by the barrier. */
+#define RETRAX_ARRAYS(X)                                                                                       \
+    /* given */                                                                                                \
+    X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                             \
+    X(START_ENTRIES, E) X(END_ENTRIES, E)                  /* 1 where an entry of them is prescribed, else 0 */ \
+    X(FIXED, (N + 1) * n)                                  /* 1 where an equation of a node counts, else 0 */   \
+    /* unknowns */                                                                                             \
+    X(CENTRES, N *E) X(VELOCITIES, v *n) X(CONTROLS, N *s *U) X(POINT_COSTATES, v *E) X(COSTATES, (N + 1) * E) \
+    X(PRICES, N *s *c) /* multipliers of the inequalities */                                                   \
+    /* points and ends of the steps in their charts */                                                         \
+    X(POINT_CENTRES, v *E) X(XI, v *n) X(ETA, v / s *n) X(POINT_WEIGHTS, v)                                    \
+    /* nodes */                                                                                                \
+    X(BEGINS, N *E) X(FINISHES, N *E) X(NODES, (N + 1) * E) X(GAPS, (N + 1) * E) X(SEEN, (N + 1) * E)          \
+    X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID, 3 * E)                                                     \
+    X(NODE_FRAMES, (N + 1) * n * E) X(DEFECTS, (N + 1) * n) X(ASKED, (N + 1) * n) X(MULTIPLIERS, (N + 1) * n)       \
+    X(NODE_COSTATES, (N + 1) * E)                                                                              \
+    /* points of collocation */                                                                                \
+    X(POINT_HESSIANS, v *q *q) X(POINT_SLOPES, v *q) X(POINT_JACOBIANS, v *n *q) X(POINT_GRADIENTS, v *q)      \
+    X(POINT_DEFECTS, v *n) X(POINT_COSTS, v) X(POINT_FRAMES, v *n *E) X(POINT_MULTIPLIERS, v *n)               \
+    X(END_HESSIANS, v / s * 4 * n * n) X(END_SLOPES, v / s * 2 * n) X(END_LEFT, v / s * 2 * n * n)             \
+    X(END_RIGHT, v / s * 2 * n * n)                                                                            \
+    X(RIGHT_SLOPES, v *q *k) X(RIGHT_DEFECTS, v *n *k) X(RIGHT_END_SLOPES, v / s * 2 * n * k)                  \
+    X(FACTORS, N *s *n *p *(s > 1)) X(SWAPS, v *n) X(VELOCITY_MAPS, v *n *(z + k)) X(BEFORE, N *n *k)          \
+    X(AFTER, N *n *k) X(SLOPES_BY_VELOCITIES, v *n) X(GRADIENTS_BY_VELOCITIES, v *n)                           \
+    /* linear system: the blocks; SLOPES are those of the Lagrangian, RIGHT_SIDES have the share of inequalities */ \
+    X(HESSIANS, N *z *z) X(LEFT, N *n *z) X(RIGHT, N *n *z) X(SLOPES, N *z) X(RIGHT_SIDES, N *z *k)            \
+    X(GRADIENTS, N *z) X(COSTS, N) X(END_COORDINATES, 2 * N * n)                                               \
+    X(LIMITS, N *s *c) X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z))                                            \
+    /* Newton step from here, and room for the parts of it that a move makes */                                \
+    X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
+    X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U) X(CENTRE_PARTS, N *(s > 1 ? n : z))                    \
+    X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)
+
+#define RETRAX_NAME_OF(name, count) RETRAX_##name,
+typedef enum { RETRAX_ARRAYS(RETRAX_NAME_OF) RETRAX_ARRAY_COUNT } retrax_array;
+#undef RETRAX_NAME_OF
+
+/* Where the arrays of a trajectory stand in its memory, and what the functions read and write there. */
+typedef struct {
+    const retrax_problem *problem;
+    retrax_index first[RETRAX_ARRAY_COUNT]; /* place of the first number of an array */
+    retrax_index count[RETRAX_ARRAY_COUNT]; /* number of its entries */
+    retrax_index numbers;                   /* of the memory of a trajectory; those behind the arrays are workspace */
+    const retrax_index (*sources[RETRAX_FUNCTIONS])[2];
+    const retrax_index (*targets[RETRAX_FUNCTIONS])[2];
+} retrax_layout;
+
+/* Returns the name of an array of a trajectory, as "CENTRES"; NULL for a number that is none. The text is static. */
+RETRAX_API const char *retrax_array_name(int array);
+
+/* Numbers that a function reads, and writes, at one place. */
+RETRAX_API retrax_index retrax_function_inputs(const retrax_problem *problem, retrax_function_name name);
+RETRAX_API retrax_index retrax_function_outputs(const retrax_problem *problem, retrax_function_name name);
+
+/* Returns the bytes of memory that a layout needs; 0 if a size is out of bounds or the arrays exceed the address space. */
+RETRAX_API size_t retrax_layout_memory(const retrax_problem *problem);
+
+/* Lays out the trajectories of a problem; memory: as retrax_layout_memory says, aligned to 64 bytes. The problem and the
+ * memory have to last as long as the layout. */
+RETRAX_API void retrax_layout_make(const retrax_problem *problem, void *memory, retrax_layout *layout);
+
+/* Evaluates the functions of the problem at the unknowns of a trajectory. trajectory: double [layout.numbers], aligned to 64
+ * bytes. */
+RETRAX_API void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory);
+
+/* Assembles the linear system of a trajectory that was evaluated; RIGHT_SIDES, and the Hessians and RIGHT_SLOPES of the
+ * points of collocation steps, have the share of the inequalities already, where there are some. */
+RETRAX_API void retrax_assemble_system(const retrax_layout *layout, double *trajectory, retrax_instruction_set set);
+
+/* Expands the Newton step of a collocation method: from STEPS and MULTIPLIER_STEPS to VELOCITY_STEPS and
+ * POINT_MULTIPLIER_STEPS; nothing for a discretization map. */
+RETRAX_API void retrax_expand_step(const retrax_layout *layout, double *trajectory);
+
+/* Writes the unknowns of a trajectory as those of `from` after a part of the Newton step from there, 0 <= part <= 1. */
+RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double *from, double part,
+                                       double *trajectory);
 
 #ifdef __cplusplus
 }

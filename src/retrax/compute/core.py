@@ -13,7 +13,7 @@ from ..errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-VERSION = 1  # of the header that the structs below repeat
+VERSION = 2  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -142,6 +142,60 @@ class CondensedSystemStruct(Structure):
     )
 
 
+@final
+class FunctionStruct(Structure):
+    """``retrax_function``."""
+
+    _fields_ = (("evaluate", c_void_p), ("context", c_void_p))
+
+
+@final
+class TapeFunctionStruct(Structure):
+    """``retrax_tape_function``."""
+
+    _fields_ = (("tape", POINTER(TapeStruct)), ("registers", c_void_p), ("lanes", c_ssize_t), ("set", c_int))
+
+
+FUNCTIONS = 7  # of a problem
+
+
+@final
+class ProblemStruct(Structure):
+    """``retrax_problem``."""
+
+    _fields_ = (
+        ("steps", c_ssize_t),
+        ("points", c_ssize_t),
+        ("state_size", c_ssize_t),
+        ("state_numbers", c_ssize_t),
+        ("control_size", c_ssize_t),
+        ("control_numbers", c_ssize_t),
+        ("parameters", c_ssize_t),
+        ("inequalities", c_ssize_t),
+        ("matrix", c_void_p),
+        ("weights", c_void_p),
+        ("columns", c_void_p),
+        ("functions", FunctionStruct * FUNCTIONS),
+    )
+
+
+ARRAYS = 72  # of a trajectory
+
+
+@final
+class LayoutStruct(Structure):
+    """``retrax_layout``."""
+
+    _fields_ = (
+        ("problem", POINTER(ProblemStruct)),
+        ("first", c_ssize_t * ARRAYS),
+        ("count", c_ssize_t * ARRAYS),
+        ("numbers", c_ssize_t),
+        ("sources", c_void_p * FUNCTIONS),
+        ("targets", c_void_p * FUNCTIONS),
+    )
+
+
 _CONDENSED = [POINTER(CollocationSystemStruct), POINTER(CondensedSystemStruct)]
 
 # Result and arguments of the functions.
@@ -169,6 +223,16 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_condense": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, c_void_p, c_int]),
     "retrax_expand": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, *[c_void_p] * 5]),
     "retrax_condense_slope": (None, [*_CONDENSED, *[c_void_p] * 4]),
+    "retrax_array_name": (c_char_p, [c_int]),
+    "retrax_evaluate_tape": (None, [c_void_p, POINTER(TapeDataStruct), c_ssize_t]),
+    "retrax_function_inputs": (c_ssize_t, [POINTER(ProblemStruct), c_int]),
+    "retrax_function_outputs": (c_ssize_t, [POINTER(ProblemStruct), c_int]),
+    "retrax_layout_memory": (c_size_t, [POINTER(ProblemStruct)]),
+    "retrax_layout_make": (None, [POINTER(ProblemStruct), c_void_p, POINTER(LayoutStruct)]),
+    "retrax_evaluate_trajectory": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_assemble_system": (None, [POINTER(LayoutStruct), c_void_p, c_int]),
+    "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),
 }
 
 

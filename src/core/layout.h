@@ -1,0 +1,23 @@
+/*
+ * Layout: where the arrays of a trajectory stand, for the files that work on them.
+ *
+ * All arrays of a trajectory stand in one block of numbers. So a function of the problem reads and writes them where they
+ * are, and its places are set once for all trajectories of the problem.
+ */
+#ifndef RETRAX_LAYOUT_H
+#define RETRAX_LAYOUT_H
+
+#include "retrax_core.h"
+
+#include <stdbool.h>
+
+/* Whether the method of a problem is a collocation method, and not a discretization map. */
+bool retrax_collocates(const retrax_problem *problem);
+
+/* Right-hand sides of the linear system: 2 with inequalities, the second of which the barrier multiplies, else 1. */
+retrax_index retrax_right_sides(const retrax_problem *problem);
+
+/* The workspace behind the arrays of a trajectory. */
+void *retrax_workspace_of(const retrax_layout *layout, double *trajectory);
+
+#endif /* RETRAX_LAYOUT_H */

@@ -1,0 +1,339 @@
+/*
+ * Transcription: from the iterate of a trajectory to the linear system of a Newton step.
+ */
+#include "layout.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Ends of steps that are farther apart than this share of the largest entry of a column meet along an arc: a turn by 64
+ * degrees. */
+#define FAR 0.9
+/* Largest half angle of such an arc, in radians: opposite points still have a direction. */
+#define LARGEST_ANGLE (1.57079632679489661923 - 1e-2)
+
+/* The address of an array of a trajectory. */
+#define ARRAY(name) (trajectory + layout->first[RETRAX_##name])
+
+/* ------------------------------------------------------------------------------------------------- evaluation */
+
+void retrax_evaluate_tape(void *context, const retrax_tape_data *data, retrax_index points) {
+    const retrax_tape_function *const own = context;
+    retrax_tape_run(own->tape, data, 0, points, own->registers, own->lanes, own->set);
+}
+
+/* Evaluates a function at `points` places of a trajectory. */
+static void evaluate(const retrax_layout *layout, double *trajectory, retrax_function_name name,
+                     retrax_index points) {
+    const retrax_function *const own = &layout->problem->functions[name];
+    const retrax_tape_data data = {trajectory, layout->numbers, layout->sources[name],
+                                   trajectory, layout->numbers, layout->targets[name]};
+    own->evaluate(own->context, &data, points);
+}
+
+static void copy(double *to, const double *from, retrax_index count) {
+    memcpy(to, from, sizeof(double) * (size_t)count);
+}
+
+/* Writes the points and ends of the steps in their charts: xi_i = h sum_j A_ij nu_j, eta = h sum_j b_j nu_j. */
+static void write_displacements(const retrax_layout *layout, double *trajectory) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index s = problem->points, n = problem->state_size, E = problem->state_numbers;
+    const double *const h = ARRAY(STEP_SIZE);
+    for (retrax_index k = 0; k < problem->steps; k++) {
+        const double *const velocities = ARRAY(VELOCITIES) + k * s * n;
+        for (retrax_index i = 0; i <= s; i++) { /* the last one is the end */
+            const double *const weights = i < s ? problem->matrix + i * s : problem->weights;
+            double *const to = i < s ? ARRAY(XI) + (k * s + i) * n : ARRAY(ETA) + k * n;
+            for (retrax_index a = 0; a < n; a++) {
+                to[a] = 0.0;
+                for (retrax_index j = 0; j < s; j++) {
+                    to[a] += h[k] * weights[j] * velocities[j * n + a];
+                }
+            }
+        }
+        for (retrax_index i = 0; i < s; i++) {
+            copy(ARRAY(POINT_CENTRES) + (k * s + i) * E, ARRAY(CENTRES) + k * E, E);
+            ARRAY(POINT_WEIGHTS)[k * s + i] = h[k] * problem->weights[i];
+        }
+    }
+}
+
+/* The larger of both; a number that is NaN stays. */
+static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
+
+/* Meets the ends of two steps that are far apart at a point amid them: seen from one of them, an end beyond a quarter turn
+ * would come nearer by turning away. `before`: the end of the step before the node.
+ *
+ * Each column runs along a circle. With half the chord r and the sagitta t of the node above its middle, half the angle of
+ * the arc is 2 atan(t / r). The gap becomes that along the arc, of which a step sees the cosine of this angle. */
+static void meet_amid(const retrax_layout *layout, double *trajectory, const double *before, retrax_index node) {
+    const retrax_index E = layout->problem->state_numbers, *const columns = layout->problem->columns;
+    double *const gap = ARRAY(GAPS) + node * E, *const seen = ARRAY(SEEN) + node * E, *const first = ARRAY(AMID);
+    double *const second = first + E, *const middle = first + 2 * E;
+    double *const sagittas = ARRAY(COLUMN_SIZES), *const chords = sagittas + E;
+    bool finite = true;
+    for (retrax_index e = 0; e < E; e++) {
+        first[e] = before[e];
+        second[e] = before[e] + gap[e];
+        sagittas[e] = chords[e] = 0.0;
+    }
+    evaluate(layout, trajectory, RETRAX_MIDDLE, 1);
+    for (retrax_index e = 0; e < E; e++) {
+        finite = finite && isfinite(middle[e]);
+    }
+    for (retrax_index e = 0; e < E; e++) {
+        const double at = finite ? middle[e] : first[e];
+        const double sagitta = (first[e] + second[e]) / 2.0 - at, half = (second[e] - first[e]) / 2.0;
+        sagittas[columns[e]] += sagitta * sagitta;
+        chords[columns[e]] += half * half;
+        ARRAY(NODES)[node * E + e] = at;
+    }
+    for (retrax_index e = 0; e < E; e++) {
+        const double sagitta = sqrt(sagittas[columns[e]]), half = sqrt(chords[columns[e]]);
+        const double angle = half > 0.0 ? fmin(2.0 * atan2(sagitta, half), LARGEST_ANGLE) : 0.0;
+        const double arc = angle > 0.0 ? angle / sin(angle) : 1.0;
+        seen[e] = gap[e] * arc * cos(angle);
+        gap[e] *= arc;
+    }
+}
+
+/* Whether a gap is far: a column of it is larger than FAR times the largest entry of that column along the nodes. */
+static bool is_far(const double *gap, const double *largest, const retrax_index *columns, retrax_index E) {
+    bool far = false;
+    for (retrax_index e = 0; e < E; e++) {
+        far = far || fabs(gap[e]) > FAR * largest[columns[e]];
+    }
+    return far;
+}
+
+/* Writes the nodes, and the gaps there: the beginning of the step behind a node minus the end of the step before. At the
+ * first and the last node a prescribed entry takes the place of the step that is not there. */
+static void write_nodes(const retrax_layout *layout, double *trajectory) {
+    const retrax_index N = layout->problem->steps, E = layout->problem->state_numbers;
+    const double *const begins = ARRAY(BEGINS), *const finishes = ARRAY(FINISHES);
+    for (retrax_index k = 0; k <= N; k++) {
+        for (retrax_index e = 0; e < E; e++) {
+            double before = k > 0 ? finishes[(k - 1) * E + e] : begins[e];
+            double after = k < N ? begins[k * E + e] : finishes[(k - 1) * E + e];
+            if (k == 0 && ARRAY(START_ENTRIES)[e] != 0.0) {
+                before = ARRAY(START)[e];
+            }
+            if (k == N && ARRAY(END_ENTRIES)[e] != 0.0) {
+                after = ARRAY(END)[e];
+            }
+            ARRAY(NODES)[k * E + e] = k < N ? before : after;
+            ARRAY(GAPS)[k * E + e] = after - before;
+        }
+    }
+}
+
+/* Writes the nodes where steps meet, and the gaps there; DISTANCE: the largest gaps along the chords. */
+static void meet(const retrax_layout *layout, double *trajectory) {
+    const retrax_index N = layout->problem->steps, E = layout->problem->state_numbers;
+    const retrax_index *const columns = layout->problem->columns;
+    double *const nodes = ARRAY(NODES), *const gaps = ARRAY(GAPS);
+    double *const largest = ARRAY(LARGEST), *const distance = ARRAY(DISTANCE);
+    write_nodes(layout, trajectory);
+    memset(distance, 0, sizeof(double) * (size_t)E);
+    memset(largest, 0, sizeof(double) * (size_t)E);
+    for (retrax_index k = 0; k <= N; k++) {
+        for (retrax_index e = 0; e < E; e++) {
+            largest[columns[e]] = larger(largest[columns[e]], fabs(nodes[k * E + e]));
+            distance[e] = larger(distance[e], fabs(gaps[k * E + e]));
+        }
+    }
+    copy(ARRAY(SEEN), gaps, (N + 1) * E);
+    for (retrax_index k = 0; k <= N; k++) {
+        double *const node = nodes + k * E, *const gap = gaps + k * E;
+        if (is_far(gap, largest, columns, E)) {
+            for (retrax_index e = 0; e < E && k == N; e++) {
+                node[e] -= gap[e]; /* the last node is the end of the trajectory, not that of its last step */
+            }
+            meet_amid(layout, trajectory, node, k);
+        }
+    }
+}
+
+/* Writes what a Newton step is asked to move the nodes by: the gaps that it sees, in the frames. */
+static void write_asked(const retrax_layout *layout, double *trajectory) {
+    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    for (retrax_index k = 0; k <= layout->problem->steps; k++) {
+        for (retrax_index a = 0; a < n; a++) {
+            const double *const direction = ARRAY(NODE_FRAMES) + (k * n + a) * E;
+            double found = 0.0;
+            for (retrax_index e = 0; e < E; e++) {
+                found += direction[e] * ARRAY(SEEN)[k * E + e];
+            }
+            ARRAY(ASKED)[k * n + a] = ARRAY(FIXED)[k * n + a] * found;
+        }
+    }
+}
+
+void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory) {
+    const retrax_index N = layout->problem->steps, s = layout->problem->points;
+    if (retrax_collocates(layout->problem)) {
+        write_displacements(layout, trajectory);
+    }
+    evaluate(layout, trajectory, RETRAX_ENDS, N);
+    meet(layout, trajectory);
+    evaluate(layout, trajectory, RETRAX_FRAMES, N + 1);
+    write_asked(layout, trajectory);
+    evaluate(layout, trajectory, RETRAX_POINTS, N * s);
+    if (retrax_collocates(layout->problem)) {
+        evaluate(layout, trajectory, RETRAX_BOTH_ENDS, N);
+    }
+}
+
+/* --------------------------------------------------------------------------------------------------- assembly */
+
+/* The equations of the collocation points as condensing takes them. */
+static retrax_collocation_system system_of(const retrax_layout *layout, double *trajectory) {
+    const retrax_problem *const problem = layout->problem;
+    const bool one = retrax_right_sides(problem) == 1;
+    return (retrax_collocation_system){
+        .steps = problem->steps,
+        .points = problem->points,
+        .state_size = problem->state_size,
+        .control_size = problem->control_size,
+        .columns = retrax_right_sides(problem),
+        .step_size = ARRAY(STEP_SIZE),
+        .matrix = problem->matrix,
+        .weights = problem->weights,
+        .hessian = ARRAY(POINT_HESSIANS),
+        .jacobian = ARRAY(POINT_JACOBIANS),
+        .slope = one ? ARRAY(POINT_SLOPES) : ARRAY(RIGHT_SLOPES),
+        .defect = one ? ARRAY(POINT_DEFECTS) : ARRAY(RIGHT_DEFECTS),
+        .end_hessian = ARRAY(END_HESSIANS),
+        .end_left = ARRAY(END_LEFT),
+        .end_right = ARRAY(END_RIGHT),
+        .end_slope = one ? ARRAY(END_SLOPES) : ARRAY(RIGHT_END_SLOPES),
+    };
+}
+
+/* What condensing leaves of them. */
+static retrax_condensed_system condensed_of(const retrax_layout *layout, double *trajectory) {
+    return (retrax_condensed_system){
+        .hessian = ARRAY(HESSIANS),
+        .left = ARRAY(LEFT),
+        .right = ARRAY(RIGHT),
+        .slope = ARRAY(RIGHT_SIDES),
+        .before = ARRAY(BEFORE),
+        .after = ARRAY(AFTER),
+        .factors = ARRAY(FACTORS),
+        .swaps = (retrax_index *)ARRAY(SWAPS),
+        .velocities = ARRAY(VELOCITY_MAPS),
+    };
+}
+
+/* Writes numbers as the first of two columns, zeros as the second, which the barrier multiplies. */
+static void write_first_column(double *to, const double *from, retrax_index count) {
+    for (retrax_index i = 0; i < count; i++) {
+        to[2 * i] = from[i];
+        to[2 * i + 1] = 0.0;
+    }
+}
+
+void retrax_assemble_system(const retrax_layout *layout, double *trajectory, retrax_instruction_set set) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index N = problem->steps, s = problem->points;
+    if (!retrax_collocates(problem)) {
+        if (problem->inequalities == 0) {
+            copy(ARRAY(RIGHT_SIDES), ARRAY(SLOPES), layout->count[RETRAX_SLOPES]);
+        }
+        return;
+    }
+    if (problem->inequalities > 0) { /* which have a share in the slopes of the points alone */
+        write_first_column(ARRAY(RIGHT_DEFECTS), ARRAY(POINT_DEFECTS), layout->count[RETRAX_POINT_DEFECTS]);
+        write_first_column(ARRAY(RIGHT_END_SLOPES), ARRAY(END_SLOPES), layout->count[RETRAX_END_SLOPES]);
+    }
+    const retrax_collocation_system system = system_of(layout, trajectory);
+    retrax_condensed_system condensed = condensed_of(layout, trajectory);
+    retrax_condense(&system, &condensed, 0, N, retrax_workspace_of(layout, trajectory), set);
+    retrax_condense_slope(&system, &condensed, ARRAY(POINT_SLOPES), ARRAY(END_SLOPES), ARRAY(SLOPES_BY_VELOCITIES),
+                          ARRAY(SLOPES));
+    retrax_condense_slope(&system, &condensed, ARRAY(POINT_GRADIENTS), NULL, ARRAY(GRADIENTS_BY_VELOCITIES),
+                          ARRAY(GRADIENTS));
+    for (retrax_index k = 0; k < N; k++) {
+        ARRAY(COSTS)[k] = 0.0;
+        for (retrax_index i = 0; i < s; i++) {
+            ARRAY(COSTS)[k] += ARRAY(POINT_COSTS)[k * s + i];
+        }
+    }
+}
+
+/* ----------------------------------------------------------------------------------------------- Newton's step */
+
+void retrax_expand_step(const retrax_layout *layout, double *trajectory) {
+    if (!retrax_collocates(layout->problem)) {
+        return;
+    }
+    const retrax_collocation_system system = system_of(layout, trajectory);
+    const retrax_condensed_system condensed = condensed_of(layout, trajectory);
+    retrax_expand(&system, &condensed, 0, layout->problem->steps, ARRAY(STEPS), ARRAY(MULTIPLIER_STEPS),
+                  ARRAY(VELOCITY_STEPS), ARRAY(POINT_MULTIPLIER_STEPS), retrax_workspace_of(layout, trajectory));
+}
+
+/* Writes covectors with coordinates c + part * d in frames of n directions. */
+static void write_covectors(double *to, const double *frames, const double *coordinates, const double *steps,
+                            double part, retrax_index count, retrax_index n, retrax_index E) {
+    for (retrax_index k = 0; k < count; k++) {
+        for (retrax_index e = 0; e < E; e++) {
+            double found = 0.0;
+            for (retrax_index a = 0; a < n; a++) {
+                found += (coordinates[k * n + a] + part * steps[k * n + a]) * frames[(k * n + a) * E + e];
+            }
+            to[k * E + e] = found;
+        }
+    }
+}
+
+static void write_parts(double *to, const double *from, double part, retrax_index count) {
+    for (retrax_index i = 0; i < count; i++) {
+        to[i] = part * from[i];
+    }
+}
+
+/* Moves the unknowns of collocation steps: velocities are carried to the frames at the moved centres. */
+static void move_collocation(const retrax_layout *layout, const double *from, double part, double *trajectory) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, E = problem->state_numbers;
+    const retrax_index m = problem->control_size, z = n + s * m;
+    const double *const steps = from + layout->first[RETRAX_STEPS];
+    for (retrax_index k = 0; k < N; k++) {
+        write_parts(ARRAY(CENTRE_PARTS) + k * n, steps + k * z, part, n);
+        write_parts(ARRAY(CONTROL_PARTS) + k * s * m, steps + k * z + n, part, s * m);
+    }
+    evaluate(layout, trajectory, RETRAX_MOVE, N);
+    evaluate(layout, trajectory, RETRAX_MOVE_CONTROLS, N * s);
+    for (retrax_index k = 0; k < N * s; k++) {
+        const double *const carried = ARRAY(CARRIED) + k / s * n * n;
+        const double *const velocity = from + layout->first[RETRAX_VELOCITIES] + k * n;
+        const double *const step = from + layout->first[RETRAX_VELOCITY_STEPS] + k * n;
+        for (retrax_index a = 0; a < n; a++) {
+            double found = 0.0;
+            for (retrax_index b = 0; b < n; b++) {
+                found += carried[a * n + b] * (velocity[b] + part * step[b]);
+            }
+            ARRAY(VELOCITIES)[k * n + a] = found;
+        }
+    }
+    write_covectors(ARRAY(POINT_COSTATES), from + layout->first[RETRAX_POINT_FRAMES],
+                    from + layout->first[RETRAX_POINT_MULTIPLIERS],
+                    from + layout->first[RETRAX_POINT_MULTIPLIER_STEPS], part, N * s, n, E);
+}
+
+void retrax_move_trajectory(const retrax_layout *layout, const double *from, double part, double *trajectory) {
+    const retrax_problem *const problem = layout->problem;
+    copy(ARRAY(CENTRES_BEFORE), from + layout->first[RETRAX_CENTRES], layout->count[RETRAX_CENTRES]);
+    copy(ARRAY(CONTROLS_BEFORE), from + layout->first[RETRAX_CONTROLS], layout->count[RETRAX_CONTROLS]);
+    if (retrax_collocates(problem)) {
+        move_collocation(layout, from, part, trajectory);
+    } else {
+        write_parts(ARRAY(CENTRE_PARTS), from + layout->first[RETRAX_STEPS], part, layout->count[RETRAX_STEPS]);
+        evaluate(layout, trajectory, RETRAX_MOVE, problem->steps);
+    }
+    write_covectors(ARRAY(COSTATES), from + layout->first[RETRAX_NODE_FRAMES],
+                    from + layout->first[RETRAX_MULTIPLIERS], from + layout->first[RETRAX_MULTIPLIER_STEPS], part,
+                    problem->steps + 1, problem->state_size, problem->state_numbers);
+}

@@ -1,0 +1,153 @@
+"""Trajectories of a transcribed problem: their arrays, their linear systems, and steps from one to the next."""
+
+from collections.abc import Mapping
+from ctypes import addressof, byref, c_void_p, cast, pointer
+from enum import IntEnum
+from typing import NamedTuple, final
+
+import numpy as np
+
+from ..aligned import aligned
+from ..errors import InvalidInputError
+from .core import (
+    ARRAYS,
+    BYTES,
+    FLOAT,
+    FUNCTIONS,
+    PLACE,
+    FunctionStruct,
+    LayoutStruct,
+    ProblemStruct,
+    TapeFunctionStruct,
+    address_of,
+    best_instruction_set,
+    library,
+)
+from .tape_machine import MachineProgram
+
+
+class FunctionName(IntEnum):
+    """The functions of a problem; ``retrax_core.h`` says what each reads and writes."""
+
+    ENDS = 0
+    MIDDLE = 1
+    FRAMES = 2
+    POINTS = 3
+    BOTH_ENDS = 4
+    MOVE = 5
+    MOVE_CONTROLS = 6
+
+
+@final
+class Sizes(NamedTuple):
+    """The sizes of a problem; ``points``: 1 of a discretization map, the number of points of a collocation method."""
+
+    steps: int
+    points: int
+    state_size: int  # dimension of the manifold
+    state_numbers: int  # of a point of it
+    control_size: int
+    control_numbers: int
+    parameters: int
+    inequalities: int  # at each point
+
+
+@final
+class Transcription:
+    """A transcribed problem as the core has it.
+
+    ``matrix``, ``weights``: the tableau about the middle of a step, shapes ``(s, s)`` and ``(s,)``; ``columns``: the
+    column of a matrix that each entry of a state belongs to, shape ``(E,)``.
+    """
+
+    def __init__(
+        self,
+        sizes: Sizes,
+        tableau: tuple[np.ndarray, np.ndarray],
+        columns: np.ndarray,
+        functions: Mapping[FunctionName, MachineProgram],
+        instruction_set: int | None = None,
+    ) -> None:
+        self.sizes, self.programs, self._library = sizes, functions, library()
+        self._set = best_instruction_set() if instruction_set is None else instruction_set
+        (matrix, weights), s = tableau, sizes.points
+        addresses = (
+            address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
+            address_of(weights, FLOAT, (s,), "weights of a tableau"),
+            address_of(columns, PLACE, (sizes.state_numbers,), "columns of the entries of a state"),
+        )
+        if columns.size and not (0 <= columns.min() and columns.max() < sizes.state_numbers):
+            raise InvalidInputError(f"columns of entries lie in 0 to {sizes.state_numbers - 1}, got {columns}")
+        self._problem = ProblemStruct(*sizes, *addresses)
+        self._kept: list[object] = [matrix, weights, columns]
+        points = (sizes.steps + 1) * s
+        most = max((own.sizes[2] * own.lanes(points) for own in functions.values()), default=0)
+        self._registers = aligned(max(most, 1))
+        for name in FunctionName:
+            self._set_function(name, functions.get(name), points)
+        size = self._library.retrax_layout_memory(byref(self._problem))
+        if not size:
+            raise InvalidInputError(f"a problem of these sizes is larger than the core takes: {sizes}")
+        self._memory, self._layout = aligned(-(-size // BYTES)), LayoutStruct()
+        place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
+        self._library.retrax_layout_make(byref(self._problem), place, byref(self._layout))
+
+    def trajectory(self) -> "Trajectory":
+        """Return a trajectory, all of whose numbers are zero."""
+        return Trajectory(self)
+
+    def _set_function(self, name: FunctionName, program: MachineProgram | None, points: int) -> None:
+        problem, own = byref(self._problem), self._library
+        sizes = own.retrax_function_inputs(problem, name), own.retrax_function_outputs(problem, name)
+        if program is None:
+            if any(sizes) and name is not FunctionName.MIDDLE:
+                raise InvalidInputError(f"a problem with {self.sizes} needs the function {name.name}")
+            return
+        if program.sizes[:2] != sizes:
+            raise InvalidInputError(
+                f"function {name.name}: got {program.sizes[0]} inputs and {program.sizes[1]} outputs, expected "
+                f"{sizes[0]} and {sizes[1]} for {self.sizes}"
+            )
+        registers = address_of(self._registers, FLOAT, self._registers.shape, "registers")
+        context = TapeFunctionStruct(pointer(program.tape), registers, program.lanes(points), self._set)
+        self._kept.append(context)
+        self._problem.functions[name] = FunctionStruct(
+            cast(own.retrax_evaluate_tape, c_void_p), c_void_p(addressof(context))
+        )
+
+
+@final
+class Trajectory:
+    """The arrays of a trajectory; ``retrax_core.h`` names them."""
+
+    def __init__(self, transcription: Transcription) -> None:
+        self._of, self._layout = transcription, transcription._layout
+        self._numbers = aligned(self._layout.numbers)
+        self._numbers[...] = 0.0
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """The entries of an array, a view of shape ``(count,)``."""
+        place = _PLACES[name]
+        first = self._layout.first[place]
+        return self._numbers[first : first + self._layout.count[place]]
+
+    def evaluate(self) -> None:
+        """Evaluate the functions of the problem at the unknowns, and assemble the linear system."""
+        own = self._of._library
+        own.retrax_evaluate_trajectory(byref(self._layout), self._address)
+        own.retrax_assemble_system(byref(self._layout), self._address, self._of._set)
+
+    def expand(self) -> None:
+        """Compute the steps of the velocities and multipliers of points from those of the linear system."""
+        self._of._library.retrax_expand_step(byref(self._layout), self._address)
+
+    def move(self, before: "Trajectory", part: float) -> None:
+        """Set the unknowns to those of another trajectory after a part of the step from there."""
+        self._of._library.retrax_move_trajectory(byref(self._layout), before._address, part, self._address)
+
+    @property
+    def _address(self) -> int:
+        return address_of(self._numbers, FLOAT, self._numbers.shape, "numbers of a trajectory")
+
+
+_PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}

@@ -1,0 +1,184 @@
+"""Linear systems and steps of trajectories by the core beside the engine's."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from retrax.compute.core import best_instruction_set
+from retrax.compute.tape_machine import MachineProgram
+from retrax.compute.transcription import FunctionName, Sizes, Trajectory, Transcription
+from retrax.integrators.boundary_value.engine.collocation import Collocation
+from retrax.integrators.boundary_value.engine.conditions import Conditions
+from retrax.integrators.boundary_value.engine.transcription import Moves
+from retrax.manifolds import InvalidInputError
+
+from ..integrators.engine.test_trial import CASES, SLEWS
+
+SETS = range(best_instruction_set() + 1)
+NAMES = [name for name in CASES if "nodes" not in name and "free end" not in name]
+
+
+def program(evaluated: Any, own: int) -> MachineProgram:
+    """The tape of a function for the core."""
+    p = evaluated.tape.program
+    return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size, own)
+
+
+def transcription(conditions: Conditions, own: int) -> Transcription:
+    """The engine's transcription for the core."""
+    steps, nodes, name = conditions.transcription, conditions.at_nodes, FunctionName
+    functions = {name.ENDS: steps._ends, name.FRAMES: nodes._in_frame, name.MIDDLE: nodes._middle}
+    tableau = np.ones((1, 1)), np.ones(1)
+    if isinstance(steps, Collocation):
+        functions |= {name.POINTS: steps._point, name.BOTH_ENDS: steps._both, name.MOVE: steps._centre}
+        functions[name.MOVE_CONTROLS], tableau = steps._control, (steps.tableau.matrix, steps.tableau.weights)
+    else:
+        functions |= {name.POINTS: steps._row, name.MOVE: steps._move}
+    sizes = Sizes(
+        conditions.data.steps.shape[1], steps.stages, steps.manifold.dimension, steps.state.size,
+        steps.controls.dimension, steps.control.size, steps.parameter.size, steps.inequalities,
+    )  # fmt: skip
+    programs = {key: program(function, own) for key, function in functions.items()}
+    return Transcription(sizes, tableau, nodes.layout.columns.astype(np.intp), programs, own)
+
+
+def posed(solver: Any, way: tuple, monkeypatch: Any) -> tuple[Conditions, Any]:
+    """The conditions of a solve, and its guess."""
+    seen, begin = [], Conditions.begin
+
+    def begun(self: Conditions, guess: Any, firm: float = 1.0) -> Any:
+        seen.append((self, guess))
+        return begin(self, guess, firm)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Conditions, "begin", begun)
+        patch.setattr(Conditions, "setting", None)
+        solver.solve(*way)
+    return seen[0]
+
+
+def put(found: Trajectory, conditions: Conditions, iterate: Any) -> Trajectory:
+    """The trajectory with what is given and with the unknowns of an iterate."""
+    data, ends = conditions.data, conditions.ends
+    given = {
+        "STEP_SIZE": data.steps, "PARAMETERS": data.parameters, "START": ends.start, "END": ends.end,
+        "START_ENTRIES": ends.start_entries, "END_ENTRIES": ends.end_entries, "FIXED": conditions.fixed,
+        "CENTRES": iterate.unknowns.centres, "CONTROLS": iterate.unknowns.controls, "COSTATES": iterate.costates,
+    }  # fmt: skip
+    if isinstance(conditions.transcription, Collocation):
+        given |= {"VELOCITIES": iterate.unknowns.velocities, "POINT_COSTATES": iterate.unknowns.costates}
+    if iterate.slacks is not None:
+        given["PRICES"] = iterate.slacks.multipliers
+    for name, array in given.items():
+        found[name][...] = np.ravel(array)
+    return found
+
+
+def compare(found: Trajectory, expected: dict[str, np.ndarray]) -> None:
+    """Equal arrays but for rounding, which is relative to the largest entry of each."""
+    for name, array in expected.items():
+        size = max(1.0, np.abs(array).max(initial=0.0))
+        np.testing.assert_allclose(found[name], np.ravel(array), rtol=1e-9, atol=2e-11 * size, err_msg=name)
+
+
+def system(assembled: Any, limited: bool) -> dict[str, np.ndarray]:
+    """The engine's arrays by their names in the core."""
+    blocks, inner = assembled.blocks, assembled.blocks.inner
+    found = {
+        "NODES": assembled.nodes, "DEFECTS": assembled.gap, "ASKED": assembled.asked, "NODE_FRAMES": assembled.frames,
+        "MULTIPLIERS": assembled.coordinates, "NODE_COSTATES": assembled.costates, "DISTANCE": assembled.distance,
+        "LEFT": blocks.left, "RIGHT": blocks.right, "GRADIENTS": blocks.gradient, "COSTS": blocks.costs,
+    }  # fmt: skip
+    if inner is not None:
+        found |= {"POINT_DEFECTS": inner.defect, "POINT_MULTIPLIERS": inner.multipliers, "POINT_FRAMES": inner.frames}
+        found |= {"GRADIENTS_BY_VELOCITIES": inner.gradient}
+    if limited:  # the engine adds their share where it evaluates
+        return found | {"LIMITS": blocks.held.values, "LIMIT_JACOBIANS": blocks.held.jacobian, "SLOPES": blocks.slope}
+    return found | {"HESSIANS": blocks.hessian, "RIGHT_SIDES": blocks.slope}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
+    """Along a solve, at all iterates and for all steps and parts of steps; the cases share out the instruction sets."""
+    own = SETS[NAMES.index(name) % len(SETS)]
+    solver, way, options = CASES[name]()
+    made, moves = [0, 0], {}
+    assemble, move = Conditions.assemble, Conditions.move
+
+    def of(conditions: Conditions) -> Transcription:
+        key = id(conditions.transcription)
+        if key not in moves:
+            moves[key] = transcription(conditions, own)
+        return moves[key]
+
+    def assembled(self: Conditions, iterate: Any, paid: Any = None) -> Any:
+        found = assemble(self, iterate, paid)
+        at = put(of(self).trajectory(), self, iterate)
+        at.evaluate()
+        compare(at, system(found, iterate.slacks is not None))
+        made[0] += 1
+        return found
+
+    def moved(self: Conditions, iterate: Any, before: Any, step: Any, fraction: np.ndarray) -> Any:
+        found = move(self, iterate, before, step, fraction)
+        at, to = (put(of(self).trajectory(), self, iterate) for _ in range(2))
+        at.evaluate()
+        at["STEPS"][...], at["MULTIPLIER_STEPS"][...] = step.unknowns.ravel(), step.multipliers.ravel()
+        if step.inner is not None and iterate.slacks is None:
+            at.expand()
+            compare(at, dict(zip(("VELOCITY_STEPS", "POINT_MULTIPLIER_STEPS"), step.inner, strict=True)))
+        elif step.inner is not None:
+            at["VELOCITY_STEPS"][...], at["POINT_MULTIPLIER_STEPS"][...] = map(np.ravel, step.inner)
+        to.move(at, float((fraction * step.reach)[0]))
+        unknowns = {"CENTRES": found.unknowns.centres, "CONTROLS": found.unknowns.controls, "COSTATES": found.costates}
+        if step.inner is not None:
+            unknowns |= {"VELOCITIES": found.unknowns.velocities, "POINT_COSTATES": found.unknowns.costates}
+        compare(to, unknowns)
+        made[1] += 1
+        return found
+
+    monkeypatch.setattr(Conditions, "assemble", assembled)
+    monkeypatch.setattr(Conditions, "move", moved)
+    monkeypatch.setattr(Conditions, "setting", None)
+    assert solver.solve(*way, **options).success
+    assert min(made) > 0
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.7, 0.9, 1.0])
+def test_ends_that_are_far_apart_meet_as_in_the_engine(share, monkeypatch):
+    """Centres at random attitudes: gaps from small ones to half turns, and of single nodes."""
+    conditions, guess = posed(CASES["a slew"]()[0], SLEWS, monkeypatch)
+    rng = np.random.default_rng(int(10 * share))
+    turn = conditions.transcription.move
+    moves = Moves(
+        np.pi * rng.standard_normal((1, 30, conditions.transcription.dimension)) * (rng.random((1, 30, 1)) < share),
+        np.zeros((1, 31, conditions.at_nodes.dimension)),
+        np.ones(1),
+    )
+    far = guess._replace(unknowns=turn(guess.unknowns, None, moves, conditions.data))
+    at = put(transcription(conditions, SETS[-1]).trajectory(), conditions, far)
+    at.evaluate()
+    expected = conditions.assemble(far)
+    assert not np.allclose(expected.asked, expected.gap)
+    compare(at, system(expected, limited=False))
+
+
+def test_what_does_not_fit_is_refused(monkeypatch):
+    conditions, _ = posed(CASES["a slew"]()[0], SLEWS, monkeypatch)
+    right = transcription(conditions, 0)
+    programs, (name, sizes) = dict(right.programs), (FunctionName, right.sizes)
+    tableau, columns = (np.ones((1, 1)), np.ones(1)), np.zeros(sizes.state_numbers, np.intp)
+    for wrong, words in (
+        (sizes._replace(steps=0), "larger than the core takes"),
+        (sizes._replace(steps=1 << 40), "larger than the core takes"),
+        (sizes._replace(state_size=7), "expected"),
+        (sizes._replace(inequalities=2), "expected"),
+    ):
+        with pytest.raises(InvalidInputError, match=words):
+            Transcription(wrong, tableau, columns, programs)
+    with pytest.raises(InvalidInputError, match="needs the function POINTS"):
+        Transcription(sizes, tableau, columns, {key: p for key, p in programs.items() if key is not name.POINTS})
+    with pytest.raises(InvalidInputError, match="columns of entries"):
+        Transcription(sizes, tableau, columns - 1, programs)
+    with pytest.raises(InvalidInputError, match="weights of a tableau"):
+        Transcription(sizes, (np.ones((1, 1)), np.ones(2)), columns, programs)
