@@ -14,10 +14,8 @@
 
 bool retrax_collocates(const retrax_problem *problem) { return problem->points > 1; }
 
-retrax_index retrax_right_sides(const retrax_problem *problem) { return problem->inequalities > 0 ? 2 : 1; }
-
 void *retrax_workspace_of(const retrax_layout *layout, double *trajectory) {
-    const int last = RETRAX_ARRAY_COUNT - 1;
+    const int last = RETRAX_ARRAY_TOTAL - 1;
     const retrax_index end = layout->first[last] + layout->count[last];
     return trajectory + (end + ALIGNED - 1) / ALIGNED * ALIGNED;
 }
@@ -28,16 +26,16 @@ const char *retrax_array_name(int array) {
 #define RETRAX_WORD_OF(name, count) #name,
     static const char *const names[] = {RETRAX_ARRAYS(RETRAX_WORD_OF)};
 #undef RETRAX_WORD_OF
-    return array >= 0 && array < RETRAX_ARRAY_COUNT ? names[array] : NULL;
+    return array >= 0 && array < RETRAX_ARRAY_TOTAL ? names[array] : NULL;
 }
 
 /* Writes the number of entries of each array. */
 static void count_arrays(const retrax_problem *problem, retrax_index *count) {
     const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, E = problem->state_numbers;
     const retrax_index m = problem->control_size, U = problem->control_numbers, P = problem->parameters;
-    const retrax_index c = problem->inequalities, k = retrax_right_sides(problem), q = 3 * n + m, z = n + s * m, p = s * n;
+    const retrax_index c = problem->inequalities, q = 3 * n + m, z = n + s * m, p = s * n;
     const retrax_index v = retrax_collocates(problem) ? N * s : 0;
-#define RETRAX_COUNT_OF(name, number) count[RETRAX_##name] = (number);
+#define RETRAX_COUNT_OF(name, number) count[RETRAX_ARRAY_##name] = (number);
     RETRAX_ARRAYS(RETRAX_COUNT_OF)
 #undef RETRAX_COUNT_OF
 }
@@ -58,7 +56,7 @@ static bool fits(const retrax_problem *problem) {
 /* Bytes of workspace behind the arrays of a trajectory. */
 static size_t workspace_bytes(const retrax_problem *problem) {
     return retrax_collocates(problem) ? retrax_condensing_workspace(problem->points, problem->state_size,
-                                                             problem->control_size, retrax_right_sides(problem))
+                                                             problem->control_size, 1)
                                : 0;
 }
 
@@ -66,7 +64,7 @@ static size_t workspace_bytes(const retrax_problem *problem) {
 static retrax_index place_arrays(const retrax_problem *problem, retrax_layout *layout) {
     retrax_block block = {NULL, 0};
     count_arrays(problem, layout->count);
-    for (int array = 0; array < RETRAX_ARRAY_COUNT; array++) {
+    for (int array = 0; array < RETRAX_ARRAY_TOTAL; array++) {
         layout->first[array] = (retrax_index)(block.used / sizeof(double));
         retrax_take(&block, layout->count[array], 1, sizeof(double));
     }
@@ -100,10 +98,10 @@ static void add_strided(part_list *list, retrax_array array, retrax_index offset
 
 /* States and covectors of the nodes on either side of a step. */
 static void add_around(part_list *list, retrax_index E) {
-    add(list, RETRAX_NODES, E);
-    add_strided(list, RETRAX_NODES, E, E, E);
-    add(list, RETRAX_NODE_COSTATES, E);
-    add_strided(list, RETRAX_NODE_COSTATES, E, E, E);
+    add(list, RETRAX_ARRAY_NODES, E);
+    add_strided(list, RETRAX_ARRAY_NODES, E, E, E);
+    add(list, RETRAX_ARRAY_NODE_COSTATES, E);
+    add_strided(list, RETRAX_ARRAY_NODE_COSTATES, E, E, E);
 }
 
 /* Lists what a function of a discretization map reads and writes. */
@@ -112,36 +110,36 @@ static void list_of_map(const retrax_problem *problem, retrax_function_name name
     const retrax_index c = problem->inequalities, z = n + problem->control_size;
     switch (name) {
         case RETRAX_ENDS:
-            add(in, RETRAX_CENTRES, E);
-            add(in, RETRAX_CONTROLS, U);
-            add(in, RETRAX_STEP_SIZE, 1);
-            add_strided(in, RETRAX_PARAMETERS, 0, problem->parameters, 0);
+            add(in, RETRAX_ARRAY_CENTRES, E);
+            add(in, RETRAX_ARRAY_CONTROLS, U);
+            add(in, RETRAX_ARRAY_STEP_SIZE, 1);
+            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
             break;
         case RETRAX_POINTS:
-            add(in, RETRAX_CENTRES, E);
-            add(in, RETRAX_CONTROLS, U);
+            add(in, RETRAX_ARRAY_CENTRES, E);
+            add(in, RETRAX_ARRAY_CONTROLS, U);
             add_around(in, E);
-            add(in, RETRAX_STEP_SIZE, 1);
-            add_strided(in, RETRAX_PARAMETERS, 0, problem->parameters, 0);
-            add(in, RETRAX_PRICES, c);
-            add(out, RETRAX_HESSIANS, z * z);
-            add(out, RETRAX_SLOPES, z);
-            add(out, RETRAX_LEFT, n * z);
-            add(out, RETRAX_RIGHT, n * z);
-            add(out, RETRAX_GRADIENTS, z);
-            add(out, RETRAX_LIMIT_JACOBIANS, c * z);
-            add(out, RETRAX_END_COORDINATES, 2 * n);
-            add(out, RETRAX_COSTS, 1);
-            add(out, RETRAX_LIMITS, c);
+            add(in, RETRAX_ARRAY_STEP_SIZE, 1);
+            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
+            add(in, RETRAX_ARRAY_LIMIT_MULTIPLIERS, c);
+            add(out, RETRAX_ARRAY_HESSIANS, z * z);
+            add(out, RETRAX_ARRAY_SLOPES, z);
+            add(out, RETRAX_ARRAY_LEFT, n * z);
+            add(out, RETRAX_ARRAY_RIGHT, n * z);
+            add(out, RETRAX_ARRAY_GRADIENTS, z);
+            add(out, RETRAX_ARRAY_LIMIT_JACOBIANS, c * z);
+            add(out, RETRAX_ARRAY_END_COORDINATES, 2 * n);
+            add(out, RETRAX_ARRAY_COSTS, 1);
+            add(out, RETRAX_ARRAY_LIMITS, c);
             break;
         case RETRAX_MOVE:
-            add(in, RETRAX_CENTRES_BEFORE, E);
-            add(in, RETRAX_CONTROLS_BEFORE, U);
-            add(in, RETRAX_CENTRE_PARTS, z);
-            add(in, RETRAX_STEP_SIZE, 1);
-            add_strided(in, RETRAX_PARAMETERS, 0, problem->parameters, 0);
-            add(out, RETRAX_CENTRES, E);
-            add(out, RETRAX_CONTROLS, U);
+            add(in, RETRAX_ARRAY_CENTRES_BEFORE, E);
+            add(in, RETRAX_ARRAY_CONTROLS_BEFORE, U);
+            add(in, RETRAX_ARRAY_CENTRE_PARTS, z);
+            add(in, RETRAX_ARRAY_STEP_SIZE, 1);
+            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
+            add(out, RETRAX_ARRAY_CENTRES, E);
+            add(out, RETRAX_ARRAY_CONTROLS, U);
             break;
         default:
             break;
@@ -155,49 +153,49 @@ static void list_of_collocation(const retrax_problem *problem, retrax_function_n
     const retrax_index m = problem->control_size, c = problem->inequalities, q = 3 * n + m;
     switch (name) {
         case RETRAX_ENDS:
-            add(in, RETRAX_CENTRES, E);
-            add(in, RETRAX_ETA, n);
+            add(in, RETRAX_ARRAY_CENTRES, E);
+            add(in, RETRAX_ARRAY_ETA, n);
             break;
         case RETRAX_POINTS:
-            add(in, RETRAX_POINT_CENTRES, E);
-            add(in, RETRAX_XI, n);
-            add(in, RETRAX_VELOCITIES, n);
-            add(in, RETRAX_CONTROLS, U);
-            add(in, RETRAX_POINT_COSTATES, E);
-            add(in, RETRAX_POINT_WEIGHTS, 1);
-            add_strided(in, RETRAX_PARAMETERS, 0, problem->parameters, 0);
-            add(in, RETRAX_PRICES, c);
-            add(out, RETRAX_POINT_HESSIANS, q * q);
-            add(out, RETRAX_POINT_SLOPES, q);
-            add(out, RETRAX_POINT_JACOBIANS, n * q);
-            add(out, RETRAX_POINT_GRADIENTS, q);
-            add(out, RETRAX_LIMIT_JACOBIANS, c * q);
-            add(out, RETRAX_POINT_DEFECTS, n);
-            add(out, RETRAX_POINT_COSTS, 1);
-            add(out, RETRAX_LIMITS, c);
-            add(out, RETRAX_POINT_FRAMES, n * E);
-            add(out, RETRAX_POINT_MULTIPLIERS, n);
+            add(in, RETRAX_ARRAY_POINT_CENTRES, E);
+            add(in, RETRAX_ARRAY_XI, n);
+            add(in, RETRAX_ARRAY_VELOCITIES, n);
+            add(in, RETRAX_ARRAY_CONTROLS, U);
+            add(in, RETRAX_ARRAY_POINT_COSTATES, E);
+            add(in, RETRAX_ARRAY_POINT_WEIGHTS, 1);
+            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
+            add(in, RETRAX_ARRAY_LIMIT_MULTIPLIERS, c);
+            add(out, RETRAX_ARRAY_POINT_HESSIANS, q * q);
+            add(out, RETRAX_ARRAY_POINT_SLOPES, q);
+            add(out, RETRAX_ARRAY_POINT_JACOBIANS, n * q);
+            add(out, RETRAX_ARRAY_POINT_GRADIENTS, q);
+            add(out, RETRAX_ARRAY_LIMIT_JACOBIANS, c * q);
+            add(out, RETRAX_ARRAY_POINT_DEFECTS, n);
+            add(out, RETRAX_ARRAY_POINT_COSTS, 1);
+            add(out, RETRAX_ARRAY_LIMITS, c);
+            add(out, RETRAX_ARRAY_POINT_FRAMES, n * E);
+            add(out, RETRAX_ARRAY_POINT_MULTIPLIERS, n);
             break;
         case RETRAX_BOTH_ENDS:
-            add(in, RETRAX_CENTRES, E);
-            add(in, RETRAX_ETA, n);
+            add(in, RETRAX_ARRAY_CENTRES, E);
+            add(in, RETRAX_ARRAY_ETA, n);
             add_around(in, E);
-            add(out, RETRAX_END_HESSIANS, 4 * n * n);
-            add(out, RETRAX_END_SLOPES, 2 * n);
-            add(out, RETRAX_END_LEFT, 2 * n * n);
-            add(out, RETRAX_END_RIGHT, 2 * n * n);
-            add(out, RETRAX_END_COORDINATES, 2 * n);
+            add(out, RETRAX_ARRAY_END_HESSIANS, 4 * n * n);
+            add(out, RETRAX_ARRAY_END_SLOPES, 2 * n);
+            add(out, RETRAX_ARRAY_END_LEFT, 2 * n * n);
+            add(out, RETRAX_ARRAY_END_RIGHT, 2 * n * n);
+            add(out, RETRAX_ARRAY_END_COORDINATES, 2 * n);
             break;
         case RETRAX_MOVE:
-            add(in, RETRAX_CENTRES_BEFORE, E);
-            add(in, RETRAX_CENTRE_PARTS, n);
-            add(out, RETRAX_CENTRES, E);
-            add(out, RETRAX_CARRIED, n * n);
+            add(in, RETRAX_ARRAY_CENTRES_BEFORE, E);
+            add(in, RETRAX_ARRAY_CENTRE_PARTS, n);
+            add(out, RETRAX_ARRAY_CENTRES, E);
+            add(out, RETRAX_ARRAY_CARRIED, n * n);
             break;
         case RETRAX_MOVE_CONTROLS:
-            add(in, RETRAX_CONTROLS_BEFORE, U);
-            add(in, RETRAX_CONTROL_PARTS, m);
-            add(out, RETRAX_CONTROLS, U);
+            add(in, RETRAX_ARRAY_CONTROLS_BEFORE, U);
+            add(in, RETRAX_ARRAY_CONTROL_PARTS, m);
+            add(out, RETRAX_ARRAY_CONTROLS, U);
             break;
         default:
             break;
@@ -212,22 +210,22 @@ static void list(const retrax_problem *problem, retrax_function_name name, part_
     (retrax_collocates(problem) ? list_of_collocation : list_of_map)(problem, name, in, out);
     switch (name) {
         case RETRAX_ENDS:
-            add(out, RETRAX_BEGINS, E);
-            add(out, RETRAX_FINISHES, E);
+            add(out, RETRAX_ARRAY_BEGINS, E);
+            add(out, RETRAX_ARRAY_FINISHES, E);
             break;
         case RETRAX_MIDDLE: /* of one node at a time, in the array of its own */
-            add_strided(in, RETRAX_AMID, 0, 2 * E, 0);
-            add_strided(out, RETRAX_AMID, 2 * E, E, 0);
+            add_strided(in, RETRAX_ARRAY_AMID, 0, 2 * E, 0);
+            add_strided(out, RETRAX_ARRAY_AMID, 2 * E, E, 0);
             break;
         case RETRAX_FRAMES:
-            add(in, RETRAX_NODES, E);
-            add(in, RETRAX_FIXED, n);
-            add(in, RETRAX_GAPS, E);
-            add(in, RETRAX_COSTATES, E);
-            add(out, RETRAX_NODE_FRAMES, n * E);
-            add(out, RETRAX_DEFECTS, n);
-            add(out, RETRAX_MULTIPLIERS, n);
-            add(out, RETRAX_NODE_COSTATES, E);
+            add(in, RETRAX_ARRAY_NODES, E);
+            add(in, RETRAX_ARRAY_FIXED, n);
+            add(in, RETRAX_ARRAY_GAPS, E);
+            add(in, RETRAX_ARRAY_COSTATES, E);
+            add(out, RETRAX_ARRAY_NODE_FRAMES, n * E);
+            add(out, RETRAX_ARRAY_DEFECTS, n);
+            add(out, RETRAX_ARRAY_MULTIPLIERS, n);
+            add(out, RETRAX_ARRAY_NODE_COSTATES, E);
             break;
         default:
             break;

@@ -11,11 +11,11 @@
 
 #include <stdbool.h>
 
+/* The address of an array of a trajectory, where `layout` and `trajectory` have these names. */
+#define ARRAY(name) (trajectory + layout->first[RETRAX_ARRAY_##name])
+
 /* Whether the method of a problem is a collocation method, and not a discretization map. */
 bool retrax_collocates(const retrax_problem *problem);
-
-/* Right-hand sides of the linear system: 2 with inequalities, the second of which the barrier multiplies, else 1. */
-retrax_index retrax_right_sides(const retrax_problem *problem);
 
 /* The workspace behind the arrays of a trajectory. */
 void *retrax_workspace_of(const retrax_layout *layout, double *trajectory);

@@ -12,6 +12,8 @@
  *   4. Block elimination: the linear system of a Newton step along a trajectory
  *   5. Condensing: the inner unknowns of collocation steps
  *   6. Transcription: from the iterate of a trajectory to the linear system of a Newton step
+ *   7. Inequalities
+ *   8. Convergence: how far a trajectory is from satisfying its conditions
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
@@ -385,16 +387,17 @@ typedef struct {
     retrax_function functions[RETRAX_FUNCTIONS];
 } retrax_problem;
 
-/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0,
- * p = s n, and k = 1 right-hand side, or 2 with inequalities, the second of which is multiplied by the barrier. */
+/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0 and
+ * p = s n. */
 #define RETRAX_ARRAYS(X)                                                                                       \
     /* given */                                                                                                \
     X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                             \
     X(START_ENTRIES, E) X(END_ENTRIES, E)                  /* 1 where an entry of them is prescribed, else 0 */ \
     X(FIXED, (N + 1) * n)                                  /* 1 where an equation of a node counts, else 0 */   \
+    X(LIMIT_WEIGHTS, N *s *c) X(PENALTIES, N *s *c) X(BARRIER, 1) /* see 7 */                                   \
     /* unknowns */                                                                                             \
     X(CENTRES, N *E) X(VELOCITIES, v *n) X(CONTROLS, N *s *U) X(POINT_COSTATES, v *E) X(COSTATES, (N + 1) * E) \
-    X(PRICES, N *s *c) /* multipliers of the inequalities */                                                   \
+    X(SLACKS, N *s *c) X(LIMIT_MULTIPLIERS, N *s *c) X(EXCESSES, N *s *c) /* of the inequalities */            \
     /* points and ends of the steps in their charts */                                                         \
     X(POINT_CENTRES, v *E) X(XI, v *n) X(ETA, v / s *n) X(POINT_WEIGHTS, v)                                    \
     /* nodes */                                                                                                \
@@ -407,27 +410,34 @@ typedef struct {
     X(POINT_DEFECTS, v *n) X(POINT_COSTS, v) X(POINT_FRAMES, v *n *E) X(POINT_MULTIPLIERS, v *n)               \
     X(END_HESSIANS, v / s * 4 * n * n) X(END_SLOPES, v / s * 2 * n) X(END_LEFT, v / s * 2 * n * n)             \
     X(END_RIGHT, v / s * 2 * n * n)                                                                            \
-    X(RIGHT_SLOPES, v *q *k) X(RIGHT_DEFECTS, v *n *k) X(RIGHT_END_SLOPES, v / s * 2 * n * k)                  \
-    X(FACTORS, N *s *n *p *(s > 1)) X(SWAPS, v *n) X(VELOCITY_MAPS, v *n *(z + k)) X(BEFORE, N *n *k)          \
-    X(AFTER, N *n *k) X(SLOPES_BY_VELOCITIES, v *n) X(GRADIENTS_BY_VELOCITIES, v *n)                           \
-    /* linear system: the blocks; SLOPES are those of the Lagrangian, RIGHT_SIDES have the share of inequalities */ \
-    X(HESSIANS, N *z *z) X(LEFT, N *n *z) X(RIGHT, N *n *z) X(SLOPES, N *z) X(RIGHT_SIDES, N *z *k)            \
+    X(RIGHT_SLOPES, (c > 0) * v * q) X(BARRIER_SLOPES, (c > 0) * v * q) X(NEWTON_SLOPES, (c > 0) * v * q)      \
+    X(FACTORS, v *n *p) X(SWAPS, v *n) X(VELOCITY_MAPS, v *n *(z + 1)) X(BEFORE, v / s *n) X(AFTER, v / s *n)  \
+    X(SLOPES_BY_VELOCITIES, v *n) X(GRADIENTS_BY_VELOCITIES, v *n)                                             \
+    /* linear system: slopes of the Lagrangian; right sides with the share of the inequalities, and of the barrier */ \
+    X(HESSIANS, N *z *z) X(LEFT, N *n *z) X(RIGHT, N *n *z) X(SLOPES, N *z) X(RIGHT_SIDES, N *z)               \
+    X(BARRIER_SIDES, (c > 0) * N * z) X(NEWTON_SIDES, N *z) X(NEWTON_DEFECTS, (N + 1) * n)                     \
     X(GRADIENTS, N *z) X(COSTS, N) X(END_COORDINATES, 2 * N * n)                                               \
     X(LIMITS, N *s *c) X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z))                                            \
+    /* what is largest along the trajectory, and how far it is from its conditions: see 8 */                   \
+    X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(MISSING, n) X(LACKING, n) X(PARTS, z) X(LARGEST_SLOPES, z)   \
+    X(CURVATURES, z) X(POINT_SURVEY, 5 * n) X(TOTALS, 2) X(LIMIT_SURVEY, 10) X(ALONG, n) X(ENTRIES, E)         \
+    X(RESIDUALS, RETRAX_RESIDUALS)                                                                             \
     /* Newton step from here, and room for the parts of it that a move makes */                                \
     X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
     X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U) X(CENTRE_PARTS, N *(s > 1 ? n : z))                    \
-    X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)
+    X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)                                                             \
+    X(SLACK_STEPS, N *s *c) X(LIMIT_MULTIPLIER_STEPS, N *s *c) X(EXCESS_STEPS, N *s *c)                        \
+    X(POINT_STEPS, N *s *(s > 1 ? q : z)) X(LIMIT_STEP, 4)
 
-#define RETRAX_NAME_OF(name, count) RETRAX_##name,
-typedef enum { RETRAX_ARRAYS(RETRAX_NAME_OF) RETRAX_ARRAY_COUNT } retrax_array;
+#define RETRAX_NAME_OF(name, count) RETRAX_ARRAY_##name,
+typedef enum { RETRAX_ARRAYS(RETRAX_NAME_OF) RETRAX_ARRAY_TOTAL } retrax_array;
 #undef RETRAX_NAME_OF
 
 /* Where the arrays of a trajectory stand in its memory, and what the functions read and write there. */
 typedef struct {
     const retrax_problem *problem;
-    retrax_index first[RETRAX_ARRAY_COUNT]; /* place of the first number of an array */
-    retrax_index count[RETRAX_ARRAY_COUNT]; /* number of its entries */
+    retrax_index first[RETRAX_ARRAY_TOTAL]; /* place of the first number of an array */
+    retrax_index count[RETRAX_ARRAY_TOTAL]; /* number of its entries */
     retrax_index numbers;                   /* of the memory of a trajectory; those behind the arrays are workspace */
     const retrax_index (*sources[RETRAX_FUNCTIONS])[2];
     const retrax_index (*targets[RETRAX_FUNCTIONS])[2];
@@ -451,9 +461,11 @@ RETRAX_API void retrax_layout_make(const retrax_problem *problem, void *memory, 
  * bytes. */
 RETRAX_API void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory);
 
-/* Assembles the linear system of a trajectory that was evaluated; RIGHT_SIDES, and the Hessians and RIGHT_SLOPES of the
- * points of collocation steps, have the share of the inequalities already, where there are some. */
+/* Assembles the linear system of a trajectory that was evaluated and, where there are inequalities, has their share. */
 RETRAX_API void retrax_assemble_system(const retrax_layout *layout, double *trajectory, retrax_instruction_set set);
+
+/* Writes the right-hand sides of the Newton step at the barrier: NEWTON_SIDES, NEWTON_DEFECTS, NEWTON_SLOPES. */
+RETRAX_API void retrax_write_right_sides(const retrax_layout *layout, double *trajectory);
 
 /* Expands the Newton step of a collocation method: from STEPS and MULTIPLIER_STEPS to VELOCITY_STEPS and
  * POINT_MULTIPLIER_STEPS; nothing for a discretization map. */
@@ -462,6 +474,102 @@ RETRAX_API void retrax_expand_step(const retrax_layout *layout, double *trajecto
 /* Writes the unknowns of a trajectory as those of `from` after a part of the Newton step from there, 0 <= part <= 1. */
 RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double *from, double part,
                                        double *trajectory);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 7. Inequalities
+ *
+ * At each point of a step inequalities g <= 0 are made g + s = t with a slack s > 0 and, where an inequality is elastic, an
+ * excess t > 0 at the penalty rho t; t = 0 where the penalty is infinite. With the barrier mu and the weight w of a point
+ * the cost gets w (rho t - mu log s - mu log t). The multiplier nu and zeta = rho - nu satisfy nu s = mu, zeta t = mu.
+ * Slacks, excesses and multipliers are eliminated at each point: with 1 / D = s / nu + t / zeta
+ *
+ *     dnu = D (g + mu / nu - mu / zeta + J d),
+ *
+ * which leaves w J' D J in the Hessian and w J' D (g + mu (1 / nu - 1 / zeta)) in the slope, affine in mu. An inequality
+ * whose weight is zero is not asked for.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Natural sizes of the inequalities of a trajectory. */
+typedef struct {
+    double rate;          /* of the cost per time: unit of the barrier */
+    const double *limits; /* [c] of the inequalities */
+    double first_penalty; /* relative to rate / limits: the usual first penalty */
+    double near;          /* share of its penalty at which a multiplier says that this is too small */
+    double last_penalty;  /* relative: the largest penalty */
+} retrax_limit_scale;
+
+/* Rows of LIMIT_SURVEY. */
+enum {
+    RETRAX_LIMIT_VIOLATION, /* the largest |g + s - t|, relative to the size of its inequality */
+    RETRAX_LIMIT_EXCESS,    /* the largest excess, relative to that */
+    RETRAX_LIMIT_PRODUCT,   /* the largest of nu s and zeta t */
+    RETRAX_LIMIT_LEAST,     /* the least of them; infinite without inequalities */
+    RETRAX_LIMIT_MISSING,   /* sum of w |g + s - t| / limit */
+    RETRAX_LIMIT_POTENTIAL, /* sum of w (rho t - mu log(s / limit) - mu log(t / limit)) */
+    RETRAX_LIMIT_HELD,      /* sum of w nu (g + s - t) */
+    RETRAX_LIMIT_DEAR,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */
+    RETRAX_LIMIT_CHEAP,     /* 1 where a multiplier comes near to its penalty and that may still grow */
+    RETRAX_LIMIT_LEFT       /* the largest excess whose multiplier comes near to the last penalty, relative to limit */
+};
+
+/* Adds the share of the inequalities to the Hessians of the points, and writes RIGHT_SLOPES and BARRIER_SLOPES, for a
+ * discretization map RIGHT_SIDES and BARRIER_SIDES: the slopes with their share, and what the barrier is multiplied with.
+ * Call it between retrax_evaluate_trajectory and retrax_assemble_system. */
+RETRAX_API void retrax_add_inequalities(const retrax_layout *layout, double *trajectory);
+
+/* Writes LIMIT_SURVEY. Values are measured by their limit, or by a hundredth of the largest one along the trajectory. */
+RETRAX_API void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
+                                           const retrax_limit_scale *scale);
+
+/* Writes SLACK_STEPS, LIMIT_MULTIPLIER_STEPS and EXCESS_STEPS that belong to the Newton step, and LIMIT_STEP: which
+ * fraction of the steps of slacks and excesses stays inside, `share` of the way to the boundary; the same of the steps of
+ * the multipliers; the derivative of the potential along the whole step; sum of w dnu (g + s - t). */
+RETRAX_API void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, double share);
+
+/* Writes slacks, excesses and multipliers as those of `from` after parts of their steps, the primal ones and the dual
+ * ones. Where an inequality is not elastic its multiplier stays within a factor 1e10 of mu / s. */
+RETRAX_API void retrax_move_inequalities(const retrax_layout *layout, const double *from, double primal, double dual,
+                                         double *trajectory);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 8. Convergence: how far a trajectory is from satisfying its conditions
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Entries of RESIDUALS. The first nine are relative to what they are made of. */
+enum {
+    RETRAX_DEFECT,          /* largest distance between ends of steps that should meet, or defect of the points of a step */
+    RETRAX_STATIONARITY,    /* largest derivative of the Lagrangian */
+    RETRAX_VIOLATION,       /* of g + s = t */
+    RETRAX_EXCESS,          /* of t = 0 */
+    RETRAX_COMPLEMENTARITY, /* of nu s = 0 */
+    RETRAX_CENTRING,        /* of nu s = mu */
+    RETRAX_STEADY,          /* the largest that the barrier does not move: defect, stationarity, violation */
+    RETRAX_FINAL,           /* the largest of the problem itself */
+    RETRAX_LARGEST,         /* the largest of the problem with its barrier */
+    RETRAX_INFEASIBILITY,   /* sum of what all nodes, points and inequalities lack, in units of steps */
+    RETRAX_MERIT,           /* cost with its barrier, in its unit */
+    RETRAX_HELD,            /* sum of the multipliers times what is lacking, in the unit of the cost */
+    RETRAX_UNMET,           /* the most that a node or point lacks in a coordinate, in units of success */
+    RETRAX_SHORTFALL,       /* the same in units of steps */
+    RETRAX_RESIDUALS        /* their number */
+};
+
+/* Natural sizes of a trajectory: those that success is judged by, and those of steps. */
+typedef struct {
+    const double *judging_nodes;    /* [n] */
+    const double *judging_unknowns; /* [z] */
+    double least_part;              /* cost that sets the scale of slopes where their parts vanish; 0: their curvature */
+    const double *nodes;            /* [n] */
+    double cost;
+} retrax_residual_scale;
+
+/* Writes what is largest along an assembled trajectory: HIGHEST to CURVATURES and POINT_SURVEY; TOTALS are its cost, and
+ * the sum of its multipliers times what is lacking. */
+RETRAX_API void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory);
+
+/* Writes ALONG, ENTRIES and RESIDUALS of a trajectory that was surveyed; limits: NULL without inequalities. */
+RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *trajectory,
+                                         const retrax_residual_scale *scale, const retrax_limit_scale *limits);
 
 #ifdef __cplusplus
 }

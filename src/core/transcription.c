@@ -12,9 +12,6 @@
 /* Largest half angle of such an arc, in radians: opposite points still have a direction. */
 #define LARGEST_ANGLE (1.57079632679489661923 - 1e-2)
 
-/* The address of an array of a trajectory. */
-#define ARRAY(name) (trajectory + layout->first[RETRAX_##name])
-
 /* ------------------------------------------------------------------------------------------------- evaluation */
 
 void retrax_evaluate_tape(void *context, const retrax_tape_data *data, retrax_index points) {
@@ -187,27 +184,26 @@ void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory)
 
 /* --------------------------------------------------------------------------------------------------- assembly */
 
-/* The equations of the collocation points as condensing takes them. */
-static retrax_collocation_system system_of(const retrax_layout *layout, double *trajectory) {
+/* The equations of the collocation points as condensing takes them; slope: of the Lagrangian with what is added to it. */
+static retrax_collocation_system system_of(const retrax_layout *layout, double *trajectory, const double *slope) {
     const retrax_problem *const problem = layout->problem;
-    const bool one = retrax_right_sides(problem) == 1;
     return (retrax_collocation_system){
         .steps = problem->steps,
         .points = problem->points,
         .state_size = problem->state_size,
         .control_size = problem->control_size,
-        .columns = retrax_right_sides(problem),
+        .columns = 1,
         .step_size = ARRAY(STEP_SIZE),
         .matrix = problem->matrix,
         .weights = problem->weights,
         .hessian = ARRAY(POINT_HESSIANS),
         .jacobian = ARRAY(POINT_JACOBIANS),
-        .slope = one ? ARRAY(POINT_SLOPES) : ARRAY(RIGHT_SLOPES),
-        .defect = one ? ARRAY(POINT_DEFECTS) : ARRAY(RIGHT_DEFECTS),
+        .slope = slope,
+        .defect = ARRAY(POINT_DEFECTS),
         .end_hessian = ARRAY(END_HESSIANS),
         .end_left = ARRAY(END_LEFT),
         .end_right = ARRAY(END_RIGHT),
-        .end_slope = one ? ARRAY(END_SLOPES) : ARRAY(RIGHT_END_SLOPES),
+        .end_slope = ARRAY(END_SLOPES),
     };
 }
 
@@ -226,49 +222,72 @@ static retrax_condensed_system condensed_of(const retrax_layout *layout, double 
     };
 }
 
-/* Writes numbers as the first of two columns, zeros as the second, which the barrier multiplies. */
-static void write_first_column(double *to, const double *from, retrax_index count) {
-    for (retrax_index i = 0; i < count; i++) {
-        to[2 * i] = from[i];
-        to[2 * i + 1] = 0.0;
-    }
-}
-
-void retrax_assemble_system(const retrax_layout *layout, double *trajectory, retrax_instruction_set set) {
+/* Condenses the collocation steps; the velocities that mend the defects of the points change slopes and ends. */
+static void condense(const retrax_layout *layout, double *trajectory, retrax_instruction_set set) {
     const retrax_problem *const problem = layout->problem;
-    const retrax_index N = problem->steps, s = problem->points;
-    if (!retrax_collocates(problem)) {
-        if (problem->inequalities == 0) {
-            copy(ARRAY(RIGHT_SIDES), ARRAY(SLOPES), layout->count[RETRAX_SLOPES]);
-        }
-        return;
-    }
-    if (problem->inequalities > 0) { /* which have a share in the slopes of the points alone */
-        write_first_column(ARRAY(RIGHT_DEFECTS), ARRAY(POINT_DEFECTS), layout->count[RETRAX_POINT_DEFECTS]);
-        write_first_column(ARRAY(RIGHT_END_SLOPES), ARRAY(END_SLOPES), layout->count[RETRAX_END_SLOPES]);
-    }
-    const retrax_collocation_system system = system_of(layout, trajectory);
+    const bool limited = problem->inequalities > 0;
+    const retrax_collocation_system system =
+        system_of(layout, trajectory, limited ? ARRAY(RIGHT_SLOPES) : ARRAY(POINT_SLOPES));
     retrax_condensed_system condensed = condensed_of(layout, trajectory);
-    retrax_condense(&system, &condensed, 0, N, retrax_workspace_of(layout, trajectory), set);
+    retrax_condense(&system, &condensed, 0, problem->steps, retrax_workspace_of(layout, trajectory), set);
+    if (limited) {
+        retrax_condense_slope(&system, &condensed, ARRAY(BARRIER_SLOPES), NULL, ARRAY(SLOPES_BY_VELOCITIES),
+                              ARRAY(BARRIER_SIDES));
+    }
     retrax_condense_slope(&system, &condensed, ARRAY(POINT_SLOPES), ARRAY(END_SLOPES), ARRAY(SLOPES_BY_VELOCITIES),
                           ARRAY(SLOPES));
     retrax_condense_slope(&system, &condensed, ARRAY(POINT_GRADIENTS), NULL, ARRAY(GRADIENTS_BY_VELOCITIES),
                           ARRAY(GRADIENTS));
-    for (retrax_index k = 0; k < N; k++) {
-        ARRAY(COSTS)[k] = 0.0;
-        for (retrax_index i = 0; i < s; i++) {
-            ARRAY(COSTS)[k] += ARRAY(POINT_COSTS)[k * s + i];
+}
+
+void retrax_assemble_system(const retrax_layout *layout, double *trajectory, retrax_instruction_set set) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index s = problem->points;
+    if (retrax_collocates(problem)) {
+        condense(layout, trajectory, set);
+        for (retrax_index k = 0; k < problem->steps; k++) {
+            ARRAY(COSTS)[k] = 0.0;
+            for (retrax_index i = 0; i < s; i++) {
+                ARRAY(COSTS)[k] += ARRAY(POINT_COSTS)[k * s + i];
+            }
         }
+    } else if (problem->inequalities == 0) {
+        copy(ARRAY(RIGHT_SIDES), ARRAY(SLOPES), layout->count[RETRAX_ARRAY_SLOPES]);
     }
 }
 
 /* ----------------------------------------------------------------------------------------------- Newton's step */
 
+/* to = first + barrier * second, or first where there is no second. */
+static void drive(double *to, const double *first, const double *second, double barrier, retrax_index count,
+                  retrax_index driven) {
+    for (retrax_index i = 0; i < count; i++) {
+        to[i] = first[i] + (driven > 0 ? barrier * second[i] : 0.0);
+    }
+}
+
+void retrax_write_right_sides(const retrax_layout *layout, double *trajectory) {
+    const retrax_index *const count = layout->count, n = layout->problem->state_size;
+    const double barrier = *ARRAY(BARRIER);
+    double *const defects = ARRAY(NEWTON_DEFECTS);
+    drive(ARRAY(NEWTON_SIDES), ARRAY(RIGHT_SIDES), ARRAY(BARRIER_SIDES), barrier, count[RETRAX_ARRAY_NEWTON_SIDES],
+          count[RETRAX_ARRAY_BARRIER_SIDES]);
+    drive(ARRAY(NEWTON_SLOPES), ARRAY(RIGHT_SLOPES), ARRAY(BARRIER_SLOPES), barrier, count[RETRAX_ARRAY_NEWTON_SLOPES],
+          count[RETRAX_ARRAY_BARRIER_SLOPES]);
+    copy(defects, ARRAY(ASKED), count[RETRAX_ARRAY_ASKED]);
+    for (retrax_index i = 0; i < count[RETRAX_ARRAY_BEFORE]; i++) {
+        defects[i] += ARRAY(BEFORE)[i];
+        defects[n + i] -= ARRAY(AFTER)[i];
+    }
+}
+
 void retrax_expand_step(const retrax_layout *layout, double *trajectory) {
     if (!retrax_collocates(layout->problem)) {
         return;
     }
-    const retrax_collocation_system system = system_of(layout, trajectory);
+    const bool limited = layout->problem->inequalities > 0;
+    const retrax_collocation_system system =
+        system_of(layout, trajectory, limited ? ARRAY(NEWTON_SLOPES) : ARRAY(POINT_SLOPES));
     const retrax_condensed_system condensed = condensed_of(layout, trajectory);
     retrax_expand(&system, &condensed, 0, layout->problem->steps, ARRAY(STEPS), ARRAY(MULTIPLIER_STEPS),
                   ARRAY(VELOCITY_STEPS), ARRAY(POINT_MULTIPLIER_STEPS), retrax_workspace_of(layout, trajectory));
@@ -299,7 +318,7 @@ static void move_collocation(const retrax_layout *layout, const double *from, do
     const retrax_problem *const problem = layout->problem;
     const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, E = problem->state_numbers;
     const retrax_index m = problem->control_size, z = n + s * m;
-    const double *const steps = from + layout->first[RETRAX_STEPS];
+    const double *const steps = from + layout->first[RETRAX_ARRAY_STEPS];
     for (retrax_index k = 0; k < N; k++) {
         write_parts(ARRAY(CENTRE_PARTS) + k * n, steps + k * z, part, n);
         write_parts(ARRAY(CONTROL_PARTS) + k * s * m, steps + k * z + n, part, s * m);
@@ -308,8 +327,8 @@ static void move_collocation(const retrax_layout *layout, const double *from, do
     evaluate(layout, trajectory, RETRAX_MOVE_CONTROLS, N * s);
     for (retrax_index k = 0; k < N * s; k++) {
         const double *const carried = ARRAY(CARRIED) + k / s * n * n;
-        const double *const velocity = from + layout->first[RETRAX_VELOCITIES] + k * n;
-        const double *const step = from + layout->first[RETRAX_VELOCITY_STEPS] + k * n;
+        const double *const velocity = from + layout->first[RETRAX_ARRAY_VELOCITIES] + k * n;
+        const double *const step = from + layout->first[RETRAX_ARRAY_VELOCITY_STEPS] + k * n;
         for (retrax_index a = 0; a < n; a++) {
             double found = 0.0;
             for (retrax_index b = 0; b < n; b++) {
@@ -318,22 +337,22 @@ static void move_collocation(const retrax_layout *layout, const double *from, do
             ARRAY(VELOCITIES)[k * n + a] = found;
         }
     }
-    write_covectors(ARRAY(POINT_COSTATES), from + layout->first[RETRAX_POINT_FRAMES],
-                    from + layout->first[RETRAX_POINT_MULTIPLIERS],
-                    from + layout->first[RETRAX_POINT_MULTIPLIER_STEPS], part, N * s, n, E);
+    write_covectors(ARRAY(POINT_COSTATES), from + layout->first[RETRAX_ARRAY_POINT_FRAMES],
+                    from + layout->first[RETRAX_ARRAY_POINT_MULTIPLIERS],
+                    from + layout->first[RETRAX_ARRAY_POINT_MULTIPLIER_STEPS], part, N * s, n, E);
 }
 
 void retrax_move_trajectory(const retrax_layout *layout, const double *from, double part, double *trajectory) {
     const retrax_problem *const problem = layout->problem;
-    copy(ARRAY(CENTRES_BEFORE), from + layout->first[RETRAX_CENTRES], layout->count[RETRAX_CENTRES]);
-    copy(ARRAY(CONTROLS_BEFORE), from + layout->first[RETRAX_CONTROLS], layout->count[RETRAX_CONTROLS]);
+    copy(ARRAY(CENTRES_BEFORE), from + layout->first[RETRAX_ARRAY_CENTRES], layout->count[RETRAX_ARRAY_CENTRES]);
+    copy(ARRAY(CONTROLS_BEFORE), from + layout->first[RETRAX_ARRAY_CONTROLS], layout->count[RETRAX_ARRAY_CONTROLS]);
     if (retrax_collocates(problem)) {
         move_collocation(layout, from, part, trajectory);
     } else {
-        write_parts(ARRAY(CENTRE_PARTS), from + layout->first[RETRAX_STEPS], part, layout->count[RETRAX_STEPS]);
+        write_parts(ARRAY(CENTRE_PARTS), from + layout->first[RETRAX_ARRAY_STEPS], part, layout->count[RETRAX_ARRAY_STEPS]);
         evaluate(layout, trajectory, RETRAX_MOVE, problem->steps);
     }
-    write_covectors(ARRAY(COSTATES), from + layout->first[RETRAX_NODE_FRAMES],
-                    from + layout->first[RETRAX_MULTIPLIERS], from + layout->first[RETRAX_MULTIPLIER_STEPS], part,
+    write_covectors(ARRAY(COSTATES), from + layout->first[RETRAX_ARRAY_NODE_FRAMES],
+                    from + layout->first[RETRAX_ARRAY_MULTIPLIERS], from + layout->first[RETRAX_ARRAY_MULTIPLIER_STEPS], part,
                     problem->steps + 1, problem->state_size, problem->state_numbers);
 }

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from retrax.compute.core import best_instruction_set
 from retrax.compute.tape_machine import MachineProgram
-from retrax.compute.transcription import FunctionName, Sizes, Trajectory, Transcription
+from retrax.compute.transcription import FunctionName, LimitScale, Scale, Sizes, Trajectory, Transcription
+from retrax.integrators.boundary_value.engine.barrier import PRICES
 from retrax.integrators.boundary_value.engine.collocation import Collocation
 from retrax.integrators.boundary_value.engine.conditions import Conditions
+from retrax.integrators.boundary_value.engine.inequalities import BOUNDARY
 from retrax.integrators.boundary_value.engine.transcription import Moves
 from retrax.manifolds import InvalidInputError
 
@@ -68,7 +70,9 @@ def put(found: Trajectory, conditions: Conditions, iterate: Any) -> Trajectory:
     if isinstance(conditions.transcription, Collocation):
         given |= {"VELOCITIES": iterate.unknowns.velocities, "POINT_COSTATES": iterate.unknowns.costates}
     if iterate.slacks is not None:
-        given["PRICES"] = iterate.slacks.multipliers
+        names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES", "BARRIER"
+        given |= dict(zip(names, iterate.slacks, strict=True))
+        given["LIMIT_WEIGHTS"] = conditions.transcription.weights(data)
     for name, array in given.items():
         found[name][...] = np.ravel(array)
     return found
@@ -81,7 +85,7 @@ def compare(found: Trajectory, expected: dict[str, np.ndarray]) -> None:
         np.testing.assert_allclose(found[name], np.ravel(array), rtol=1e-9, atol=2e-11 * size, err_msg=name)
 
 
-def system(assembled: Any, limited: bool) -> dict[str, np.ndarray]:
+def system(assembled: Any) -> dict[str, np.ndarray]:
     """The engine's arrays by their names in the core."""
     blocks, inner = assembled.blocks, assembled.blocks.inner
     found = {
@@ -92,9 +96,19 @@ def system(assembled: Any, limited: bool) -> dict[str, np.ndarray]:
     if inner is not None:
         found |= {"POINT_DEFECTS": inner.defect, "POINT_MULTIPLIERS": inner.multipliers, "POINT_FRAMES": inner.frames}
         found |= {"GRADIENTS_BY_VELOCITIES": inner.gradient}
-    if limited:  # the engine adds their share where it evaluates
-        return found | {"LIMITS": blocks.held.values, "LIMIT_JACOBIANS": blocks.held.jacobian, "SLOPES": blocks.slope}
-    return found | {"HESSIANS": blocks.hessian, "RIGHT_SIDES": blocks.slope}
+    found |= {"HESSIANS": blocks.hessian, "RIGHT_SIDES": blocks.slope}
+    if blocks.held is not None:
+        found |= {
+            "LIMITS": blocks.held.values,
+            "LIMIT_JACOBIANS": blocks.held.jacobian,
+            "RIGHT_SIDES": blocks.pushed[..., 0],
+        }
+        found |= {"BARRIER_SIDES": blocks.pushed[..., 1], "SLOPES": blocks.slope}
+    names = "HIGHEST", "LOWEST", "SUPPORT", None, "MISSING", "LACKING", None, "PARTS", "LARGEST_SLOPES", "CURVATURES"
+    found |= {name: own for name, own in zip(names, assembled.extent, strict=True) if name}
+    if inner is not None and blocks.held is None:  # the engine takes the slopes of Newton's step for those of the cost
+        del found["LARGEST_SLOPES"]
+    return found
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -102,8 +116,8 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
     """Along a solve, at all iterates and for all steps and parts of steps; the cases share out the instruction sets."""
     own = SETS[NAMES.index(name) % len(SETS)]
     solver, way, options = CASES[name]()
-    made, moves = [0, 0], {}
-    assemble, move = Conditions.assemble, Conditions.move
+    made, moves = [0, 0, 0], {}
+    assemble, move, appraise = Conditions.assemble, Conditions.move, Conditions.appraised
 
     def of(conditions: Conditions) -> Transcription:
         key = id(conditions.transcription)
@@ -115,8 +129,30 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
         found = assemble(self, iterate, paid)
         at = put(of(self).trajectory(), self, iterate)
         at.evaluate()
-        compare(at, system(found, iterate.slacks is not None))
+        compare(at, system(found))
         made[0] += 1
+        return found
+
+    def appraised(self: Conditions, iterate: Any, assembled: Any) -> Any:
+        found = appraise(self, iterate, assembled)
+        at, limits, least = put(of(self).trajectory(), self, iterate), None, 0.0
+        at.evaluate()
+        if self.barrier is not None and iterate.slacks is not None:
+            limits = LimitScale(float(self.barrier.rate[0]), self.barrier.limits[0], *PRICES)
+            least = float(self.judging.cost[0])
+        own = [Scale(*map(np.ascontiguousarray, (a.unknowns[0], a.nodes[0])), float(a.cost[0])) for a in
+               (self.judging, self.measured)]  # fmt: skip
+        at.measure(*own, limits, least)
+        numbers = np.concatenate([*found.residuals, *found[3:]])
+        near = assembled.blocks.inner is None or limits is not None or found.residuals.gap[0] < 1e-9
+        told = np.arange(len(numbers)) if near else [0, 2, 3, 4, 5, *range(9, 14)]
+        np.testing.assert_allclose(
+            at["RESIDUALS"][told], numbers[told], rtol=1e-7, atol=1e-9 * max(1.0, abs(numbers[9:12]).max())
+        )
+        compare(at, {"ALONG": found.along, "ENTRIES": found.entries})
+        if limits is not None:
+            np.testing.assert_allclose(at["LIMIT_SURVEY"], self._survey_of(iterate, assembled)[:, 0], rtol=1e-8)
+        made[2] += 1
         return found
 
     def moved(self: Conditions, iterate: Any, before: Any, step: Any, fraction: np.ndarray) -> Any:
@@ -124,12 +160,21 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
         at, to = (put(of(self).trajectory(), self, iterate) for _ in range(2))
         at.evaluate()
         at["STEPS"][...], at["MULTIPLIER_STEPS"][...] = step.unknowns.ravel(), step.multipliers.ravel()
-        if step.inner is not None and iterate.slacks is None:
+        if step.inner is not None:
             at.expand()
             compare(at, dict(zip(("VELOCITY_STEPS", "POINT_MULTIPLIER_STEPS"), step.inner, strict=True)))
-        elif step.inner is not None:
-            at["VELOCITY_STEPS"][...], at["POINT_MULTIPLIER_STEPS"][...] = map(np.ravel, step.inner)
         to.move(at, float((fraction * step.reach)[0]))
+        if step.turn is not None:
+            at.step_inequalities(BOUNDARY)
+            turn, names = step.turn, ("SLACK_STEPS", "LIMIT_MULTIPLIER_STEPS", "EXCESS_STEPS")
+            compare(at, dict(zip(names, turn[:3], strict=True)))
+            np.testing.assert_allclose(
+                at["LIMIT_STEP"][1:], np.ravel([turn.dual, turn.ahead, turn.lacking]), rtol=1e-7, atol=1e-9
+            )
+            assert turn.reach[0] == pytest.approx(min(1.0, at["LIMIT_STEP"][0]), rel=1e-9)
+            to.move_inequalities(at, float((fraction * turn.reach)[0]), float(turn.dual[0]))
+            names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES"
+            compare(to, dict(zip(names, found.slacks[:3], strict=True)))
         unknowns = {"CENTRES": found.unknowns.centres, "CONTROLS": found.unknowns.controls, "COSTATES": found.costates}
         if step.inner is not None:
             unknowns |= {"VELOCITIES": found.unknowns.velocities, "POINT_COSTATES": found.unknowns.costates}
@@ -139,6 +184,7 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
 
     monkeypatch.setattr(Conditions, "assemble", assembled)
     monkeypatch.setattr(Conditions, "move", moved)
+    monkeypatch.setattr(Conditions, "appraised", appraised)
     monkeypatch.setattr(Conditions, "setting", None)
     assert solver.solve(*way, **options).success
     assert min(made) > 0
@@ -160,7 +206,7 @@ def test_ends_that_are_far_apart_meet_as_in_the_engine(share, monkeypatch):
     at.evaluate()
     expected = conditions.assemble(far)
     assert not np.allclose(expected.asked, expected.gap)
-    compare(at, system(expected, limited=False))
+    compare(at, system(expected))
 
 
 def test_what_does_not_fit_is_refused(monkeypatch):

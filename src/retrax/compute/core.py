@@ -179,7 +179,7 @@ class ProblemStruct(Structure):
     )
 
 
-ARRAYS = 72  # of a trajectory
+ARRAYS = 99  # of a trajectory
 
 
 @final
@@ -193,6 +193,32 @@ class LayoutStruct(Structure):
         ("numbers", c_ssize_t),
         ("sources", c_void_p * FUNCTIONS),
         ("targets", c_void_p * FUNCTIONS),
+    )
+
+
+@final
+class LimitScaleStruct(Structure):
+    """``retrax_limit_scale``."""
+
+    _fields_ = (
+        ("rate", c_double),
+        ("limits", c_void_p),
+        ("first_penalty", c_double),
+        ("near", c_double),
+        ("last_penalty", c_double),
+    )
+
+
+@final
+class ResidualScaleStruct(Structure):
+    """``retrax_residual_scale``."""
+
+    _fields_ = (
+        ("judging_nodes", c_void_p),
+        ("judging_unknowns", c_void_p),
+        ("least_part", c_double),
+        ("nodes", c_void_p),
+        ("cost", c_double),
     )
 
 
@@ -231,6 +257,16 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_layout_make": (None, [POINTER(ProblemStruct), c_void_p, POINTER(LayoutStruct)]),
     "retrax_evaluate_trajectory": (None, [POINTER(LayoutStruct), c_void_p]),
     "retrax_assemble_system": (None, [POINTER(LayoutStruct), c_void_p, c_int]),
+    "retrax_add_inequalities": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_survey_inequalities": (None, [POINTER(LayoutStruct), c_void_p, POINTER(LimitScaleStruct)]),
+    "retrax_step_inequalities": (None, [POINTER(LayoutStruct), c_void_p, c_double]),
+    "retrax_move_inequalities": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_double, c_void_p]),
+    "retrax_survey_trajectory": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_measure_residuals": (
+        None,
+        [POINTER(LayoutStruct), c_void_p, POINTER(ResidualScaleStruct), POINTER(LimitScaleStruct)],
+    ),
+    "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
     "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p]),
     "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),
 }

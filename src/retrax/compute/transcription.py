@@ -13,11 +13,12 @@ from .core import (
     ARRAYS,
     BYTES,
     FLOAT,
-    FUNCTIONS,
     PLACE,
     FunctionStruct,
     LayoutStruct,
+    LimitScaleStruct,
     ProblemStruct,
+    ResidualScaleStruct,
     TapeFunctionStruct,
     address_of,
     best_instruction_set,
@@ -53,6 +54,26 @@ class Sizes(NamedTuple):
 
 
 @final
+class Scale(NamedTuple):
+    """Natural sizes: of the unknowns of a step, shape ``(z,)``, of the nodes, ``(n,)``, and of the cost of a step."""
+
+    unknowns: np.ndarray
+    nodes: np.ndarray
+    cost: float
+
+
+@final
+class LimitScale(NamedTuple):
+    """Natural sizes of the inequalities; ``retrax_core.h`` explains them."""
+
+    rate: float
+    limits: np.ndarray  # (c,)
+    first_penalty: float
+    near: float
+    last_penalty: float
+
+
+@final
 class Transcription:
     """A transcribed problem as the core has it.
 
@@ -76,7 +97,7 @@ class Transcription:
             address_of(weights, FLOAT, (s,), "weights of a tableau"),
             address_of(columns, PLACE, (sizes.state_numbers,), "columns of the entries of a state"),
         )
-        if columns.size and not (0 <= columns.min() and columns.max() < sizes.state_numbers):
+        if columns.size and not (columns.min() >= 0 and columns.max() < sizes.state_numbers):
             raise InvalidInputError(f"columns of entries lie in 0 to {sizes.state_numbers - 1}, got {columns}")
         self._problem = ProblemStruct(*sizes, *addresses)
         self._kept: list[object] = [matrix, weights, columns]
@@ -133,9 +154,44 @@ class Trajectory:
 
     def evaluate(self) -> None:
         """Evaluate the functions of the problem at the unknowns, and assemble the linear system."""
+        own, here = self._of._library, (byref(self._layout), self._address)
+        own.retrax_evaluate_trajectory(*here)
+        if self._of.sizes.inequalities:
+            own.retrax_add_inequalities(*here)
+        own.retrax_assemble_system(*here, self._of._set)
+        own.retrax_write_right_sides(*here)
+        own.retrax_survey_trajectory(*here)
+
+    def measure(self, judging: Scale, steps: Scale, limits: LimitScale | None, least_part: float) -> None:
+        """Measure how far the trajectory is from its conditions, and survey its inequalities.
+
+        ``judging``, ``steps``: natural sizes that success is judged by, and those of steps; ``least_part``: the cost
+        that sets the scale of slopes where their parts vanish, 0 where their curvature does.
+        """
+        own, here, of_limits = self._of._library, (byref(self._layout), self._address), None
+        n, z = self._of.sizes.state_size, len(self["PARTS"])
+        scale = ResidualScaleStruct(
+            address_of(judging.nodes, FLOAT, (n,), "natural sizes of nodes"),
+            address_of(judging.unknowns, FLOAT, (z,), "natural sizes of unknowns"),
+            least_part,
+            address_of(steps.nodes, FLOAT, (n,), "natural sizes of nodes"),
+            steps.cost,
+        )
+        if limits is not None:
+            c = self._of.sizes.inequalities
+            place = address_of(limits.limits, FLOAT, (c,), "natural sizes of inequalities")
+            of_limits = byref(LimitScaleStruct(limits.rate, place, *limits[2:]))
+            own.retrax_survey_inequalities(*here, of_limits)
+        own.retrax_measure_residuals(*here, byref(scale), of_limits)
+
+    def step_inequalities(self, share: float) -> None:
+        """Compute the steps of slacks, excesses and multipliers, of which a share of the way to the boundary is made."""
+        self._of._library.retrax_step_inequalities(byref(self._layout), self._address, share)
+
+    def move_inequalities(self, before: "Trajectory", primal: float, dual: float) -> None:
+        """Set slacks, excesses and multipliers to those of another trajectory after parts of their steps."""
         own = self._of._library
-        own.retrax_evaluate_trajectory(byref(self._layout), self._address)
-        own.retrax_assemble_system(byref(self._layout), self._address, self._of._set)
+        own.retrax_move_inequalities(byref(self._layout), before._address, primal, dual, self._address)
 
     def expand(self) -> None:
         """Compute the steps of the velocities and multipliers of points from those of the linear system."""
