@@ -17,6 +17,9 @@
 /* Share of the largest entry of a frame vector up to which others are rounding: the root of the machine precision. */
 #define ROUNDING 1.4901161193847656e-08
 
+/* An entry that moves by a smaller share of its value is constant, but for rounding. */
+#define STILL 1e-12
+
 /* Rows of POINT_SURVEY. */
 enum { OF_STEP, TOTAL, OF_POINT, MULTIPLIER, SLOPE };
 
@@ -107,6 +110,51 @@ void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory) {
     survey_steps(layout, trajectory);
     if (retrax_collocates(layout->problem)) {
         survey_points(layout, trajectory);
+    }
+}
+
+/* Whether an entry has a coordinate of its own, which moves nothing else. */
+static bool is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry) {
+    retrax_index owner = 0, owners = 0, moved = 0;
+    for (retrax_index a = 0; a < n; a++) {
+        if (support[a * E + entry] > 0.0) {
+            owner = a;
+            owners++;
+        }
+    }
+    for (retrax_index e = 0; e < E && owners == 1; e++) {
+        moved += support[owner * E + e] > 0.0;
+    }
+    return moved == 1;
+}
+
+void retrax_measure_motion(const retrax_layout *layout, const double *trajectory, double *work, double *moved,
+                           double *sizes) {
+    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    const retrax_index *const columns = layout->problem->columns;
+    const double *const support = ARRAY(SUPPORT);
+    double *const own = work, *const of_columns = work + E; /* sizes that an entry is beside; of the columns */
+    memset(of_columns, 0, sizeof(double) * (size_t)E);
+    for (retrax_index e = 0; e < E; e++) {
+        const double value = larger(ARRAY(HIGHEST)[e], ARRAY(LOWEST)[e]);
+        of_columns[columns[e]] = larger(of_columns[columns[e]], value);
+    }
+    for (retrax_index e = 0; e < E; e++) {
+        own[e] = is_alone(support, n, E, e) ? 0.0 : of_columns[columns[e]];
+    }
+    for (retrax_index a = 0; a < n; a++) {
+        double far = 0.0, most = 0.0, whole = 0.0;
+        for (retrax_index e = 0; e < E; e++) {
+            const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], share = support[a * E + e];
+            const double value = larger(high, low);
+            if (high + low > STILL * value) {
+                far = larger(far, share * (high + low));
+            }
+            whole = larger(whole, share * own[e]);
+            most = larger(most, share * larger(value, own[e]));
+        }
+        moved[a] = far > ROUNDING * whole ? far : 0.0;
+        sizes[a] = most;
     }
 }
 

@@ -3,22 +3,13 @@
  */
 #include "layout.h"
 
-#include "dense.h"
 #include "workspace.h"
 
-/* Numbers that arrays are aligned to. */
-#define ALIGNED ((retrax_index)(RETRAX_ALIGNMENT / sizeof(double)))
 /* Bounds of the sizes of a problem, and of its steps: products of four sizes do not overflow. */
 #define LARGEST_SIZE ((retrax_index)1 << 10)
 #define MOST_STEPS ((retrax_index)1 << 20)
 
 bool retrax_collocates(const retrax_problem *problem) { return problem->points > 1; }
-
-void *retrax_workspace_of(const retrax_layout *layout, double *trajectory) {
-    const int last = RETRAX_ARRAY_TOTAL - 1;
-    const retrax_index end = layout->first[last] + layout->count[last];
-    return trajectory + (end + ALIGNED - 1) / ALIGNED * ALIGNED;
-}
 
 /* ---------------------------------------------------------------------------------------------------- arrays */
 
@@ -53,13 +44,6 @@ static bool fits(const retrax_problem *problem) {
     return problem->steps >= 1 && problem->steps <= MOST_STEPS;
 }
 
-/* Bytes of workspace behind the arrays of a trajectory. */
-static size_t workspace_bytes(const retrax_problem *problem) {
-    return retrax_collocates(problem) ? retrax_condensing_workspace(problem->points, problem->state_size,
-                                                             problem->control_size, 1)
-                               : 0;
-}
-
 /* Writes where the arrays stand; returns the numbers of a trajectory, 0 if it exceeds the address space. */
 static retrax_index place_arrays(const retrax_problem *problem, retrax_layout *layout) {
     retrax_block block = {NULL, 0};
@@ -68,7 +52,6 @@ static retrax_index place_arrays(const retrax_problem *problem, retrax_layout *l
         layout->first[array] = (retrax_index)(block.used / sizeof(double));
         retrax_take(&block, layout->count[array], 1, sizeof(double));
     }
-    retrax_take(&block, 1, 1, workspace_bytes(problem) + 1);
     return block.used == SIZE_MAX ? 0 : (retrax_index)(block.used / sizeof(double));
 }
 
@@ -282,7 +265,7 @@ static void take_all_places(const retrax_problem *problem, retrax_block *block, 
 size_t retrax_layout_memory(const retrax_problem *problem) {
     retrax_layout layout;
     retrax_block block = {NULL, 0};
-    if (!fits(problem) || (retrax_collocates(problem) && workspace_bytes(problem) == 0) || place_arrays(problem, &layout) == 0) {
+    if (!fits(problem) || place_arrays(problem, &layout) == 0) {
         return 0;
     }
     take_all_places(problem, &block, &layout);
@@ -296,3 +279,18 @@ void retrax_layout_make(const retrax_problem *problem, void *memory, retrax_layo
     take_all_places(problem, &block, layout);
 }
 
+
+/* The larger of both sizes; 0, which says that something does not fit, if one of them is 0. */
+static size_t larger_of(size_t a, size_t b) { return a == 0 || b == 0 ? 0 : (a > b ? a : b); }
+
+size_t retrax_workspace(const retrax_problem *problem) {
+    const retrax_index n = problem->state_size, z = n + problem->points * problem->control_size;
+    if (!fits(problem)) {
+        return 0;
+    }
+    size_t found = retrax_block_workspace(problem->steps, n, z, 1);
+    found = larger_of(found, retrax_scaling_workspace(problem));
+    return retrax_collocates(problem)
+               ? larger_of(found, retrax_condensing_workspace(problem->points, n, problem->control_size, 1))
+               : found;
+}

@@ -17,7 +17,7 @@
 /* Whether the method of a problem is a collocation method, and not a discretization map. */
 bool retrax_collocates(const retrax_problem *problem);
 
-/* The workspace behind the arrays of a trajectory. */
-void *retrax_workspace_of(const retrax_layout *layout, double *trajectory);
+/* Bytes of workspace of retrax_measure_scale; 0 if it exceeds the address space. */
+size_t retrax_scaling_workspace(const retrax_problem *problem);
 
 #endif /* RETRAX_LAYOUT_H */

@@ -14,12 +14,14 @@
  *   6. Transcription: from the iterate of a trajectory to the linear system of a Newton step
  *   7. Inequalities
  *   8. Convergence: how far a trajectory is from satisfying its conditions
+ *   9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
 #ifndef RETRAX_CORE_H
 #define RETRAX_CORE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -438,7 +440,7 @@ typedef struct {
     const retrax_problem *problem;
     retrax_index first[RETRAX_ARRAY_TOTAL]; /* place of the first number of an array */
     retrax_index count[RETRAX_ARRAY_TOTAL]; /* number of its entries */
-    retrax_index numbers;                   /* of the memory of a trajectory; those behind the arrays are workspace */
+    retrax_index numbers;                   /* of the memory of a trajectory */
     const retrax_index (*sources[RETRAX_FUNCTIONS])[2];
     const retrax_index (*targets[RETRAX_FUNCTIONS])[2];
 } retrax_layout;
@@ -457,19 +459,24 @@ RETRAX_API size_t retrax_layout_memory(const retrax_problem *problem);
  * memory have to last as long as the layout. */
 RETRAX_API void retrax_layout_make(const retrax_problem *problem, void *memory, retrax_layout *layout);
 
+/* Returns the bytes of workspace that the functions below need, aligned to 64 bytes: one workspace serves one thread. 0 if a
+ * size is out of bounds. */
+RETRAX_API size_t retrax_workspace(const retrax_problem *problem);
+
 /* Evaluates the functions of the problem at the unknowns of a trajectory. trajectory: double [layout.numbers], aligned to 64
  * bytes. */
 RETRAX_API void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory);
 
 /* Assembles the linear system of a trajectory that was evaluated and, where there are inequalities, has their share. */
-RETRAX_API void retrax_assemble_system(const retrax_layout *layout, double *trajectory, retrax_instruction_set set);
+RETRAX_API void retrax_assemble_system(const retrax_layout *layout, double *trajectory, void *workspace,
+                                       retrax_instruction_set set);
 
 /* Writes the right-hand sides of the Newton step at the barrier: NEWTON_SIDES, NEWTON_DEFECTS, NEWTON_SLOPES. */
 RETRAX_API void retrax_write_right_sides(const retrax_layout *layout, double *trajectory);
 
 /* Expands the Newton step of a collocation method: from STEPS and MULTIPLIER_STEPS to VELOCITY_STEPS and
  * POINT_MULTIPLIER_STEPS; nothing for a discretization map. */
-RETRAX_API void retrax_expand_step(const retrax_layout *layout, double *trajectory);
+RETRAX_API void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *workspace);
 
 /* Writes the unknowns of a trajectory as those of `from` after a part of the Newton step from there, 0 <= part <= 1. */
 RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double *from, double part,
@@ -570,6 +577,42 @@ RETRAX_API void retrax_survey_trajectory(const retrax_layout *layout, double *tr
 /* Writes ALONG, ENTRIES and RESIDUALS of a trajectory that was surveyed; limits: NULL without inequalities. */
 RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *trajectory,
                                          const retrax_residual_scale *scale, const retrax_limit_scale *limits);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
+ *
+ * A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest to a
+ * deviation e costs e' G^-1 e / 2 with the Gramian G_{k+1} = A G_k A' + B W B' of the linearised steps, where W is the
+ * inverse curvature of the cost in the controls. Both ends are fixed, so the smaller of the Gramians from the start and from
+ * the end counts. One factor is left, the size of the trajectory: what controls have to make up for of the ends that a
+ * drifting trajectory misses, and what the slope of the cost asks for. No size is next to nothing: not beside what each step
+ * makes of the sizes of others, nor beside what costs as much as all others do.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Natural sizes; the arrays belong to the caller. */
+typedef struct {
+    double *unknowns; /* [z] of a step */
+    double *nodes;    /* [n] */
+    double cost;      /* of a step */
+} retrax_scale;
+
+/* Of what the natural sizes of a trajectory are made beside its linear system; the arrays are only read. */
+typedef struct {
+    const double *sizes;  /* [z] what states move by along the trajectory, and sizes of controls */
+    const double *values; /* [z] sizes of coordinates that nothing moves */
+    const double *room;   /* [s m] how far inequalities let the controls go; infinite where they do not stop them */
+    bool curved;          /* whether the curvature of the cost in the controls is more than rounding */
+} retrax_scale_data;
+
+/* Writes the natural sizes of an assembled trajectory. */
+RETRAX_API void retrax_measure_scale(const retrax_layout *layout, const double *trajectory,
+                                     const retrax_scale_data *data, void *workspace, retrax_scale *scale);
+
+/* Writes what each coordinate of the nodes of a surveyed trajectory moves by, 0 where that is rounding, and its size. moved
+ * and sizes: [n]; work: [2 E]. Beside the size of its column a motion may be rounding, as the tilt of an attitude that turns
+ * about one axis. */
+RETRAX_API void retrax_measure_motion(const retrax_layout *layout, const double *trajectory, double *work, double *moved,
+                                      double *sizes);
 
 #ifdef __cplusplus
 }

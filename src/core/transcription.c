@@ -223,13 +223,13 @@ static retrax_condensed_system condensed_of(const retrax_layout *layout, double 
 }
 
 /* Condenses the collocation steps; the velocities that mend the defects of the points change slopes and ends. */
-static void condense(const retrax_layout *layout, double *trajectory, retrax_instruction_set set) {
+static void condense(const retrax_layout *layout, double *trajectory, void *workspace, retrax_instruction_set set) {
     const retrax_problem *const problem = layout->problem;
     const bool limited = problem->inequalities > 0;
     const retrax_collocation_system system =
         system_of(layout, trajectory, limited ? ARRAY(RIGHT_SLOPES) : ARRAY(POINT_SLOPES));
     retrax_condensed_system condensed = condensed_of(layout, trajectory);
-    retrax_condense(&system, &condensed, 0, problem->steps, retrax_workspace_of(layout, trajectory), set);
+    retrax_condense(&system, &condensed, 0, problem->steps, workspace, set);
     if (limited) {
         retrax_condense_slope(&system, &condensed, ARRAY(BARRIER_SLOPES), NULL, ARRAY(SLOPES_BY_VELOCITIES),
                               ARRAY(BARRIER_SIDES));
@@ -240,11 +240,12 @@ static void condense(const retrax_layout *layout, double *trajectory, retrax_ins
                           ARRAY(GRADIENTS));
 }
 
-void retrax_assemble_system(const retrax_layout *layout, double *trajectory, retrax_instruction_set set) {
+void retrax_assemble_system(const retrax_layout *layout, double *trajectory, void *workspace,
+                            retrax_instruction_set set) {
     const retrax_problem *const problem = layout->problem;
     const retrax_index s = problem->points;
     if (retrax_collocates(problem)) {
-        condense(layout, trajectory, set);
+        condense(layout, trajectory, workspace, set);
         for (retrax_index k = 0; k < problem->steps; k++) {
             ARRAY(COSTS)[k] = 0.0;
             for (retrax_index i = 0; i < s; i++) {
@@ -281,7 +282,7 @@ void retrax_write_right_sides(const retrax_layout *layout, double *trajectory) {
     }
 }
 
-void retrax_expand_step(const retrax_layout *layout, double *trajectory) {
+void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *workspace) {
     if (!retrax_collocates(layout->problem)) {
         return;
     }
@@ -290,7 +291,7 @@ void retrax_expand_step(const retrax_layout *layout, double *trajectory) {
         system_of(layout, trajectory, limited ? ARRAY(NEWTON_SLOPES) : ARRAY(POINT_SLOPES));
     const retrax_condensed_system condensed = condensed_of(layout, trajectory);
     retrax_expand(&system, &condensed, 0, layout->problem->steps, ARRAY(STEPS), ARRAY(MULTIPLIER_STEPS),
-                  ARRAY(VELOCITY_STEPS), ARRAY(POINT_MULTIPLIER_STEPS), retrax_workspace_of(layout, trajectory));
+                  ARRAY(VELOCITY_STEPS), ARRAY(POINT_MULTIPLIER_STEPS), workspace);
 }
 
 /* Writes covectors with coordinates c + part * d in frames of n directions. */

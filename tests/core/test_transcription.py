@@ -7,6 +7,8 @@ import pytest
 from retrax.compute.core import best_instruction_set
 from retrax.compute.tape_machine import MachineProgram
 from retrax.compute.transcription import FunctionName, LimitScale, Scale, Sizes, Trajectory, Transcription
+from retrax.integrators.boundary_value.engine import beginning
+from retrax.integrators.boundary_value.engine import first_units as engine_units
 from retrax.integrators.boundary_value.engine.barrier import PRICES
 from retrax.integrators.boundary_value.engine.collocation import Collocation
 from retrax.integrators.boundary_value.engine.conditions import Conditions
@@ -116,7 +118,8 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
     """Along a solve, at all iterates and for all steps and parts of steps; the cases share out the instruction sets."""
     own = SETS[NAMES.index(name) % len(SETS)]
     solver, way, options = CASES[name]()
-    made, moves = [0, 0, 0], {}
+    made, moves, given = [0, 0, 0, 0], {}, []
+    natural_units, units_of = engine_units.natural_units, engine_units.first_units
     assemble, move, appraise = Conditions.assemble, Conditions.move, Conditions.appraised
 
     def of(conditions: Conditions) -> Transcription:
@@ -155,6 +158,31 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
         made[2] += 1
         return found
 
+    def measured(system: Any, gradient: Any, states: Any, controls: Any, values: Any, curved: Any, room: Any) -> Any:
+        found = natural_units(system, gradient, states, controls, values, curved, room)
+        given.append((np.concatenate([states, controls], axis=1)[0], np.array(values[0]), controls, curved, room))
+        return found
+
+    def first_units(conditions: Conditions, iterate: Any, assembled: Any, least: Any = 0.0) -> Any:
+        found = units_of(conditions, iterate, assembled, least)
+        at = put(of(conditions).trajectory(), conditions, iterate)
+        at.evaluate()
+        moved = assembled.extent.moved(conditions.at_nodes.layout)
+        for own, expected in zip(at.motion(), moved, strict=True):
+            np.testing.assert_allclose(own, expected[0], rtol=1e-9)
+        sizes, values, controls, curved, room = given.pop()
+        free, bent = np.broadcast_to(room, controls.shape)[0].copy(), bool(np.all(curved))
+        scale = at.scale(sizes, values, free, bent)
+        # A size that a curvature of rounding asks for is rounding too.
+        curvature = assembled.extent.curvature[0]
+        told = (curvature == 0) | (curvature > 1e-9 * curvature.max())
+        np.testing.assert_allclose(scale.unknowns[told], found.unknowns[0][told], rtol=1e-6)
+        if told.all():
+            np.testing.assert_allclose(scale.nodes, found.nodes[0], rtol=1e-6)
+            np.testing.assert_allclose(scale.cost, found.cost[0], rtol=1e-6)
+        made[3] += told.all()
+        return found
+
     def moved(self: Conditions, iterate: Any, before: Any, step: Any, fraction: np.ndarray) -> Any:
         found = move(self, iterate, before, step, fraction)
         at, to = (put(of(self).trajectory(), self, iterate) for _ in range(2))
@@ -185,6 +213,8 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
     monkeypatch.setattr(Conditions, "assemble", assembled)
     monkeypatch.setattr(Conditions, "move", moved)
     monkeypatch.setattr(Conditions, "appraised", appraised)
+    monkeypatch.setattr(engine_units, "natural_units", measured)
+    monkeypatch.setattr(beginning, "first_units", first_units)
     monkeypatch.setattr(Conditions, "setting", None)
     assert solver.solve(*way, **options).success
     assert min(made) > 0

@@ -2,7 +2,19 @@
 
 import ctypes
 import os
-from ctypes import POINTER, Structure, addressof, c_char, c_char_p, c_double, c_int, c_size_t, c_ssize_t, c_void_p
+from ctypes import (
+    POINTER,
+    Structure,
+    addressof,
+    c_bool,
+    c_char,
+    c_char_p,
+    c_double,
+    c_int,
+    c_size_t,
+    c_ssize_t,
+    c_void_p,
+)
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, final
@@ -222,6 +234,20 @@ class ResidualScaleStruct(Structure):
     )
 
 
+@final
+class ScaleStruct(Structure):
+    """``retrax_scale``."""
+
+    _fields_ = (("unknowns", c_void_p), ("nodes", c_void_p), ("cost", c_double))
+
+
+@final
+class ScaleDataStruct(Structure):
+    """``retrax_scale_data``."""
+
+    _fields_ = (("sizes", c_void_p), ("values", c_void_p), ("room", c_void_p), ("curved", c_bool))
+
+
 _CONDENSED = [POINTER(CollocationSystemStruct), POINTER(CondensedSystemStruct)]
 
 # Result and arguments of the functions.
@@ -256,7 +282,13 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_layout_memory": (c_size_t, [POINTER(ProblemStruct)]),
     "retrax_layout_make": (None, [POINTER(ProblemStruct), c_void_p, POINTER(LayoutStruct)]),
     "retrax_evaluate_trajectory": (None, [POINTER(LayoutStruct), c_void_p]),
-    "retrax_assemble_system": (None, [POINTER(LayoutStruct), c_void_p, c_int]),
+    "retrax_assemble_system": (None, [POINTER(LayoutStruct), c_void_p, c_void_p, c_int]),
+    "retrax_workspace": (c_size_t, [POINTER(ProblemStruct)]),
+    "retrax_measure_scale": (
+        None,
+        [POINTER(LayoutStruct), c_void_p, POINTER(ScaleDataStruct), c_void_p, POINTER(ScaleStruct)],
+    ),
+    "retrax_measure_motion": (None, [POINTER(LayoutStruct), *[c_void_p] * 4]),
     "retrax_add_inequalities": (None, [POINTER(LayoutStruct), c_void_p]),
     "retrax_survey_inequalities": (None, [POINTER(LayoutStruct), c_void_p, POINTER(LimitScaleStruct)]),
     "retrax_step_inequalities": (None, [POINTER(LayoutStruct), c_void_p, c_double]),
@@ -267,7 +299,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         [POINTER(LayoutStruct), c_void_p, POINTER(ResidualScaleStruct), POINTER(LimitScaleStruct)],
     ),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
-    "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p, c_void_p]),
     "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),
 }
 

@@ -19,6 +19,8 @@ from .core import (
     LimitScaleStruct,
     ProblemStruct,
     ResidualScaleStruct,
+    ScaleDataStruct,
+    ScaleStruct,
     TapeFunctionStruct,
     address_of,
     best_instruction_set,
@@ -109,9 +111,15 @@ class Transcription:
         size = self._library.retrax_layout_memory(byref(self._problem))
         if not size:
             raise InvalidInputError(f"a problem of these sizes is larger than the core takes: {sizes}")
+        self._workspace = aligned(-(-self._library.retrax_workspace(byref(self._problem)) // BYTES))
         self._memory, self._layout = aligned(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
         self._library.retrax_layout_make(byref(self._problem), place, byref(self._layout))
+
+    @property
+    def workspace(self) -> int:
+        """The address of the workspace; one thread uses it at a time."""
+        return address_of(self._workspace, FLOAT, self._workspace.shape, "workspace")
 
     def trajectory(self) -> "Trajectory":
         """Return a trajectory, all of whose numbers are zero."""
@@ -158,7 +166,7 @@ class Trajectory:
         own.retrax_evaluate_trajectory(*here)
         if self._of.sizes.inequalities:
             own.retrax_add_inequalities(*here)
-        own.retrax_assemble_system(*here, self._of._set)
+        own.retrax_assemble_system(*here, self._of.workspace, self._of._set)
         own.retrax_write_right_sides(*here)
         own.retrax_survey_trajectory(*here)
 
@@ -184,8 +192,30 @@ class Trajectory:
             own.retrax_survey_inequalities(*here, of_limits)
         own.retrax_measure_residuals(*here, byref(scale), of_limits)
 
+    def motion(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return what each coordinate of the nodes moves by, zero where that is rounding, and its size, shape ``(n,)``."""
+        n, size = self._of.sizes.state_size, self._of.sizes.state_numbers
+        work, moved, sizes = np.empty(2 * size), np.empty(n), np.empty(n)
+        places = (address_of(a, FLOAT, a.shape, "sizes") for a in (work, moved, sizes))
+        self._of._library.retrax_measure_motion(byref(self._layout), self._address, *places)
+        return moved, sizes
+
+    def scale(self, sizes: np.ndarray, values: np.ndarray, room: np.ndarray, curved: bool) -> Scale:
+        """Return the natural sizes; ``retrax_core.h`` explains the arguments, of shapes ``(z,)``, ``(z,)`` and ``(s
+        m,)``."""
+        n, z = self._of.sizes.state_size, len(self["PARTS"])
+        names = ("sizes of unknowns", (z,)), ("values of unknowns", (z,)), ("room of controls", (z - n,))
+        data = ScaleDataStruct(
+            *(address_of(a, FLOAT, s, name) for a, (name, s) in zip((sizes, values, room), names, strict=True)), curved
+        )
+        unknowns, nodes = np.empty(z), np.empty(n)
+        found = ScaleStruct(*(address_of(a, FLOAT, a.shape, "natural sizes") for a in (unknowns, nodes)), 0.0)
+        own = self._of._library
+        own.retrax_measure_scale(byref(self._layout), self._address, byref(data), self._of.workspace, byref(found))
+        return Scale(unknowns, nodes, found.cost)
+
     def step_inequalities(self, share: float) -> None:
-        """Compute the steps of slacks, excesses and multipliers, of which a share of the way to the boundary is made."""
+        """Compute the steps of slacks, excesses and multipliers; a share of the way to the boundary may be made."""
         self._of._library.retrax_step_inequalities(byref(self._layout), self._address, share)
 
     def move_inequalities(self, before: "Trajectory", primal: float, dual: float) -> None:
@@ -195,7 +225,7 @@ class Trajectory:
 
     def expand(self) -> None:
         """Compute the steps of the velocities and multipliers of points from those of the linear system."""
-        self._of._library.retrax_expand_step(byref(self._layout), self._address)
+        self._of._library.retrax_expand_step(byref(self._layout), self._address, self._of.workspace)
 
     def move(self, before: "Trajectory", part: float) -> None:
         """Set the unknowns to those of another trajectory after a part of the step from there."""
