@@ -15,6 +15,7 @@
  *   7. Inequalities
  *   8. Convergence: how far a trajectory is from satisfying its conditions
  *   9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
+ *  10. Search: Newton's method on the conditions of one trajectory
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
@@ -385,7 +386,10 @@ typedef struct {
     retrax_index inequalities;    /* c >= 0, at each point */
     const double *matrix;         /* [s][s] of the tableau about the middle of the step; collocation alone */
     const double *weights;        /* [s] */
-    const retrax_index *columns;  /* [E]: column of the matrix that an entry of a state belongs to, in 0, ..., E - 1 */
+    const retrax_index *columns;  /* [E]: column of a matrix that an entry of a state belongs to, in 0, ..., E - 1 */
+    const retrax_index *arrays;   /* [E]: array that the entry belongs to, in 0, ..., E - 1 */
+    const double *kept;           /* [c]: 1 for a bound of what is free, which no iterate leaves, else 0 */
+    retrax_index bounds;          /* inequalities, the first ones, that are straight in the controls */
     retrax_function functions[RETRAX_FUNCTIONS];
 } retrax_problem;
 
@@ -613,6 +617,50 @@ RETRAX_API void retrax_measure_scale(const retrax_layout *layout, const double *
  * about one axis. */
 RETRAX_API void retrax_measure_motion(const retrax_layout *layout, const double *trajectory, double *work, double *moved,
                                       double *sizes);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 10. Search: Newton's method on the conditions of one trajectory
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* How a search has ended. */
+typedef enum {
+    RETRAX_GOING_ON,
+    RETRAX_CONVERGED,       /* at an extremal */
+    RETRAX_SINGULAR,        /* the linear system has no solution that can be used */
+    RETRAX_INFEASIBLE,      /* inequalities contradict each other, or the ends */
+    RETRAX_ITERATION_LIMIT
+} retrax_search_status;
+
+/* Options of a search. */
+typedef struct {
+    double tolerance;            /* of the residuals, relative */
+    retrax_index max_iterations; /* at least 1 */
+    double width;                /* infeasibility that the funnel lets pass at first; 1 is usual */
+    double firm;                 /* times the usual first penalty of excesses; 1 is usual */
+} retrax_options;
+
+/* A search; its arrays stand in the memory that the caller provides. */
+typedef struct retrax_search retrax_search;
+
+/* Returns the bytes of memory of a search; 0 if it exceeds the address space. */
+RETRAX_API size_t retrax_search_memory(const retrax_layout *layout);
+
+/* Makes a search in memory of that size, aligned to 64 bytes. The layout has to last as long as the search. */
+RETRAX_API retrax_search *retrax_search_make(const retrax_layout *layout, const retrax_options *options,
+                                             retrax_instruction_set set, void *memory);
+
+/* Returns the iterate: write what is given and the unknowns of a guess before a run, and read the solution behind it. */
+RETRAX_API double *retrax_search_trajectory(retrax_search *search);
+
+/* Searches an extremal from the guess. */
+RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
+
+/* Returns the iterations that the last run has made. */
+RETRAX_API retrax_index retrax_search_iterations(const retrax_search *search);
+
+/* Returns whether the Hessian is positive definite on the null space of the constraints at the last iterate, beyond
+ * rounding: whether a solution is a strict local minimum. */
+RETRAX_API bool retrax_search_is_minimum(const retrax_search *search);
 
 #ifdef __cplusplus
 }

@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from retrax.compute.core import best_instruction_set
 from retrax.compute.tape_machine import MachineProgram
-from retrax.compute.transcription import FunctionName, LimitScale, Scale, Sizes, Trajectory, Transcription
+from retrax.compute.transcription import (
+    FunctionName,
+    LimitScale,
+    Scale,
+    Search,
+    SearchStatus,
+    Sizes,
+    Trajectory,
+    Transcription,
+)
 from retrax.integrators.boundary_value.engine import beginning
 from retrax.integrators.boundary_value.engine import first_units as engine_units
 from retrax.integrators.boundary_value.engine.barrier import PRICES
@@ -43,10 +52,12 @@ def transcription(conditions: Conditions, own: int) -> Transcription:
         steps.controls.dimension, steps.control.size, steps.parameter.size, steps.inequalities,
     )  # fmt: skip
     programs = {key: program(function, own) for key, function in functions.items()}
-    return Transcription(sizes, tableau, nodes.layout.columns.astype(np.intp), programs, own)
+    groups = nodes.layout.columns.astype(np.intp), nodes.layout.arrays.astype(np.intp)
+    bounds = sum(map(len, nodes.problem.limits.bounded.values()))
+    return Transcription(sizes, tableau, groups, steps.kept.astype(float), bounds, programs, own)
 
 
-def posed(solver: Any, way: tuple, monkeypatch: Any) -> tuple[Conditions, Any]:
+def posed(solver: Any, way: tuple, monkeypatch: Any, **options: Any) -> tuple[Conditions, Any]:
     """The conditions of a solve, and its guess."""
     seen, begin = [], Conditions.begin
 
@@ -57,7 +68,7 @@ def posed(solver: Any, way: tuple, monkeypatch: Any) -> tuple[Conditions, Any]:
     with monkeypatch.context() as patch:
         patch.setattr(Conditions, "begin", begun)
         patch.setattr(Conditions, "setting", None)
-        solver.solve(*way)
+        solver.solve(*way, **options)
     return seen[0]
 
 
@@ -74,6 +85,7 @@ def put(found: Trajectory, conditions: Conditions, iterate: Any) -> Trajectory:
     if iterate.slacks is not None:
         names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES", "BARRIER"
         given |= dict(zip(names, iterate.slacks, strict=True))
+    if conditions.transcription.inequalities:
         given["LIMIT_WEIGHTS"] = conditions.transcription.weights(data)
     for name, array in given.items():
         found[name][...] = np.ravel(array)
@@ -243,7 +255,8 @@ def test_what_does_not_fit_is_refused(monkeypatch):
     conditions, _ = posed(CASES["a slew"]()[0], SLEWS, monkeypatch)
     right = transcription(conditions, 0)
     programs, (name, sizes) = dict(right.programs), (FunctionName, right.sizes)
-    tableau, columns = (np.ones((1, 1)), np.ones(1)), np.zeros(sizes.state_numbers, np.intp)
+    none = np.zeros(0)
+    tableau, columns = (np.ones((1, 1)), np.ones(1)), (np.zeros(sizes.state_numbers, np.intp),) * 2
     for wrong, words in (
         (sizes._replace(steps=0), "larger than the core takes"),
         (sizes._replace(steps=1 << 40), "larger than the core takes"),
@@ -251,10 +264,24 @@ def test_what_does_not_fit_is_refused(monkeypatch):
         (sizes._replace(inequalities=2), "expected"),
     ):
         with pytest.raises(InvalidInputError, match=words):
-            Transcription(wrong, tableau, columns, programs)
+            Transcription(wrong, tableau, columns, np.zeros(wrong.inequalities), 0, programs)
     with pytest.raises(InvalidInputError, match="needs the function POINTS"):
-        Transcription(sizes, tableau, columns, {key: p for key, p in programs.items() if key is not name.POINTS})
+        Transcription(sizes, tableau, columns, none, 0, {k: p for k, p in programs.items() if k is not name.POINTS})
     with pytest.raises(InvalidInputError, match="columns of entries"):
-        Transcription(sizes, tableau, columns - 1, programs)
+        Transcription(sizes, tableau, (columns[0] - 1, columns[1]), none, 0, programs)
     with pytest.raises(InvalidInputError, match="weights of a tableau"):
-        Transcription(sizes, (np.ones((1, 1)), np.ones(2)), columns, programs)
+        Transcription(sizes, (np.ones((1, 1)), np.ones(2)), columns, none, 0, programs)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_searches_end_where_those_of_the_engine_do(name, monkeypatch):
+    solver, way, options = CASES[name]()
+    expected = solver.solve(*way, tolerance=1e-10, **options)
+    conditions, guess = posed(solver, way, monkeypatch, **options)
+    search = Search(transcription(conditions, SETS[-1]), 1e-10, 100)
+    put(search.trajectory, conditions, guess._replace(slacks=None))
+    status = search.run()
+    assert status is SearchStatus.CONVERGED, status
+    assert search.trajectory["TOTALS"][0] == pytest.approx(expected.cost, rel=1e-9)
+    assert search.is_minimum
+    assert search.iterations == expected.statistics.iterations

@@ -187,6 +187,9 @@ class ProblemStruct(Structure):
         ("matrix", c_void_p),
         ("weights", c_void_p),
         ("columns", c_void_p),
+        ("arrays", c_void_p),
+        ("kept", c_void_p),
+        ("bounds", c_ssize_t),
         ("functions", FunctionStruct * FUNCTIONS),
     )
 
@@ -248,6 +251,13 @@ class ScaleDataStruct(Structure):
     _fields_ = (("sizes", c_void_p), ("values", c_void_p), ("room", c_void_p), ("curved", c_bool))
 
 
+@final
+class OptionsStruct(Structure):
+    """``retrax_options``."""
+
+    _fields_ = (("tolerance", c_double), ("max_iterations", c_ssize_t), ("width", c_double), ("firm", c_double))
+
+
 _CONDENSED = [POINTER(CollocationSystemStruct), POINTER(CondensedSystemStruct)]
 
 # Result and arguments of the functions.
@@ -298,6 +308,12 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         None,
         [POINTER(LayoutStruct), c_void_p, POINTER(ResidualScaleStruct), POINTER(LimitScaleStruct)],
     ),
+    "retrax_search_memory": (c_size_t, [POINTER(LayoutStruct)]),
+    "retrax_search_make": (c_void_p, [POINTER(LayoutStruct), POINTER(OptionsStruct), c_int, c_void_p]),
+    "retrax_search_trajectory": (c_void_p, [c_void_p]),
+    "retrax_search_run": (c_int, [c_void_p]),
+    "retrax_search_iterations": (c_ssize_t, [c_void_p]),
+    "retrax_search_is_minimum": (c_bool, [c_void_p]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
     "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p, c_void_p]),
     "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),

@@ -17,6 +17,7 @@ from .core import (
     FunctionStruct,
     LayoutStruct,
     LimitScaleStruct,
+    OptionsStruct,
     ProblemStruct,
     ResidualScaleStruct,
     ScaleDataStruct,
@@ -79,15 +80,19 @@ class LimitScale(NamedTuple):
 class Transcription:
     """A transcribed problem as the core has it.
 
-    ``matrix``, ``weights``: the tableau about the middle of a step, shapes ``(s, s)`` and ``(s,)``; ``columns``: the
-    column of a matrix that each entry of a state belongs to, shape ``(E,)``.
+    ``matrix``, ``weights``: the tableau about the middle of a step, shapes ``(s, s)`` and ``(s,)``; ``groups``: the
+    column of a matrix, and the array, that each entry of a state belongs to, shape ``(E,)``; ``kept``: 1 for the bounds
+    that no iterate leaves, else 0, shape ``(c,)``; ``bounds``: how many inequalities, the first ones, are straight in
+    the controls.
     """
 
     def __init__(
         self,
         sizes: Sizes,
         tableau: tuple[np.ndarray, np.ndarray],
-        columns: np.ndarray,
+        groups: tuple[np.ndarray, np.ndarray],
+        kept: np.ndarray,
+        bounds: int,
         functions: Mapping[FunctionName, MachineProgram],
         instruction_set: int | None = None,
     ) -> None:
@@ -97,12 +102,14 @@ class Transcription:
         addresses = (
             address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
             address_of(weights, FLOAT, (s,), "weights of a tableau"),
-            address_of(columns, PLACE, (sizes.state_numbers,), "columns of the entries of a state"),
+            *(address_of(own, PLACE, (sizes.state_numbers,), "columns of the entries of a state") for own in groups),
+            address_of(kept, FLOAT, (sizes.inequalities,), "bounds that no iterate leaves"),
         )
-        if columns.size and not (columns.min() >= 0 and columns.max() < sizes.state_numbers):
-            raise InvalidInputError(f"columns of entries lie in 0 to {sizes.state_numbers - 1}, got {columns}")
-        self._problem = ProblemStruct(*sizes, *addresses)
-        self._kept: list[object] = [matrix, weights, columns]
+        for own in groups:
+            if own.size and not (own.min() >= 0 and own.max() < sizes.state_numbers):
+                raise InvalidInputError(f"columns of entries lie in 0 to {sizes.state_numbers - 1}, got {own}")
+        self._problem = ProblemStruct(*sizes, *addresses, bounds)
+        self._kept: list[object] = [matrix, weights, groups, kept]
         points = (sizes.steps + 1) * s
         most = max((own.sizes[2] * own.lanes(points) for own in functions.values()), default=0)
         self._registers = aligned(max(most, 1))
@@ -149,10 +156,12 @@ class Transcription:
 class Trajectory:
     """The arrays of a trajectory; ``retrax_core.h`` names them."""
 
-    def __init__(self, transcription: Transcription) -> None:
+    def __init__(self, transcription: Transcription, numbers: np.ndarray | None = None) -> None:
         self._of, self._layout = transcription, transcription._layout
-        self._numbers = aligned(self._layout.numbers)
-        self._numbers[...] = 0.0
+        if numbers is None:
+            numbers = aligned(self._layout.numbers)
+            numbers[...] = 0.0
+        self._numbers = numbers
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The entries of an array, a view of shape ``(count,)``."""
@@ -234,6 +243,61 @@ class Trajectory:
     @property
     def _address(self) -> int:
         return address_of(self._numbers, FLOAT, self._numbers.shape, "numbers of a trajectory")
+
+
+class SearchStatus(IntEnum):
+    """How a search has ended; ``retrax_core.h`` explains these."""
+
+    GOING_ON = 0
+    CONVERGED = 1
+    SINGULAR = 2
+    INFEASIBLE = 3
+    ITERATION_LIMIT = 4
+
+
+@final
+class Search:
+    """Newton's method on the conditions of one trajectory.
+
+    ``firm``: times the usual first penalty of excesses; ``width``: the infeasibility that the funnel lets pass at first.
+    """
+
+    def __init__(
+        self,
+        transcription: Transcription,
+        tolerance: float,
+        max_iterations: int,
+        width: float = 1.0,
+        firm: float = 1.0,
+    ) -> None:
+        own = self._library = library()
+        self._of, self._layout = transcription, byref(transcription._layout)
+        self._memory = aligned(-(-own.retrax_search_memory(self._layout) // BYTES))
+        self._memory[...] = 0.0
+        place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
+        options = OptionsStruct(tolerance, max_iterations, width, firm)
+        self._search = own.retrax_search_make(self._layout, byref(options), transcription._set, place)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The iterate: the guess before a run, the solution behind it."""
+        numbers, place = self._of._layout.numbers, self._library.retrax_search_trajectory(self._search)
+        first = (place - self._memory.ctypes.data) // BYTES
+        return Trajectory(self._of, self._memory[first : first + numbers])
+
+    def run(self) -> SearchStatus:
+        """Search an extremal from the guess."""
+        return SearchStatus(self._library.retrax_search_run(self._search))
+
+    @property
+    def iterations(self) -> int:
+        """Iterations of the last run."""
+        return self._library.retrax_search_iterations(self._search)
+
+    @property
+    def is_minimum(self) -> bool:
+        """Whether the second-order condition of a strict minimum holds at the last iterate."""
+        return self._library.retrax_search_is_minimum(self._search)
 
 
 _PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
