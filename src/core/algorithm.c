@@ -19,9 +19,8 @@
 #define SHORTER 0.5
 #define SLOW 1e-6
 #define SHORTEST 0.0625
-/* The shift with which a step is the least that the constraints ask for, and the largest one. */
+/* The shift with which a step is the least that the constraints ask for. */
 #define LEAST_SHIFT 1e6
-#define LARGEST_SHIFT 1e10
 /* Share of a size by which what is smaller is measured; motion that is rounding of a value. */
 #define SHARE 1e-3
 #define STILL 1e-12
@@ -128,6 +127,9 @@ static bool is_vain(retrax_search *search, double length) {
     return retrax_step_length(search) > SHORTER * length;
 }
 
+/* Trials after which natural sizes are measured again. */
+#define ROUND 40
+
 /* Computes the next step, from the iterate as it is now. */
 static void next_step(retrax_search *search, const retrax_direction *before, double fraction, double length,
                       double residual, bool cut) {
@@ -167,6 +169,15 @@ static void iterate(retrax_search *search) {
     if (search->accepted) {
         retrax_swap(search);
     }
+    const bool refused = again && !search->accepted && !was_isolated;
+    const bool wider = refused && retrax_widen_scale(search, fraction * before.reach, length);
+    if (wider) {
+        retrax_measure(search, search->at);
+        const double tried = search->fraction;
+        reset_funnel(search);
+        search->fraction = tried;
+        search->direction.shift = before.shift;
+    }
     search->trials++;
     const bool changed = retrax_update_barrier(search);
     if (changed) {
@@ -176,36 +187,79 @@ static void iterate(retrax_search *search) {
     if (search->done || !(again || changed)) {
         return;
     }
-    next_step(search, &before, fraction, length, residual, again && !search->accepted && !changed);
+    next_step(search, &before, fraction, length, residual, again && !search->accepted && !changed && !wider);
     settle(search);
 }
 
-/* Whether there is nothing to go on with. */
+/* Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
+ *
+ * Near the end, or where all was met before, the normal part of what is missing is the square of its size: from there it
+ * moves. */
+static bool is_elsewhere(const retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const double *const trajectory = search->at, tolerance = search->options.tolerance;
+    bool met = RESIDUAL(trajectory, UNMET) <= sqrt(tolerance);
+    for (retrax_index a = 0; a < layout->problem->state_size; a++) {
+        met = met && ARRAY(LACKING)[a] <= tolerance * ARRAY(ALONG)[a];
+    }
+    return met && RESIDUAL(trajectory, STATIONARITY) <= tolerance && RESIDUAL(trajectory, DEFECT) > sqrt(tolerance) &&
+           isinf(search->correction);
+}
+
+/* Whether there is nothing to go on with, and why. */
 static retrax_search_status status_of(const retrax_search *search) {
     const retrax_direction *const step = &search->direction;
+    if (search->degenerate) {
+        return RETRAX_DEGENERATE;
+    }
     if (search->done) {
         return search->claimed ? RETRAX_CONVERGED : RETRAX_SINGULAR;
     }
-    if ((!step->finite || step->shift >= LARGEST_SHIFT) && !retrax_is_hard(search)) {
+    if ((!step->finite || step->shift >= RETRAX_LARGEST_SHIFT) && !retrax_is_hard(search)) {
         return RETRAX_SINGULAR;
     }
     if (retrax_is_infeasible(search)) {
         return RETRAX_INFEASIBLE;
     }
+    if (is_elsewhere(search)) {
+        return RETRAX_ELSEWHERE;
+    }
     return search->trials > search->options.max_iterations ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
 }
 
-retrax_search_status retrax_search_run(retrax_search *search) {
-    retrax_initialise(search);
-    search->trials = 1;
+/* Stands at the iterate with a step that is not tried yet. */
+static void stand(retrax_search *search) {
     search->correction = INFINITY;
-    search->isolated = search->claimed = search->done = false;
+    search->isolated = search->claimed = search->done = search->accepted = false;
     reset_funnel(search);
     settle(search);
-    retrax_search_status status = status_of(search);
-    while (status == RETRAX_GOING_ON) {
-        iterate(search);
-        status = status_of(search);
+}
+
+/* Goes on in the natural sizes of the iterate where those in use are far larger. */
+static void renew(retrax_search *search) {
+    if (retrax_renew_scale(search)) {
+        retrax_measure(search, search->at);
+        const bool near = RESIDUAL(search->at, LARGEST) <= sqrt(search->options.tolerance);
+        retrax_regularised_step(search, 0.0, near, near);
+        stand(search);
     }
-    return status;
+}
+
+retrax_search_status retrax_search_run(retrax_search *search) {
+    retrax_search_status status;
+    retrax_initialise(search);
+    search->trials = 1;
+    stand(search);
+    for (;;) {
+        search->costs[search->trials] = search->at[search->layout->first[RETRAX_ARRAY_TOTALS]];
+        status = status_of(search);
+        if (status != RETRAX_DEGENERATE && (status != RETRAX_GOING_ON || search->trials % ROUND == 0)) {
+            renew(search);
+            status = status_of(search);
+        }
+        if (status != RETRAX_GOING_ON) {
+            return status;
+        }
+        iterate(search);
+    }
 }

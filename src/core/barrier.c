@@ -114,7 +114,16 @@ static double first_penalty(const retrax_search *search, retrax_index i) {
     return is_kept(search, i) ? INFINITY : FIRST_PENALTY * unit * search->firm;
 }
 
-void retrax_start_slacks(retrax_search *search, double *trajectory) {
+void retrax_rest_slacks(const retrax_layout *layout, double *trajectory) {
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_SLACKS]; i++) {
+        ARRAY(SLACKS)[i] = 1.0;
+        ARRAY(LIMIT_MULTIPLIERS)[i] = ARRAY(EXCESSES)[i] = 0.0;
+        ARRAY(PENALTIES)[i] = INFINITY;
+    }
+    *ARRAY(BARRIER) = 0.0;
+}
+
+void retrax_find_limits(retrax_search *search, const double *trajectory) {
     const retrax_layout *const layout = search->layout;
     double horizon = 0.0;
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
@@ -122,6 +131,11 @@ void retrax_start_slacks(retrax_search *search, double *trajectory) {
     }
     search->limits.rate = search->steps.cost * (double)layout->problem->steps / horizon;
     write_limits(search, trajectory);
+}
+
+void retrax_start_slacks(retrax_search *search, double *trajectory) {
+    const retrax_layout *const layout = search->layout;
+    retrax_find_limits(search, trajectory);
     *ARRAY(BARRIER) = FIRST_BARRIER * search->limits.rate * sqrt(search->firm);
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double limit = search->limit_sizes[i % inequalities_of(search)];
@@ -158,11 +172,11 @@ static void multiply(double *numbers, double factor, retrax_index count) {
     }
 }
 
-/* Makes the cost of a trajectory count less: all multipliers grow with the penalties. */
+/* Makes the cost of a trajectory count less: all multipliers grow with the penalties. The barrier does not: it would hold the
+ * trajectory far from its inequalities, where the cost, which counts less and less, no longer leads it back. */
 static void raise_penalties(const retrax_layout *layout, double *trajectory) {
     static const retrax_array scaled[] = {RETRAX_ARRAY_POINT_COSTATES, RETRAX_ARRAY_COSTATES,
-                                          RETRAX_ARRAY_LIMIT_MULTIPLIERS, RETRAX_ARRAY_PENALTIES,
-                                          RETRAX_ARRAY_BARRIER};
+                                          RETRAX_ARRAY_LIMIT_MULTIPLIERS, RETRAX_ARRAY_PENALTIES};
     for (size_t i = 0; i < sizeof(scaled) / sizeof(scaled[0]); i++) {
         multiply(trajectory + layout->first[scaled[i]], DEARER, layout->count[scaled[i]]);
     }
@@ -205,16 +219,20 @@ bool retrax_update_barrier(retrax_search *search) {
     }
     bool cheap;
     const double barrier = lowered(search, &cheap), before = search->at[layout->first[RETRAX_ARRAY_BARRIER]];
+    const bool stuck = is_stuck(search);
     search->at[layout->first[RETRAX_ARRAY_BARRIER]] = barrier;
-    if (is_stuck(search)) { /* once more from the guess: multipliers that grew against a bound would hold it there */
+    if (stuck) { /* once more from the guess: multipliers that grew against a bound would hold it there */
         retrax_copy_unknowns(layout, search->first, search->at);
         retrax_assess(search, search->at);
         soften(search, search->at);
         search->direction.shift = 0.0;
     } else if (cheap) {
         raise_penalties(layout, search->at);
-    } else if (barrier == before) {
-        return false;
+    } else {
+        if (barrier != before) {
+            retrax_measure(search, search->at);
+        }
+        return barrier != before;
     }
     retrax_assess(search, search->at);
     return true;

@@ -5,7 +5,7 @@
  * derivative of the Lagrangian is measured by the parts that cancel in it, coordinate by coordinate; where all parts
  * vanish, as the costates do at an optimum of the cost itself, by its curvature.
  */
-#include "layout.h"
+#include "search.h"
 
 #include <math.h>
 #include <string.h>
@@ -113,8 +113,7 @@ void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory) {
     }
 }
 
-/* Whether an entry has a coordinate of its own, which moves nothing else. */
-static bool is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry) {
+bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry) {
     retrax_index owner = 0, owners = 0, moved = 0;
     for (retrax_index a = 0; a < n; a++) {
         if (support[a * E + entry] > 0.0) {
@@ -140,7 +139,7 @@ void retrax_measure_motion(const retrax_layout *layout, const double *trajectory
         of_columns[columns[e]] = larger(of_columns[columns[e]], value);
     }
     for (retrax_index e = 0; e < E; e++) {
-        own[e] = is_alone(support, n, E, e) ? 0.0 : of_columns[columns[e]];
+        own[e] = retrax_is_alone(support, n, E, e) ? 0.0 : of_columns[columns[e]];
     }
     for (retrax_index a = 0; a < n; a++) {
         double far = 0.0, most = 0.0, whole = 0.0;

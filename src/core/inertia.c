@@ -12,10 +12,9 @@
 
 /* Relative curvature along a step, of which less does not descend. */
 #define CURVATURE 1e-9
-/* Factor from one shift to the next, the first and the largest one. */
+/* Factor from one shift to the next, and the first one. */
 #define RAISE 10.0
 #define FIRST_SHIFT 1e-4
-#define LARGEST_SHIFT 1e10
 /* A shift that makes the Hessian convex on the null space of the constraints, if these are independent. */
 #define CONVEX 1e2
 /* Share of the largest curvature of a coordinate in natural sizes that others are shifted by at least. */
@@ -152,7 +151,7 @@ void retrax_regularised_step(retrax_search *search, double shift, bool keep, boo
     retrax_direction *const step = &search->direction;
     retrax_newton_step(search, shift);
     step->descends = descends(step, loose);
-    while (!(step->descends || keep) && step->shift < LARGEST_SHIFT) {
+    while (!(step->descends || keep) && step->shift < RETRAX_LARGEST_SHIFT) {
         retrax_newton_step(search, fmax(RAISE * step->shift, FIRST_SHIFT));
         step->descends = descends(step, loose);
     }

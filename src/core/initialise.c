@@ -254,17 +254,14 @@ void retrax_initialise(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     double *trajectory = search->at;
     const bool limited = layout->problem->inequalities > 0;
-    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_SLACKS]; i++) { /* inequalities do not pull yet */
-        ARRAY(SLACKS)[i] = 1.0;
-        ARRAY(LIMIT_MULTIPLIERS)[i] = ARRAY(EXCESSES)[i] = 0.0;
-        ARRAY(PENALTIES)[i] = INFINITY;
-    }
-    *ARRAY(BARRIER) = 0.0;
+    retrax_rest_slacks(layout, trajectory);
+    memcpy(search->spare, trajectory, sizeof(double) * (size_t)layout->numbers);
     memcpy(search->trial, trajectory, sizeof(double) * (size_t)layout->numbers); /* which have the same data */
     memcpy(search->first, trajectory, sizeof(double) * (size_t)layout->numbers);
     retrax_evaluate(search, trajectory);
     retrax_find_scale(search, trajectory, &search->judging);
     retrax_copy_scale(layout, &search->judging, &search->steps);
+    search->first_cost = search->judging.cost;
     if (limited) {
         retrax_start_slacks(search, trajectory);
         retrax_evaluate(search, trajectory);
@@ -279,4 +276,5 @@ void retrax_initialise(retrax_search *search) {
         retrax_regularised_step(search, 0.0, linear, linear);
     }
     retrax_copy_unknowns(layout, search->at, search->first);
+    search->degenerate = search->options.looks && retrax_is_degenerate(search);
 }

@@ -628,6 +628,8 @@ typedef enum {
     RETRAX_CONVERGED,       /* at an extremal */
     RETRAX_SINGULAR,        /* the linear system has no solution that can be used */
     RETRAX_INFEASIBLE,      /* inequalities contradict each other, or the ends */
+    RETRAX_ELSEWHERE,       /* the equations hold where a point is not at its end, and no step leads on */
+    RETRAX_DEGENERATE,      /* the guess is one from which Newton's method cannot set out; another one may do */
     RETRAX_ITERATION_LIMIT
 } retrax_search_status;
 
@@ -637,13 +639,14 @@ typedef struct {
     retrax_index max_iterations; /* at least 1 */
     double width;                /* infeasibility that the funnel lets pass at first; 1 is usual */
     double firm;                 /* times the usual first penalty of excesses; 1 is usual */
+    bool looks;                  /* whether a guess may be called degenerate; else the search sets out from any */
 } retrax_options;
 
 /* A search; its arrays stand in the memory that the caller provides. */
 typedef struct retrax_search retrax_search;
 
-/* Returns the bytes of memory of a search; 0 if it exceeds the address space. */
-RETRAX_API size_t retrax_search_memory(const retrax_layout *layout);
+/* Returns the bytes of memory of a search with at most so many iterations; 0 if it exceeds the address space. */
+RETRAX_API size_t retrax_search_memory(const retrax_layout *layout, retrax_index max_iterations);
 
 /* Makes a search in memory of that size, aligned to 64 bytes. The layout has to last as long as the search. */
 RETRAX_API retrax_search *retrax_search_make(const retrax_layout *layout, const retrax_options *options,
@@ -655,12 +658,25 @@ RETRAX_API double *retrax_search_trajectory(retrax_search *search);
 /* Searches an extremal from the guess. */
 RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
 
-/* Returns the iterations that the last run has made. */
-RETRAX_API retrax_index retrax_search_iterations(const retrax_search *search);
+/* What a run has found; the arrays belong to the search. */
+typedef struct {
+    const double *trajectory;   /* the last iterate */
+    const double *first;        /* the guess with its first multipliers and slacks */
+    retrax_scale judging;       /* natural sizes that success was judged by */
+    retrax_scale steps;         /* those of steps */
+    const double *limits;       /* [c] of the inequalities */
+    double rate;                /* unit of the barrier */
+    retrax_index iterations;
+    bool claimed;               /* whether the iterate counts as an extremal */
+    bool isolated;              /* whether Newton's next step was small there */
+    bool strict;                /* whether without inequalities the second-order condition of a strict minimum holds */
+    bool solvable;              /* whether the last step is finite, with a shift that is not too large */
+    bool infeasible;            /* whether inequalities contradict each other, or the ends */
+    bool falls;                 /* whether the cost falls as if it had no lower bound */
+} retrax_search_result;
 
-/* Returns whether the Hessian is positive definite on the null space of the constraints at the last iterate, beyond
- * rounding: whether a solution is a strict local minimum. */
-RETRAX_API bool retrax_search_is_minimum(const retrax_search *search);
+/* Returns what the last run has found. */
+RETRAX_API retrax_search_result retrax_search_read(const retrax_search *search);
 
 #ifdef __cplusplus
 }

@@ -5,7 +5,7 @@
 #include "workspace.h"
 
 /* Lays out a search in a block. */
-static retrax_search *lay_out(const retrax_layout *layout, retrax_block *block) {
+static retrax_search *lay_out(const retrax_layout *layout, retrax_index max_iterations, retrax_block *block) {
     const retrax_problem *const problem = layout->problem;
     const retrax_index n = problem->state_size, E = problem->state_numbers, c = problem->inequalities;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], m = problem->control_size;
@@ -15,10 +15,14 @@ static retrax_search *lay_out(const retrax_layout *layout, retrax_block *block) 
     to->at = retrax_take(block, layout->numbers, 1, sizeof(double));
     to->trial = retrax_take(block, layout->numbers, 1, sizeof(double));
     to->first = retrax_take(block, layout->numbers, 1, sizeof(double));
+    to->spare = retrax_take(block, layout->numbers, 1, sizeof(double));
     to->judging.unknowns = retrax_take(block, z, 1, sizeof(double));
     to->judging.nodes = retrax_take(block, n, 1, sizeof(double));
     to->steps.unknowns = retrax_take(block, z, 1, sizeof(double));
     to->steps.nodes = retrax_take(block, n, 1, sizeof(double));
+    to->fresh.unknowns = retrax_take(block, z, 1, sizeof(double));
+    to->fresh.nodes = retrax_take(block, n, 1, sizeof(double));
+    to->costs = retrax_take(block, max_iterations + 3, 1, sizeof(double));
     to->limit_sizes = retrax_take(block, c, 1, sizeof(double));
     to->curvatures = retrax_take(block, z, 1, sizeof(double));
     to->largest = retrax_take(block, z, 1, sizeof(double));
@@ -34,19 +38,19 @@ static retrax_search *lay_out(const retrax_layout *layout, retrax_block *block) 
     return own;
 }
 
-size_t retrax_search_memory(const retrax_layout *layout) {
+size_t retrax_search_memory(const retrax_layout *layout, retrax_index max_iterations) {
     retrax_block block = {NULL, 0};
     if (retrax_workspace(layout->problem) == 0) {
         return 0;
     }
-    lay_out(layout, &block);
+    lay_out(layout, max_iterations, &block);
     return block.used == SIZE_MAX ? 0 : block.used;
 }
 
 retrax_search *retrax_search_make(const retrax_layout *layout, const retrax_options *options,
                                   retrax_instruction_set set, void *memory) {
     retrax_block block = {memory, 0};
-    retrax_search *const own = lay_out(layout, &block);
+    retrax_search *const own = lay_out(layout, options->max_iterations, &block);
     own->layout = layout;
     own->options = *options;
     own->set = set;
@@ -57,8 +61,22 @@ retrax_search *retrax_search_make(const retrax_layout *layout, const retrax_opti
 
 double *retrax_search_trajectory(retrax_search *search) { return search->at; }
 
-retrax_index retrax_search_iterations(const retrax_search *search) { return search->trials - 1; }
-
-bool retrax_search_is_minimum(const retrax_search *search) {
-    return search->direction.strict && search->direction.shift == 0.0;
+retrax_search_result retrax_search_read(const retrax_search *search) {
+    const retrax_direction *const step = &search->direction;
+    return (retrax_search_result){
+        .trajectory = search->at,
+        .first = search->first,
+        .judging = search->judging,
+        .steps = search->steps,
+        .limits = search->limit_sizes,
+        .rate = search->limits.rate,
+        .iterations = search->trials - 1,
+        .claimed = search->claimed && search->at[search->layout->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_FINAL] <=
+                                          search->options.tolerance,
+        .isolated = search->isolated,
+        .strict = step->strict && step->shift == 0.0,
+        .solvable = step->finite && step->shift < RETRAX_LARGEST_SHIFT,
+        .infeasible = retrax_is_infeasible(search),
+        .falls = retrax_cost_falls(search),
+    };
 }

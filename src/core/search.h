@@ -6,6 +6,9 @@
 
 #include "layout.h"
 
+/* The largest shift of a Hessian: with a larger one a step says nothing. */
+#define RETRAX_LARGEST_SHIFT 1e10
+
 /* A Newton step, and what its elimination tells of the linear system. */
 typedef struct {
     double shift;       /* of the Hessian, which makes the step descend */
@@ -33,9 +36,11 @@ struct retrax_search {
     const retrax_layout *layout;
     retrax_options options;
     retrax_instruction_set set;
-    double *at, *trial, *first;  /* trajectories: the iterate, the trial, the guess; at and trial change places */
+    double *at, *trial;          /* trajectories: the iterate and the trial, which change places */
+    double *first, *spare;       /* trajectories: the guess, and one to work with */
     void *workspace;
     retrax_scale judging, steps; /* natural sizes that success is judged by, and those of steps */
+    retrax_scale fresh;          /* those of the iterate, where they are measured again */
     retrax_limit_scale limits;
     double *limit_sizes;         /* [c] */
     double *curvatures;          /* [z] typical ones, by which Hessians are shifted */
@@ -46,6 +51,8 @@ struct retrax_search {
     double *ways;                /* [2][N s m] of the controls to the inequalities on either side */
     double *control_work;        /* [N s + 1][m] */
     double *square;              /* [z][z] */
+    double *costs;               /* [max_iterations + 2] of the iterates after 1, 2, ... trials */
+    double first_cost;           /* natural size of the cost at the guess */
     bool *steady;                /* [E] */
     retrax_direction direction;
     retrax_merit merit;
@@ -58,6 +65,7 @@ struct retrax_search {
     bool claimed;      /* whether the iterate counts as an extremal */
     bool done;
     bool accepted;     /* whether the last trial was */
+    bool degenerate;   /* whether the guess is one from which Newton's method cannot set out */
     retrax_index trials;
 };
 
@@ -82,6 +90,29 @@ bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
 
 /* funnel.c: writes the merit of a trajectory that was measured. */
 retrax_merit retrax_merit_of(const retrax_search *search, const double *trajectory);
+
+/* degenerate.c: whether Newton's method cannot set out from the guess. */
+bool retrax_is_degenerate(retrax_search *search);
+
+/* rescaling.c: widens sizes of coordinates in which a refused trial lacks more, to second order, than where all moves by its
+ * size, as of a rate that only products of others change. part: of the step that was made; length: of the step. */
+bool retrax_widen_scale(retrax_search *search, double part, double length);
+
+/* rescaling.c: takes the natural sizes of the iterate where those in use are far larger; returns whether it does. */
+bool retrax_renew_scale(retrax_search *search);
+
+/* rescaling.c: whether the cost has fallen by far, and in the second half of the trials by no less than in the first: one with
+ * a lower bound falls by less and less on the way to it. */
+bool retrax_cost_falls(const retrax_search *search);
+
+/* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
+bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
+
+/* barrier.c: sets slacks and multipliers of inequalities that do not pull. */
+void retrax_rest_slacks(const retrax_layout *layout, double *trajectory);
+
+/* barrier.c: finds the natural sizes of the inequalities of an evaluated trajectory. */
+void retrax_find_limits(retrax_search *search, const double *trajectory);
 
 /* barrier.c: the natural sizes of the inequalities, and the first slacks of an evaluated trajectory. */
 void retrax_start_slacks(retrax_search *search, double *trajectory);

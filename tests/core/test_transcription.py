@@ -283,5 +283,6 @@ def test_searches_end_where_those_of_the_engine_do(name, monkeypatch):
     status = search.run()
     assert status is SearchStatus.CONVERGED, status
     assert search.trajectory["TOTALS"][0] == pytest.approx(expected.cost, rel=1e-9)
-    assert search.is_minimum
-    assert search.iterations == expected.statistics.iterations
+    found = search.read()
+    assert found.claimed
+    assert found.iterations == expected.statistics.iterations

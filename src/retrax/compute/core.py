@@ -255,7 +255,34 @@ class ScaleDataStruct(Structure):
 class OptionsStruct(Structure):
     """``retrax_options``."""
 
-    _fields_ = (("tolerance", c_double), ("max_iterations", c_ssize_t), ("width", c_double), ("firm", c_double))
+    _fields_ = (
+        ("tolerance", c_double),
+        ("max_iterations", c_ssize_t),
+        ("width", c_double),
+        ("firm", c_double),
+        ("looks", c_bool),
+    )
+
+
+@final
+class SearchResultStruct(Structure):
+    """``retrax_search_result``."""
+
+    _fields_ = (
+        ("trajectory", c_void_p),
+        ("first", c_void_p),
+        ("judging", ScaleStruct),
+        ("steps", ScaleStruct),
+        ("limits", c_void_p),
+        ("rate", c_double),
+        ("iterations", c_ssize_t),
+        ("claimed", c_bool),
+        ("isolated", c_bool),
+        ("strict", c_bool),
+        ("solvable", c_bool),
+        ("infeasible", c_bool),
+        ("falls", c_bool),
+    )
 
 
 _CONDENSED = [POINTER(CollocationSystemStruct), POINTER(CondensedSystemStruct)]
@@ -308,12 +335,11 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         None,
         [POINTER(LayoutStruct), c_void_p, POINTER(ResidualScaleStruct), POINTER(LimitScaleStruct)],
     ),
-    "retrax_search_memory": (c_size_t, [POINTER(LayoutStruct)]),
+    "retrax_search_memory": (c_size_t, [POINTER(LayoutStruct), c_ssize_t]),
     "retrax_search_make": (c_void_p, [POINTER(LayoutStruct), POINTER(OptionsStruct), c_int, c_void_p]),
     "retrax_search_trajectory": (c_void_p, [c_void_p]),
     "retrax_search_run": (c_int, [c_void_p]),
-    "retrax_search_iterations": (c_ssize_t, [c_void_p]),
-    "retrax_search_is_minimum": (c_bool, [c_void_p]),
+    "retrax_search_read": (SearchResultStruct, [c_void_p]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
     "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p, c_void_p]),
     "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),

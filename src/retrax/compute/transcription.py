@@ -202,7 +202,7 @@ class Trajectory:
         own.retrax_measure_residuals(*here, byref(scale), of_limits)
 
     def motion(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what each coordinate of the nodes moves by, zero where that is rounding, and its size, shape ``(n,)``."""
+        """Return what each coordinate of the nodes moves by, zero where that is rounding, and its size."""
         n, size = self._of.sizes.state_size, self._of.sizes.state_numbers
         work, moved, sizes = np.empty(2 * size), np.empty(n), np.empty(n)
         places = (address_of(a, FLOAT, a.shape, "sizes") for a in (work, moved, sizes))
@@ -252,14 +252,36 @@ class SearchStatus(IntEnum):
     CONVERGED = 1
     SINGULAR = 2
     INFEASIBLE = 3
-    ITERATION_LIMIT = 4
+    ELSEWHERE = 4
+    DEGENERATE = 5
+    ITERATION_LIMIT = 6
+
+
+@final
+class SearchResult(NamedTuple):
+    """What a search has found; ``retrax_core.h`` explains the fields."""
+
+    trajectory: "Trajectory"
+    first: "Trajectory"
+    judging: Scale
+    steps: Scale
+    limits: np.ndarray
+    rate: float
+    iterations: int
+    claimed: bool
+    isolated: bool
+    strict: bool
+    solvable: bool
+    infeasible: bool
+    falls: bool
 
 
 @final
 class Search:
     """Newton's method on the conditions of one trajectory.
 
-    ``firm``: times the usual first penalty of excesses; ``width``: the infeasibility that the funnel lets pass at first.
+    ``width``: the infeasibility that the funnel lets pass at first; ``firm``: times the usual first penalty of excesses;
+    ``looks``: whether a guess may be called degenerate.
     """
 
     def __init__(
@@ -269,35 +291,43 @@ class Search:
         max_iterations: int,
         width: float = 1.0,
         firm: float = 1.0,
+        looks: bool = True,
     ) -> None:
         own = self._library = library()
         self._of, self._layout = transcription, byref(transcription._layout)
-        self._memory = aligned(-(-own.retrax_search_memory(self._layout) // BYTES))
+        self._memory = aligned(-(-own.retrax_search_memory(self._layout, max_iterations) // BYTES))
         self._memory[...] = 0.0
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
-        options = OptionsStruct(tolerance, max_iterations, width, firm)
+        options = OptionsStruct(tolerance, max_iterations, width, firm, looks)
         self._search = own.retrax_search_make(self._layout, byref(options), transcription._set, place)
 
     @property
     def trajectory(self) -> Trajectory:
         """The iterate: the guess before a run, the solution behind it."""
-        numbers, place = self._of._layout.numbers, self._library.retrax_search_trajectory(self._search)
-        first = (place - self._memory.ctypes.data) // BYTES
-        return Trajectory(self._of, self._memory[first : first + numbers])
+        place = self._library.retrax_search_trajectory(self._search)
+        return Trajectory(self._of, self._part(place, self._of._layout.numbers))
 
     def run(self) -> SearchStatus:
         """Search an extremal from the guess."""
         return SearchStatus(self._library.retrax_search_run(self._search))
 
-    @property
-    def iterations(self) -> int:
-        """Iterations of the last run."""
-        return self._library.retrax_search_iterations(self._search)
+    def read(self) -> SearchResult:
+        """Return what the last run has found; its arrays are those of the search, which the next run overwrites."""
+        found, layout, of = self._library.retrax_search_read(self._search), self._of._layout, self._of
+        sizes, z = of.sizes, layout.count[_PLACES["PARTS"]]
+        at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
+        judging, steps = (
+            Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
+            for own in (found.judging, found.steps)
+        )
+        limits = self._part(found.limits, sizes.inequalities)
+        told = (getattr(found, name) for name in SearchResult._fields[5:])
+        return SearchResult(at, first, judging, steps, limits, *told)
 
-    @property
-    def is_minimum(self) -> bool:
-        """Whether the second-order condition of a strict minimum holds at the last iterate."""
-        return self._library.retrax_search_is_minimum(self._search)
+    def _part(self, place: int, count: int) -> np.ndarray:
+        """Numbers of the memory of the search from an address on."""
+        first = (place - self._memory.ctypes.data) // BYTES
+        return self._memory[first : first + count]
 
 
 _PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}

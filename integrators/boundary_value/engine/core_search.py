@@ -1,0 +1,204 @@
+"""Searches of the compiled core in the place of ``Descent``, while the engine is still there."""
+
+from collections.abc import Callable
+from typing import Any, final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ....compute.tape_machine import MachineProgram
+from ....compute.transcription import (
+    FunctionName,
+    Search,
+    SearchResult,
+    SearchStatus,
+    Sizes,
+    Trajectory,
+    Transcription,
+)
+from ....manifolds.numerics.ambient import joined, taken
+from .acceptance import WIDE
+from .aside import aside
+from .barrier import Barrier
+from .collocation import Collocation, GaussUnknowns
+from .conditions import Conditions
+from .extent import ends_meet
+from .found import Found, Iteration
+from .inequalities import Slacks
+from .kkt_system import Assembled, Iterate
+from .scaling import Units
+from .transcription import Unknowns
+
+_transcriptions: WeakKeyDictionary[Any, dict[int, Transcription]] = WeakKeyDictionary()
+
+
+def is_on_core(conditions: Any, callback: Any) -> bool:
+    """Whether the core has all that a search asks for."""
+    if conditions.joint or callback is not None:
+        return False
+    steps, nodes = conditions.transcription, conditions.at_nodes
+    if nodes.pays or not nodes.flat_controls or getattr(steps, "at_nodes", 0):
+        return False
+    return all(hasattr(own, "tape") for own in _functions(conditions).values())
+
+
+def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
+    """The functions of the problem."""
+    steps, nodes, name = conditions.transcription, conditions.at_nodes, FunctionName
+    found = {name.ENDS: steps._ends, name.FRAMES: nodes._in_frame, name.MIDDLE: nodes._middle}
+    if isinstance(steps, Collocation):
+        found |= {name.POINTS: steps._point, name.BOTH_ENDS: steps._both, name.MOVE: steps._centre}
+        return found | {name.MOVE_CONTROLS: steps._control}
+    return found | {name.POINTS: steps._row, name.MOVE: steps._move}
+
+
+def transcription_of(conditions: Conditions) -> Transcription:
+    """The transcription of a problem for the core."""
+    steps, nodes, count = conditions.transcription, conditions.at_nodes, conditions.data.steps.shape[1]
+    known = _transcriptions.setdefault(steps, {})
+    if count not in known:
+        tableau = np.ones((1, 1)), np.ones(1)
+        if isinstance(steps, Collocation):
+            tableau = steps.tableau.matrix, steps.tableau.weights
+        sizes = Sizes(
+            count, steps.stages, steps.manifold.dimension, steps.state.size, steps.controls.dimension,
+            steps.control.size, steps.parameter.size, steps.inequalities,
+        )  # fmt: skip
+        programs = {key: _program(own) for key, own in _functions(conditions).items()}
+        groups = nodes.layout.columns.astype(np.intp), nodes.layout.arrays.astype(np.intp)
+        bounds = sum(map(len, nodes.problem.limits.bounded.values()))
+        known[count] = Transcription(sizes, tableau, groups, steps.kept.astype(float), bounds, programs)
+    return known[count]
+
+
+def _program(evaluated: Any) -> MachineProgram:
+    p = evaluated.tape.program
+    return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size)
+
+
+def put(to: Trajectory, conditions: Conditions, iterate: Iterate, k: int) -> None:
+    """Write what is given of a member and the unknowns of its iterate."""
+    data, ends = conditions.data, conditions.ends
+    given = {
+        "STEP_SIZE": data.steps[k], "PARAMETERS": data.parameters[k], "START": ends.start[k], "END": ends.end[k],
+        "START_ENTRIES": ends.start_entries, "END_ENTRIES": ends.end_entries, "FIXED": conditions.fixed[k],
+        "CENTRES": iterate.unknowns.centres[k], "CONTROLS": iterate.unknowns.controls[k],
+        "COSTATES": iterate.costates[k],
+    }  # fmt: skip
+    if isinstance(iterate.unknowns, GaussUnknowns):
+        given |= {"VELOCITIES": iterate.unknowns.velocities[k], "POINT_COSTATES": iterate.unknowns.costates[k]}
+    if conditions.transcription.inequalities:
+        weights = conditions.transcription.weights(data)
+        given["LIMIT_WEIGHTS"] = weights[k if len(weights) > 1 else 0]
+    for name, array in given.items():
+        to[name][...] = np.ravel(array)
+
+
+def iterate_of(at: Trajectory, like: Iterate, inequalities: tuple[int, ...] | None) -> Iterate:
+    """The iterate of one member; ``like``: a batch of iterates; ``inequalities``: the shape of their arrays."""
+
+    def array(name: str, own: np.ndarray) -> np.ndarray:
+        return at[name].reshape(1, *own.shape[1:]).copy()
+
+    own = like.unknowns
+    if isinstance(own, GaussUnknowns):
+        names = "CENTRES", "VELOCITIES", "CONTROLS", "POINT_COSTATES"
+        unknowns: Any = GaussUnknowns(*map(array, names, own))
+    else:
+        unknowns = Unknowns(array("CENTRES", own.centres), array("CONTROLS", own.controls))
+    slacks = None
+    if inequalities is not None:
+        names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES"
+        slacks = Slacks(*(at[name].reshape(1, *inequalities).copy() for name in names), at["BARRIER"].copy())
+    return Iterate(unknowns, array("COSTATES", like.costates), slacks)
+
+
+@final
+class CoreSearch:
+    """Searches of the members of a batch, one after the other; see ``Descent``."""
+
+    def __init__(
+        self,
+        conditions: Conditions,
+        tolerance: float,
+        max_iterations: int,
+        callback: Callable[[Iteration], Any] | None,
+        as_it_is: bool = False,
+        width: float = WIDE,
+        firm: float = 1.0,
+    ) -> None:
+        self.conditions, self.tolerance, self.max_iterations = conditions, tolerance, max_iterations
+        self.callback, self.as_it_is, self.width, self.firm = callback, as_it_is, width, firm
+        self.lost, self.stopped = np.zeros(0, bool), False
+
+    def ended(self, guess: Iterate) -> Found:
+        """The result of the searches from the guesses."""
+        conditions, steps = self.conditions, self.conditions.transcription
+        count, shape = len(guess.costates), None
+        if steps.inequalities:
+            shape = conditions.data.steps.shape[1], steps.places, steps.inequalities
+        own = self.tolerance, self.max_iterations, self.width, self.firm
+        search = Search(transcription_of(conditions), *own, looks=not self.as_it_is)
+        self.lost, told, iterates, firsts = np.zeros(count, bool), list[SearchResult](), [], []
+        units, wider, barriers, limited = [], [], [], np.zeros(count, bool)
+        for k in range(count):
+            put(search.trajectory, conditions, guess, k)
+            status = search.run()
+            if status is SearchStatus.DEGENERATE:
+                self.lost[k] = True
+                moved = self._aside(guess, k)
+                search_again = Search(transcription_of(conditions), *own, looks=False)
+                put(search_again.trajectory, conditions.of(np.array([k])), moved, 0)
+                status, search = search_again.run(), search_again
+            result = search.read()
+            limited[k] = status is SearchStatus.ITERATION_LIMIT
+            iterates.append(iterate_of(result.trajectory, guess, shape))
+            firsts.append(iterate_of(result.first, guess, shape))
+            units.append(_units(result.judging))
+            wider.append(_units(result.steps))
+            if shape is not None:
+                rate, firm = np.array([result.rate]), np.array([self.firm])
+                barriers.append(Barrier(rate, result.limits[None].copy(), steps.kept[None].copy(), firm))
+            told.append(result._replace(judging=None, steps=None, limits=None))
+            if self.lost[k]:
+                search = Search(transcription_of(conditions), *own, looks=not self.as_it_is)
+        conditions.units, conditions.wider = joined(units), joined(wider)
+        conditions.barrier = joined(barriers) if barriers else None
+        iterate, self._first = joined(iterates), joined(firsts)
+        return self._found(iterate, told, limited)
+
+    def first(self) -> tuple[Iterate, Assembled]:
+        """The guesses with their first multipliers and slacks, and their systems."""
+        return self._first, self.conditions.assemble(self._first)
+
+    def failed(self, found: Found) -> np.ndarray:
+        """Which members have ended without success from guesses that nothing moved aside."""
+        return ~(found.claimed | found.contradictory | self.lost | self.stopped)
+
+    def _aside(self, guess: Iterate, k: int) -> Iterate:
+        """The guess of a member, moved aside."""
+        alone, own = self.conditions.of(np.array([k])), taken(guess, np.array([k]))
+        bare = alone.begin(own, self.firm)
+        moved, _ = aside(alone, *bare)
+        return moved
+
+    def _found(self, iterate: Iterate, told: list[SearchResult], limited: np.ndarray) -> Found:
+        conditions = self.conditions
+        assembled = conditions.assemble(iterate)
+        residuals = conditions.residuals(iterate, assembled)
+        names = "claimed", "isolated", "strict", "solvable", "infeasible", "falls", "iterations"
+        own = {name: np.array([getattr(one, name) for one in told]) for name in names}
+        strict = own["strict"]
+        if iterate.slacks is not None:
+            strict = conditions.is_isolated_minimum(iterate, assembled)
+        claimed = own["claimed"] & ends_meet(assembled, conditions.at_nodes.layout.in_arrays, self.tolerance)
+        missing = assembled.extent.lacking / conditions.judging.nodes
+        ended = strict & own["isolated"], own["iterations"], limited, claimed, own["solvable"]
+        falling = own["falls"] & ~claimed
+        return Found(
+            iterate, assembled, residuals, *ended, False, missing, own["infeasible"], conditions.judging.cost, falling
+        )
+
+
+def _units(scale: Any) -> Units:
+    return Units(scale.unknowns[None].copy(), scale.nodes[None].copy(), np.array([scale.cost]))
