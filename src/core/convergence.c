@@ -108,6 +108,8 @@ void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory) {
     fill(ARRAY(LOWEST), -INFINITY, layout->problem->state_numbers);
     survey_nodes(layout, trajectory);
     survey_steps(layout, trajectory);
+    ARRAY(TOTALS)[0] += retrax_end_cost_of(layout, trajectory, false).value;
+    ARRAY(TOTALS)[0] += retrax_end_cost_of(layout, trajectory, true).value;
     if (retrax_collocates(layout->problem)) {
         survey_points(layout, trajectory);
     }

@@ -63,6 +63,12 @@ static void write_promise(retrax_search *search) {
         const double within = product(ARRAY(VELOCITY_MAPS) + i * (z + 1), ARRAY(STEPS) + i / p * z, z);
         ahead += ARRAY(GRADIENTS_BY_VELOCITIES)[i] * (ARRAY(VELOCITY_STEPS)[i] - within);
     }
+    for (int i = 0; i < 2; i++) {
+        const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, i == 1);
+        if (cost.derivative != NULL && cost.mended != NULL) {
+            ahead += product(cost.slope, cost.mended, layout->problem->state_size);
+        }
+    }
     if (layout->problem->inequalities > 0) {
         ahead += ARRAY(LIMIT_STEP)[2];
         dual = found->dual * ARRAY(LIMIT_STEP)[3];

@@ -244,6 +244,8 @@ static void find_first_multipliers(retrax_search *search) {
     memset(at + layout->first[RETRAX_ARRAY_STEPS], 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_STEPS]);
     memset(at + layout->first[RETRAX_ARRAY_VELOCITY_STEPS], 0,
            sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_VELOCITY_STEPS]);
+    memcpy(at + layout->first[RETRAX_ARRAY_COVECTOR_STEPS], at + layout->first[RETRAX_ARRAY_MULTIPLIER_STEPS],
+           sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_MULTIPLIER_STEPS]);
     retrax_copy_unknowns(layout, at, search->trial);
     retrax_move_trajectory(layout, at, 1.0, search->trial);
     retrax_swap(search);

@@ -204,11 +204,21 @@ static void list(const retrax_problem *problem, retrax_function_name name, part_
             add(in, RETRAX_ARRAY_NODES, E);
             add(in, RETRAX_ARRAY_FIXED, n);
             add(in, RETRAX_ARRAY_GAPS, E);
-            add(in, RETRAX_ARRAY_COSTATES, E);
+            add(in, RETRAX_ARRAY_TURNED_COSTATES, E);
             add(out, RETRAX_ARRAY_NODE_FRAMES, n * E);
             add(out, RETRAX_ARRAY_DEFECTS, n);
             add(out, RETRAX_ARRAY_MULTIPLIERS, n);
             add(out, RETRAX_ARRAY_NODE_COSTATES, E);
+            break;
+        case RETRAX_START_COST:
+            add(in, RETRAX_ARRAY_NODES, E);
+            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
+            add(out, RETRAX_ARRAY_START_COST, 1 + E + n + n * n);
+            break;
+        case RETRAX_END_COST:
+            add_strided(in, RETRAX_ARRAY_NODES, problem->steps * E, E, E);
+            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
+            add(out, RETRAX_ARRAY_END_COST, 1 + E + n + n * n);
             break;
         default:
             break;

@@ -17,6 +17,21 @@
 /* Whether the method of a problem is a collocation method, and not a discretization map. */
 bool retrax_collocates(const retrax_problem *problem);
 
+/* The cost of the start, or of the end, of a trajectory; its derivatives are NULL where there is none. */
+typedef struct {
+    double value;
+    const double *derivative; /* [E] */
+    const double *slope;      /* [n] in the frame of the node */
+    const double *curvature;  /* [n][n] */
+    retrax_index node, step;  /* at which it is, and which ends or begins there */
+    const double *end;        /* [n][z] derivative of the node by the unknowns of that step */
+    const double *mended;     /* [n] what the velocities that mend the defects of the points move it by; NULL: nothing */
+    double sign;              /* of the derivative in the covector of the node: 1 at the end, -1 at the start */
+} retrax_end_cost;
+
+/* Returns the cost of the end of an evaluated trajectory, or of its start. */
+retrax_end_cost retrax_end_cost_of(const retrax_layout *layout, const double *trajectory, bool of_end);
+
 /* Bytes of workspace of retrax_measure_scale; 0 if it exceeds the address space. */
 size_t retrax_scaling_workspace(const retrax_problem *problem);
 

@@ -353,11 +353,15 @@ typedef enum {
     RETRAX_MOVE,
     /* Collocation alone: u, du -> u */
     RETRAX_MOVE_CONTROLS,
+    /* Where the start, or the end, costs something: node, parameters -> cost, its derivative [E], that in the frame of the node
+     * [n], its Hessian there [n][n] */
+    RETRAX_START_COST,
+    RETRAX_END_COST,
     RETRAX_FUNCTIONS /* their number */
 } retrax_function_name;
 
 /* A function of the problem. `evaluate` reads and writes at `points` places, as retrax_tape_run does with a tape; numbers
- * that it cannot compute are NaN. */
+ * that it cannot compute are NaN. It is NULL where a problem does not have the function. */
 typedef struct {
     void (*evaluate)(void *context, const retrax_tape_data *data, retrax_index points);
     void *context;
@@ -410,7 +414,8 @@ typedef struct {
     X(BEGINS, N *E) X(FINISHES, N *E) X(NODES, (N + 1) * E) X(GAPS, (N + 1) * E) X(SEEN, (N + 1) * E)          \
     X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID, 3 * E)                                                     \
     X(NODE_FRAMES, (N + 1) * n * E) X(DEFECTS, (N + 1) * n) X(ASKED, (N + 1) * n) X(MULTIPLIERS, (N + 1) * n)       \
-    X(NODE_COSTATES, (N + 1) * E)                                                                              \
+    X(NODE_COSTATES, (N + 1) * E) X(TURNED_COSTATES, (N + 1) * E)                                              \
+    X(START_COST, 1 + E + n + n * n) X(END_COST, 1 + E + n + n * n)                                            \
     /* points of collocation */                                                                                \
     X(POINT_HESSIANS, v *q *q) X(POINT_SLOPES, v *q) X(POINT_JACOBIANS, v *n *q) X(POINT_GRADIENTS, v *q)      \
     X(POINT_DEFECTS, v *n) X(POINT_COSTS, v) X(POINT_FRAMES, v *n *E) X(POINT_MULTIPLIERS, v *n)               \
@@ -429,7 +434,7 @@ typedef struct {
     X(CURVATURES, z) X(POINT_SURVEY, 5 * n) X(TOTALS, 2) X(LIMIT_SURVEY, 10) X(ALONG, n) X(ENTRIES, E)         \
     X(RESIDUALS, RETRAX_RESIDUALS)                                                                             \
     /* Newton step from here, and room for the parts of it that a move makes */                                \
-    X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
+    X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(COVECTOR_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
     X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U) X(CENTRE_PARTS, N *(s > 1 ? n : z))                    \
     X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)                                                             \
     X(SLACK_STEPS, N *s *c) X(LIMIT_MULTIPLIER_STEPS, N *s *c) X(EXCESS_STEPS, N *s *c)                        \
@@ -478,8 +483,8 @@ RETRAX_API void retrax_assemble_system(const retrax_layout *layout, double *traj
 /* Writes the right-hand sides of the Newton step at the barrier: NEWTON_SIDES, NEWTON_DEFECTS, NEWTON_SLOPES. */
 RETRAX_API void retrax_write_right_sides(const retrax_layout *layout, double *trajectory);
 
-/* Expands the Newton step of a collocation method: from STEPS and MULTIPLIER_STEPS to VELOCITY_STEPS and
- * POINT_MULTIPLIER_STEPS; nothing for a discretization map. */
+/* Expands the Newton step: from STEPS and MULTIPLIER_STEPS to COVECTOR_STEPS, at the ends with the slopes of their costs,
+ * which move, and of a collocation method to VELOCITY_STEPS and POINT_MULTIPLIER_STEPS. */
 RETRAX_API void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *workspace);
 
 /* Writes the unknowns of a trajectory as those of `from` after a part of the Newton step from there, 0 <= part <= 1. */

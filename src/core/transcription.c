@@ -167,6 +167,47 @@ static void write_asked(const retrax_layout *layout, double *trajectory) {
     }
 }
 
+retrax_end_cost retrax_end_cost_of(const retrax_layout *layout, const double *trajectory, bool of_end) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index N = problem->steps, n = problem->state_size, E = problem->state_numbers;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], step = of_end ? N - 1 : 0;
+    const double *const found = of_end ? ARRAY(END_COST) : ARRAY(START_COST);
+    if (problem->functions[of_end ? RETRAX_END_COST : RETRAX_START_COST].evaluate == NULL) {
+        return (retrax_end_cost){.value = 0.0};
+    }
+    return (retrax_end_cost){
+        .value = found[0],
+        .derivative = found + 1,
+        .slope = found + 1 + E,
+        .curvature = found + 1 + E + n,
+        .node = of_end ? N : 0,
+        .step = step,
+        .end = (of_end ? ARRAY(RIGHT) : ARRAY(LEFT)) + step * n * z,
+        .mended = retrax_collocates(problem) ? (of_end ? ARRAY(AFTER) : ARRAY(BEFORE)) + step * n : NULL,
+        .sign = of_end ? 1.0 : -1.0,
+    };
+}
+
+/* Adds the derivatives of the costs of the ends, times a sign, to covectors of the nodes. */
+static void turn_covectors(const retrax_layout *layout, const double *trajectory, double sign, double *covectors) {
+    const retrax_index E = layout->problem->state_numbers;
+    for (int i = 0; i < 2; i++) {
+        const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, i == 1);
+        for (retrax_index e = 0; e < E && cost.derivative != NULL; e++) {
+            covectors[cost.node * E + e] += sign * cost.sign * cost.derivative[e];
+        }
+    }
+}
+
+/* Evaluates the costs of the ends, where there are any. */
+static void evaluate_end_costs(const retrax_layout *layout, double *trajectory) {
+    for (int name = RETRAX_START_COST; name <= RETRAX_END_COST; name++) {
+        if (layout->problem->functions[name].evaluate != NULL) {
+            evaluate(layout, trajectory, (retrax_function_name)name, 1);
+        }
+    }
+}
+
 void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory) {
     const retrax_index N = layout->problem->steps, s = layout->problem->points;
     if (retrax_collocates(layout->problem)) {
@@ -174,7 +215,11 @@ void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory)
     }
     evaluate(layout, trajectory, RETRAX_ENDS, N);
     meet(layout, trajectory);
+    evaluate_end_costs(layout, trajectory);
+    copy(ARRAY(TURNED_COSTATES), ARRAY(COSTATES), layout->count[RETRAX_ARRAY_COSTATES]);
+    turn_covectors(layout, trajectory, 1.0, ARRAY(TURNED_COSTATES));
     evaluate(layout, trajectory, RETRAX_FRAMES, N + 1);
+    turn_covectors(layout, trajectory, -1.0, ARRAY(NODE_COSTATES));
     write_asked(layout, trajectory);
     evaluate(layout, trajectory, RETRAX_POINTS, N * s);
     if (retrax_collocates(layout->problem)) {
@@ -240,6 +285,28 @@ static void condense(const retrax_layout *layout, double *trajectory, void *work
                           ARRAY(GRADIENTS));
 }
 
+/* Adds the cost of an end to the blocks of the step there. */
+static void add_end_cost(const retrax_layout *layout, double *trajectory, const retrax_end_cost *cost) {
+    const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
+    double *const hessian = ARRAY(HESSIANS) + cost->step * z * z, *const gradient = ARRAY(GRADIENTS) + cost->step * z;
+    double *const side = ARRAY(RIGHT_SIDES) + cost->step * z;
+    for (retrax_index a = 0; a < n; a++) {
+        const double *const row = cost->end + a * z;
+        for (retrax_index i = 0; i < z; i++) {
+            gradient[i] += cost->slope[a] * row[i];
+        }
+        for (retrax_index b = 0; b < n; b++) {
+            const double curvature = cost->curvature[a * n + b], *const other = cost->end + b * z;
+            for (retrax_index i = 0; i < z; i++) {
+                side[i] += cost->mended == NULL ? 0.0 : row[i] * curvature * cost->mended[b];
+                for (retrax_index j = 0; j < z; j++) {
+                    hessian[i * z + j] += row[i] * curvature * other[j];
+                }
+            }
+        }
+    }
+}
+
 void retrax_assemble_system(const retrax_layout *layout, double *trajectory, void *workspace,
                             retrax_instruction_set set) {
     const retrax_problem *const problem = layout->problem;
@@ -254,6 +321,12 @@ void retrax_assemble_system(const retrax_layout *layout, double *trajectory, voi
         }
     } else if (problem->inequalities == 0) {
         copy(ARRAY(RIGHT_SIDES), ARRAY(SLOPES), layout->count[RETRAX_ARRAY_SLOPES]);
+    }
+    for (int i = 0; i < 2; i++) {
+        const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, i == 1);
+        if (cost.derivative != NULL) {
+            add_end_cost(layout, trajectory, &cost);
+        }
     }
 }
 
@@ -282,7 +355,26 @@ void retrax_write_right_sides(const retrax_layout *layout, double *trajectory) {
     }
 }
 
+/* Writes the steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs. */
+static void write_covector_steps(const retrax_layout *layout, double *trajectory) {
+    const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
+    copy(ARRAY(COVECTOR_STEPS), ARRAY(MULTIPLIER_STEPS), layout->count[RETRAX_ARRAY_MULTIPLIER_STEPS]);
+    for (int i = 0; i < 2; i++) {
+        const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, i == 1);
+        for (retrax_index b = 0; b < n && cost.derivative != NULL; b++) {
+            double moved = cost.mended == NULL ? 0.0 : cost.mended[b];
+            for (retrax_index j = 0; j < z; j++) {
+                moved += cost.end[b * z + j] * ARRAY(STEPS)[cost.step * z + j];
+            }
+            for (retrax_index a = 0; a < n; a++) {
+                ARRAY(COVECTOR_STEPS)[cost.node * n + a] -= cost.sign * cost.curvature[a * n + b] * moved;
+            }
+        }
+    }
+}
+
 void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *workspace) {
+    write_covector_steps(layout, trajectory);
     if (!retrax_collocates(layout->problem)) {
         return;
     }
@@ -290,7 +382,7 @@ void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *w
     const retrax_collocation_system system =
         system_of(layout, trajectory, limited ? ARRAY(NEWTON_SLOPES) : ARRAY(POINT_SLOPES));
     const retrax_condensed_system condensed = condensed_of(layout, trajectory);
-    retrax_expand(&system, &condensed, 0, layout->problem->steps, ARRAY(STEPS), ARRAY(MULTIPLIER_STEPS),
+    retrax_expand(&system, &condensed, 0, layout->problem->steps, ARRAY(STEPS), ARRAY(COVECTOR_STEPS),
                   ARRAY(VELOCITY_STEPS), ARRAY(POINT_MULTIPLIER_STEPS), workspace);
 }
 
@@ -354,6 +446,7 @@ void retrax_move_trajectory(const retrax_layout *layout, const double *from, dou
         evaluate(layout, trajectory, RETRAX_MOVE, problem->steps);
     }
     write_covectors(ARRAY(COSTATES), from + layout->first[RETRAX_ARRAY_NODE_FRAMES],
-                    from + layout->first[RETRAX_ARRAY_MULTIPLIERS], from + layout->first[RETRAX_ARRAY_MULTIPLIER_STEPS], part,
+                    from + layout->first[RETRAX_ARRAY_MULTIPLIERS], from + layout->first[RETRAX_ARRAY_COVECTOR_STEPS], part,
                     problem->steps + 1, problem->state_size, problem->state_numbers);
+    turn_covectors(layout, from, -1.0, ARRAY(COSTATES));
 }

@@ -28,7 +28,7 @@ from retrax.manifolds import InvalidInputError
 from ..integrators.engine.test_trial import CASES, SLEWS
 
 SETS = range(best_instruction_set() + 1)
-NAMES = [name for name in CASES if "nodes" not in name and "free end" not in name]
+NAMES = [name for name in CASES if "nodes" not in name]
 
 
 def program(evaluated: Any, own: int) -> MachineProgram:
@@ -47,6 +47,8 @@ def transcription(conditions: Conditions, own: int) -> Transcription:
         functions[name.MOVE_CONTROLS], tableau = steps._control, (steps.tableau.matrix, steps.tableau.weights)
     else:
         functions |= {name.POINTS: steps._row, name.MOVE: steps._move}
+    own_costs = {"first_cost": name.START_COST, "final_cost": name.END_COST}
+    functions |= {own_costs[key]: function for key, function in nodes._paid.items()}
     sizes = Sizes(
         conditions.data.steps.shape[1], steps.stages, steps.manifold.dimension, steps.state.size,
         steps.controls.dimension, steps.control.size, steps.parameter.size, steps.inequalities,
@@ -200,8 +202,8 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
         at, to = (put(of(self).trajectory(), self, iterate) for _ in range(2))
         at.evaluate()
         at["STEPS"][...], at["MULTIPLIER_STEPS"][...] = step.unknowns.ravel(), step.multipliers.ravel()
+        at.expand()
         if step.inner is not None:
-            at.expand()
             compare(at, dict(zip(("VELOCITY_STEPS", "POINT_MULTIPLIER_STEPS"), step.inner, strict=True)))
         to.move(at, float((fraction * step.reach)[0]))
         if step.turn is not None:

@@ -37,7 +37,7 @@ def is_on_core(conditions: Any, callback: Any) -> bool:
     if conditions.joint or callback is not None:
         return False
     steps, nodes = conditions.transcription, conditions.at_nodes
-    if nodes.pays or not nodes.flat_controls or getattr(steps, "at_nodes", 0):
+    if not nodes.flat_controls or getattr(steps, "at_nodes", 0):
         return False
     return all(hasattr(own, "tape") for own in _functions(conditions).values())
 
@@ -46,6 +46,8 @@ def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
     """The functions of the problem."""
     steps, nodes, name = conditions.transcription, conditions.at_nodes, FunctionName
     found = {name.ENDS: steps._ends, name.FRAMES: nodes._in_frame, name.MIDDLE: nodes._middle}
+    costs = {"first_cost": name.START_COST, "final_cost": name.END_COST}
+    found |= {costs[key]: function for key, function in nodes._paid.items()}
     if isinstance(steps, Collocation):
         found |= {name.POINTS: steps._point, name.BOTH_ENDS: steps._both, name.MOVE: steps._centre}
         return found | {name.MOVE_CONTROLS: steps._control}

@@ -168,7 +168,7 @@ class TapeFunctionStruct(Structure):
     _fields_ = (("tape", POINTER(TapeStruct)), ("registers", c_void_p), ("lanes", c_ssize_t), ("set", c_int))
 
 
-FUNCTIONS = 7  # of a problem
+FUNCTIONS = 9  # of a problem
 
 
 @final
@@ -194,7 +194,7 @@ class ProblemStruct(Structure):
     )
 
 
-ARRAYS = 99  # of a trajectory
+ARRAYS = 103  # of a trajectory
 
 
 @final

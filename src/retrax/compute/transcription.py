@@ -40,6 +40,11 @@ class FunctionName(IntEnum):
     BOTH_ENDS = 4
     MOVE = 5
     MOVE_CONTROLS = 6
+    START_COST = 7
+    END_COST = 8
+
+
+_OPTIONAL = frozenset({FunctionName.MIDDLE, FunctionName.START_COST, FunctionName.END_COST})
 
 
 @final
@@ -136,7 +141,7 @@ class Transcription:
         problem, own = byref(self._problem), self._library
         sizes = own.retrax_function_inputs(problem, name), own.retrax_function_outputs(problem, name)
         if program is None:
-            if any(sizes) and name is not FunctionName.MIDDLE:
+            if any(sizes) and name not in _OPTIONAL:
                 raise InvalidInputError(f"a problem with {self.sizes} needs the function {name.name}")
             return
         if program.sizes[:2] != sizes:
