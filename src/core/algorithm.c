@@ -27,9 +27,6 @@
 
 #define RESIDUAL(trajectory, name) ((trajectory)[search->layout->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_##name])
 
-/* The larger of both; a number that is NaN stays. */
-static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
-
 void retrax_swap(retrax_search *search) {
     double *const before = search->at;
     search->at = search->trial;
@@ -102,13 +99,13 @@ static void settle(retrax_search *search) {
         const double unit = search->judging.unknowns[i];
         double own = i < n ? 0.0 : retrax_control_size(layout, trajectory, i - n), spread = own;
         for (retrax_index e = 0; e < E && i < n; e++) {
-            const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], value = larger(high, low);
+            const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], value = retrax_larger(high, low);
             const double share = ARRAY(SUPPORT)[i * E + e];
-            spread = larger(spread, share * (high + low));
-            own = larger(own, share * (high + low + (high + low > STILL * value ? value : SHARE * value)));
+            spread = retrax_larger(spread, share * (high + low));
+            own = retrax_larger(own, share * (high + low + (high + low > STILL * value ? value : SHARE * value)));
         }
-        wanted = larger(wanted, search->largest[i] / fmax(own, SHARE * unit));
-        grown = larger(grown, spread / unit);
+        wanted = retrax_larger(wanted, search->largest[i] / fmax(own, SHARE * unit));
+        grown = retrax_larger(grown, spread / unit);
     }
     const bool was_isolated = search->isolated, stuck = wanted > SHRINKS * search->correction;
     search->isolated = wanted <= sqrt(search->options.tolerance);

@@ -35,9 +35,6 @@
 #define LEFT 0.01
 #define ROUNDED 1.4901161193847656e-08
 
-/* The larger of both; a number that is NaN stays. */
-static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
-
 static retrax_index inequalities_of(const retrax_search *search) { return search->layout->problem->inequalities; }
 
 static bool is_kept(const retrax_search *search, retrax_index i) {
@@ -71,8 +68,8 @@ static void write_limits(retrax_search *search, const double *trajectory) {
             for (retrax_index a = 0; a < q; a++) {
                 change += fabs(ARRAY(LIMIT_JACOBIANS)[i * q + a]) * size_of_unknown(search, i / c % s, a);
             }
-            size = larger(size, change);
-            value = larger(value, fabs(ARRAY(LIMITS)[i]));
+            size = retrax_larger(size, change);
+            value = retrax_larger(value, fabs(ARRAY(LIMITS)[i]));
         }
         size = size > VALUE * value ? size : value;
         search->limit_sizes[j] = size > 0.0 && isfinite(size) ? size : 1.0;
@@ -191,7 +188,7 @@ static double lowered(const retrax_search *search, bool *cheap) {
     double barrier = *ARRAY(BARRIER);
     *cheap = false;
     for (;;) {
-        const double off = larger(larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]), 0.0);
+        const double off = retrax_larger(retrax_larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]), 0.0);
         const double own = barrier / rate, enough = fmax(SOLVED * own, search->options.tolerance);
         if (!(ARRAY(RESIDUALS)[RETRAX_STEADY] <= enough && off <= SOLVED * barrier)) {
             return barrier;

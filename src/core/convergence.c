@@ -23,9 +23,6 @@
 /* Rows of POINT_SURVEY. */
 enum { OF_STEP, TOTAL, OF_POINT, MULTIPLIER, SLOPE };
 
-/* The larger of both; a number that is NaN stays. */
-static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
-
 static double or_one(double size) { return size > 0.0 ? size : 1.0; }
 
 static void fill(double *to, double value, retrax_index count) {
@@ -40,16 +37,16 @@ static void survey_nodes(const retrax_layout *layout, double *trajectory) {
     for (retrax_index k = 0; k <= layout->problem->steps; k++) {
         const double *const node = ARRAY(NODES) + k * E, *const frame = ARRAY(NODE_FRAMES) + k * n * E;
         for (retrax_index e = 0; e < E; e++) {
-            ARRAY(HIGHEST)[e] = larger(ARRAY(HIGHEST)[e], node[e]);
-            ARRAY(LOWEST)[e] = larger(ARRAY(LOWEST)[e], -node[e]);
+            ARRAY(HIGHEST)[e] = retrax_larger(ARRAY(HIGHEST)[e], node[e]);
+            ARRAY(LOWEST)[e] = retrax_larger(ARRAY(LOWEST)[e], -node[e]);
         }
         for (retrax_index i = 0; i < n * E; i++) {
-            ARRAY(SUPPORT)[i] = larger(ARRAY(SUPPORT)[i], fabs(frame[i]));
+            ARRAY(SUPPORT)[i] = retrax_larger(ARRAY(SUPPORT)[i], fabs(frame[i]));
         }
         for (retrax_index a = 0; a < n; a++) {
             const double defect = ARRAY(DEFECTS)[k * n + a];
             ARRAY(MISSING)[a] += fabs(defect);
-            ARRAY(LACKING)[a] = larger(ARRAY(LACKING)[a], fabs(defect));
+            ARRAY(LACKING)[a] = retrax_larger(ARRAY(LACKING)[a], fabs(defect));
             ARRAY(TOTALS)[1] += ARRAY(MULTIPLIERS)[k * n + a] * defect;
         }
     }
@@ -67,9 +64,9 @@ static void survey_steps(const retrax_layout *layout, double *trajectory) {
                 right += after[a] * ARRAY(RIGHT)[(k * n + a) * z + i];
             }
             const double parts = fabs(ARRAY(GRADIENTS)[k * z + i]) + (fabs(left) + fabs(right));
-            ARRAY(PARTS)[i] = larger(ARRAY(PARTS)[i], parts);
-            ARRAY(LARGEST_SLOPES)[i] = larger(ARRAY(LARGEST_SLOPES)[i], fabs(ARRAY(SLOPES)[k * z + i]));
-            ARRAY(CURVATURES)[i] = larger(ARRAY(CURVATURES)[i], fabs(ARRAY(HESSIANS)[(k * z + i) * z + i]));
+            ARRAY(PARTS)[i] = retrax_larger(ARRAY(PARTS)[i], parts);
+            ARRAY(LARGEST_SLOPES)[i] = retrax_larger(ARRAY(LARGEST_SLOPES)[i], fabs(ARRAY(SLOPES)[k * z + i]));
+            ARRAY(CURVATURES)[i] = retrax_larger(ARRAY(CURVATURES)[i], fabs(ARRAY(HESSIANS)[(k * z + i) * z + i]));
         }
         ARRAY(TOTALS)[0] += ARRAY(COSTS)[k];
     }
@@ -86,12 +83,12 @@ static void survey_points(const retrax_layout *layout, double *trajectory) {
                 const double defect = ARRAY(POINT_DEFECTS)[i * n + a], multiplier = ARRAY(POINT_MULTIPLIERS)[i * n + a];
                 const double slope = fabs(ARRAY(SLOPES_BY_VELOCITIES)[i * n + a]) / ARRAY(POINT_WEIGHTS)[i];
                 total += fabs(defect);
-                found[OF_POINT * n + a] = larger(found[OF_POINT * n + a], fabs(defect));
-                found[MULTIPLIER * n + a] = larger(found[MULTIPLIER * n + a], fabs(multiplier));
-                found[SLOPE * n + a] = larger(found[SLOPE * n + a], slope);
+                found[OF_POINT * n + a] = retrax_larger(found[OF_POINT * n + a], fabs(defect));
+                found[MULTIPLIER * n + a] = retrax_larger(found[MULTIPLIER * n + a], fabs(multiplier));
+                found[SLOPE * n + a] = retrax_larger(found[SLOPE * n + a], slope);
                 ARRAY(TOTALS)[1] += multiplier * defect;
             }
-            found[OF_STEP * n + a] = larger(found[OF_STEP * n + a], total);
+            found[OF_STEP * n + a] = retrax_larger(found[OF_STEP * n + a], total);
             found[TOTAL * n + a] += total;
         }
     }
@@ -137,8 +134,8 @@ void retrax_measure_motion(const retrax_layout *layout, const double *trajectory
     double *const own = work, *const of_columns = work + E; /* sizes that an entry is beside; of the columns */
     memset(of_columns, 0, sizeof(double) * (size_t)E);
     for (retrax_index e = 0; e < E; e++) {
-        const double value = larger(ARRAY(HIGHEST)[e], ARRAY(LOWEST)[e]);
-        of_columns[columns[e]] = larger(of_columns[columns[e]], value);
+        const double value = retrax_larger(ARRAY(HIGHEST)[e], ARRAY(LOWEST)[e]);
+        of_columns[columns[e]] = retrax_larger(of_columns[columns[e]], value);
     }
     for (retrax_index e = 0; e < E; e++) {
         own[e] = retrax_is_alone(support, n, E, e) ? 0.0 : of_columns[columns[e]];
@@ -147,12 +144,12 @@ void retrax_measure_motion(const retrax_layout *layout, const double *trajectory
         double far = 0.0, most = 0.0, whole = 0.0;
         for (retrax_index e = 0; e < E; e++) {
             const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], share = support[a * E + e];
-            const double value = larger(high, low);
+            const double value = retrax_larger(high, low);
             if (high + low > STILL * value) {
-                far = larger(far, share * (high + low));
+                far = retrax_larger(far, share * (high + low));
             }
-            whole = larger(whole, share * own[e]);
-            most = larger(most, share * larger(value, own[e]));
+            whole = retrax_larger(whole, share * own[e]);
+            most = retrax_larger(most, share * retrax_larger(value, own[e]));
         }
         moved[a] = far > ROUNDING * whole ? far : 0.0;
         sizes[a] = most;
@@ -167,30 +164,30 @@ static void write_measures(const retrax_layout *layout, double *trajectory, cons
     for (retrax_index a = 0; a < n; a++) {
         along[a] = 0.0;
         for (retrax_index e = 0; e < E; e++) {
-            along[a] = larger(along[a], support[a * E + e]);
+            along[a] = retrax_larger(along[a], support[a * E + e]);
         }
     }
     for (retrax_index e = 0; e < E; e++) {
         const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e];
-        double value = larger(high, low);
+        double value = retrax_larger(high, low);
         bool moves = false;
         for (retrax_index a = 0; a < n; a++) {
             moves = moves || support[a * E + e] > ROUNDING * along[a];
         }
         if (!moves) { /* the equations of the manifold say what it is, and hold to a share of one */
-            value = larger(value, 1.0);
+            value = retrax_larger(value, 1.0);
         }
-        entries[e] = larger(high + low, VALUE * value);
+        entries[e] = retrax_larger(high + low, VALUE * value);
     }
     for (retrax_index a = 0; a < n; a++) {
         along[a] = SHARE * nodes[a];
         for (retrax_index e = 0; e < E; e++) {
-            along[a] = larger(along[a], support[a * E + e] * entries[e]);
+            along[a] = retrax_larger(along[a], support[a * E + e] * entries[e]);
         }
     }
     for (retrax_index e = 0; e < E; e++) {
         for (retrax_index a = 0; a < n; a++) {
-            entries[e] = larger(entries[e], support[a * E + e] * along[a]);
+            entries[e] = retrax_larger(entries[e], support[a * E + e] * along[a]);
         }
     }
 }
@@ -202,15 +199,15 @@ static double stationarity_of(const retrax_layout *layout, const double *traject
     double found = 0.0;
     *scale = units->least_part;
     for (retrax_index i = 0; i < z; i++) {
-        const double unit = units->judging_unknowns[i], reach = i < n ? larger(unit, ARRAY(ALONG)[i]) : unit;
-        *scale = larger(*scale, unit * ARRAY(PARTS)[i]);
+        const double unit = units->judging_unknowns[i], reach = i < n ? retrax_larger(unit, ARRAY(ALONG)[i]) : unit;
+        *scale = retrax_larger(*scale, unit * ARRAY(PARTS)[i]);
         if (units->least_part == 0.0) {
-            *scale = larger(*scale, unit * reach * ARRAY(CURVATURES)[i]);
+            *scale = retrax_larger(*scale, unit * reach * ARRAY(CURVATURES)[i]);
         }
     }
     for (retrax_index i = 0; i < z; i++) {
         const double unit = units->judging_unknowns[i];
-        found = larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / or_one(larger(unit * ARRAY(PARTS)[i], SHARE * *scale)));
+        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / or_one(retrax_larger(unit * ARRAY(PARTS)[i], SHARE * *scale)));
     }
     return found;
 }
@@ -219,7 +216,7 @@ static double stationarity_of(const retrax_layout *layout, const double *traject
 static void measure_inequalities(const retrax_layout *layout, double *trajectory, const retrax_limit_scale *limits,
                                  double *found) {
     const double *const survey = ARRAY(LIMIT_SURVEY), barrier = *ARRAY(BARRIER);
-    const double off = larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]);
+    const double off = retrax_larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]);
     double horizon = 0.0;
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
         horizon += ARRAY(STEP_SIZE)[k];
@@ -227,7 +224,7 @@ static void measure_inequalities(const retrax_layout *layout, double *trajectory
     found[RETRAX_VIOLATION] = survey[RETRAX_LIMIT_VIOLATION];
     found[RETRAX_EXCESS] = survey[RETRAX_LIMIT_EXCESS];
     found[RETRAX_COMPLEMENTARITY] = survey[RETRAX_LIMIT_PRODUCT] / limits->rate;
-    found[RETRAX_CENTRING] = larger(0.0, off) / limits->rate;
+    found[RETRAX_CENTRING] = retrax_larger(0.0, off) / limits->rate;
     found[RETRAX_INFEASIBILITY] += survey[RETRAX_LIMIT_MISSING] * (double)layout->problem->steps / horizon;
     found[RETRAX_MERIT] += survey[RETRAX_LIMIT_POTENTIAL];
     found[RETRAX_HELD] += survey[RETRAX_LIMIT_HELD];
@@ -242,16 +239,16 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
     write_measures(layout, trajectory, scale->judging_nodes);
     double defect = 0.0, stationarity = stationarity_of(layout, trajectory, scale, &parts);
     for (retrax_index e = 0; e < E; e++) {
-        defect = larger(defect, ARRAY(DISTANCE)[e] / or_one(ARRAY(ENTRIES)[e]));
+        defect = retrax_larger(defect, ARRAY(DISTANCE)[e] / or_one(ARRAY(ENTRIES)[e]));
     }
     for (retrax_index a = 0; a < n; a++) {
-        const double unit = scale->judging_nodes[a], most = larger(ARRAY(LACKING)[a], points[OF_POINT * n + a]);
-        const double size = or_one(larger(unit * points[MULTIPLIER * n + a], SHARE * parts));
-        defect = larger(defect, points[OF_STEP * n + a] / or_one(ARRAY(ALONG)[a]));
-        stationarity = larger(stationarity, unit * points[SLOPE * n + a] / size);
+        const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[OF_POINT * n + a]);
+        const double size = or_one(retrax_larger(unit * points[MULTIPLIER * n + a], SHARE * parts));
+        defect = retrax_larger(defect, points[OF_STEP * n + a] / or_one(ARRAY(ALONG)[a]));
+        stationarity = retrax_larger(stationarity, unit * points[SLOPE * n + a] / size);
         found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[TOTAL * n + a]) / scale->nodes[a];
-        found[RETRAX_UNMET] = larger(found[RETRAX_UNMET], most / unit);
-        found[RETRAX_SHORTFALL] = larger(found[RETRAX_SHORTFALL], most / scale->nodes[a]);
+        found[RETRAX_UNMET] = retrax_larger(found[RETRAX_UNMET], most / unit);
+        found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], most / scale->nodes[a]);
     }
     found[RETRAX_DEFECT] = defect;
     found[RETRAX_STATIONARITY] = stationarity;
@@ -260,10 +257,10 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
     if (limits != NULL) {
         measure_inequalities(layout, trajectory, limits, found);
     }
-    found[RETRAX_STEADY] = larger(larger(defect, stationarity), found[RETRAX_VIOLATION]);
+    found[RETRAX_STEADY] = retrax_larger(retrax_larger(defect, stationarity), found[RETRAX_VIOLATION]);
     found[RETRAX_FINAL] =
-        larger(found[RETRAX_STEADY], larger(found[RETRAX_EXCESS], found[RETRAX_COMPLEMENTARITY]));
-    found[RETRAX_LARGEST] = larger(found[RETRAX_STEADY], found[RETRAX_CENTRING]);
+        retrax_larger(found[RETRAX_STEADY], retrax_larger(found[RETRAX_EXCESS], found[RETRAX_COMPLEMENTARITY]));
+    found[RETRAX_LARGEST] = retrax_larger(found[RETRAX_STEADY], found[RETRAX_CENTRING]);
     found[RETRAX_MERIT] /= scale->cost;
     found[RETRAX_HELD] /= scale->cost;
 }

@@ -22,9 +22,6 @@
 /* The shift with which a step is the least that the constraints ask for. */
 #define LEAST_SHIFT 1e6
 
-/* The larger of both; a number that is NaN stays. */
-static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
-
 /* Whether two entries belong to one piece of a state: an array, but for entries that have a coordinate of their own. */
 static bool are_together(const retrax_problem *problem, const bool *alone, retrax_index e, retrax_index f) {
     return e == f || (!alone[e] && !alone[f] && problem->arrays[e] == problem->arrays[f]);
@@ -46,9 +43,9 @@ static bool is_far(const retrax_search *search) {
         double far = 0.0, spread = 0.0;
         for (retrax_index f = 0; f < E; f++) {
             if (are_together(layout->problem, search->steady, e, f)) {
-                spread = larger(spread, ARRAY(HIGHEST)[f] + ARRAY(LOWEST)[f]);
+                spread = retrax_larger(spread, ARRAY(HIGHEST)[f] + ARRAY(LOWEST)[f]);
                 for (retrax_index a = 0; a < n; a++) {
-                    far = larger(far, search->largest[a] * ARRAY(SUPPORT)[a * E + f]);
+                    far = retrax_larger(far, search->largest[a] * ARRAY(SUPPORT)[a * E + f]);
                 }
             }
         }
@@ -70,14 +67,14 @@ static bool is_unmet(const retrax_search *search) {
     for (retrax_index k = 0; k <= N; k++) {
         for (retrax_index a = 0; a < n; a++) {
             double value = ARRAY(NEWTON_DEFECTS)[k * n + a];
-            asked = larger(asked, fabs(value) / search->steps.nodes[a]);
+            asked = retrax_larger(asked, fabs(value) / search->steps.nodes[a]);
             for (retrax_index i = 0; i < z && k < N; i++) {
                 value += ARRAY(LEFT)[(k * n + a) * z + i] * ARRAY(STEPS)[k * z + i];
             }
             for (retrax_index i = 0; i < z && k > 0; i++) {
                 value -= ARRAY(RIGHT)[((k - 1) * n + a) * z + i] * ARRAY(STEPS)[(k - 1) * z + i];
             }
-            remaining = larger(remaining, fabs(value * ARRAY(FIXED)[k * n + a]) / search->steps.nodes[a]);
+            remaining = retrax_larger(remaining, fabs(value * ARRAY(FIXED)[k * n + a]) / search->steps.nodes[a]);
         }
     }
     return asked > MET && !(remaining <= UNMET * asked);
@@ -100,7 +97,7 @@ static bool are_opposite(const retrax_search *search) {
     const retrax_index nodes = layout->problem->steps + 1, n = layout->problem->state_size;
     double widest = 0.0;
     for (retrax_index k = 0; k < nodes; k++) {
-        widest = larger(widest, length_of(search, ARRAY(DEFECTS) + k * n));
+        widest = retrax_larger(widest, length_of(search, ARRAY(DEFECTS) + k * n));
     }
     for (retrax_index k = 0; k < nodes; k++) {
         const double gap = length_of(search, ARRAY(DEFECTS) + k * n);

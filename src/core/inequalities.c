@@ -33,12 +33,6 @@ static inequalities inequalities_of(const retrax_layout *layout, double *traject
     };
 }
 
-/* Unknowns of a point that an inequality depends on. */
-static retrax_index unknowns_of(const retrax_problem *problem) {
-    const retrax_index n = problem->state_size, m = problem->control_size;
-    return retrax_collocates(problem) ? 3 * n + m : n + m;
-}
-
 static bool is_elastic(const inequalities *own, retrax_index i) { return own->penalties[i] < INFINITY; }
 
 /* zeta = rho - nu */
@@ -60,12 +54,10 @@ static double missing(const inequalities *own, retrax_index i) {
     return own->values[i] + own->slacks[i] - own->excesses[i];
 }
 
-static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
-
 void retrax_add_inequalities(const retrax_layout *layout, double *trajectory) {
     const retrax_problem *const problem = layout->problem;
     const inequalities own = inequalities_of(layout, trajectory);
-    const retrax_index q = unknowns_of(problem), c = own.size, points = problem->steps * problem->points;
+    const retrax_index q = retrax_point_unknowns(problem), c = own.size, points = problem->steps * problem->points;
     const bool collocates = retrax_collocates(problem);
     double *const hessians = collocates ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS);
     const double *const plain = collocates ? ARRAY(POINT_SLOPES) : ARRAY(SLOPES);
@@ -104,7 +96,7 @@ static double size_of(const inequalities *own, retrax_index j, double limit) {
     double found = limit;
     for (retrax_index i = j; i < own->count; i += own->size) {
         if (own->weights[i] > 0.0) {
-            found = larger(found, VALUE * fabs(own->values[i]));
+            found = retrax_larger(found, VALUE * fabs(own->values[i]));
         }
     }
     return found;
@@ -114,14 +106,14 @@ static double size_of(const inequalities *own, retrax_index j, double limit) {
 static void survey_excess(const inequalities *own, retrax_index i, double limit, const retrax_limit_scale *scale,
                           double *found) {
     const double unit = scale->rate / limit, penalty = own->penalties[i];
-    found[RETRAX_LIMIT_DEAR] = larger(found[RETRAX_LIMIT_DEAR], penalty / (scale->first_penalty * unit));
+    found[RETRAX_LIMIT_DEAR] = retrax_larger(found[RETRAX_LIMIT_DEAR], penalty / (scale->first_penalty * unit));
     if (own->multipliers[i] <= scale->near * penalty) {
         return;
     }
     if (penalty < scale->last_penalty * unit) {
         found[RETRAX_LIMIT_CHEAP] = 1.0;
     } else {
-        found[RETRAX_LIMIT_LEFT] = larger(found[RETRAX_LIMIT_LEFT], own->excesses[i] / limit);
+        found[RETRAX_LIMIT_LEFT] = retrax_larger(found[RETRAX_LIMIT_LEFT], own->excesses[i] / limit);
     }
 }
 
@@ -139,14 +131,14 @@ void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
                 continue;
             }
             double cost = -own.barrier * log(own.slacks[i] / limit);
-            found[RETRAX_LIMIT_VIOLATION] = larger(found[RETRAX_LIMIT_VIOLATION], fabs(lacking) / size);
-            found[RETRAX_LIMIT_EXCESS] = larger(found[RETRAX_LIMIT_EXCESS], own.excesses[i] / size);
-            found[RETRAX_LIMIT_PRODUCT] = larger(found[RETRAX_LIMIT_PRODUCT], product);
-            found[RETRAX_LIMIT_LEAST] = -larger(-found[RETRAX_LIMIT_LEAST], -product);
+            found[RETRAX_LIMIT_VIOLATION] = retrax_larger(found[RETRAX_LIMIT_VIOLATION], fabs(lacking) / size);
+            found[RETRAX_LIMIT_EXCESS] = retrax_larger(found[RETRAX_LIMIT_EXCESS], own.excesses[i] / size);
+            found[RETRAX_LIMIT_PRODUCT] = retrax_larger(found[RETRAX_LIMIT_PRODUCT], product);
+            found[RETRAX_LIMIT_LEAST] = -retrax_larger(-found[RETRAX_LIMIT_LEAST], -product);
             if (is_elastic(&own, i)) {
                 const double other = own.excesses[i] * rest(&own, i);
-                found[RETRAX_LIMIT_PRODUCT] = larger(found[RETRAX_LIMIT_PRODUCT], other);
-                found[RETRAX_LIMIT_LEAST] = -larger(-found[RETRAX_LIMIT_LEAST], -other);
+                found[RETRAX_LIMIT_PRODUCT] = retrax_larger(found[RETRAX_LIMIT_PRODUCT], other);
+                found[RETRAX_LIMIT_LEAST] = -retrax_larger(-found[RETRAX_LIMIT_LEAST], -other);
                 cost += own.penalties[i] * own.excesses[i] - own.barrier * log(own.excesses[i] / limit);
                 survey_excess(&own, i, limit, scale, found);
             }
@@ -188,7 +180,7 @@ static void write_point_steps(const retrax_layout *layout, double *trajectory) {
 
 void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, double share) {
     const inequalities own = inequalities_of(layout, trajectory);
-    const retrax_index q = unknowns_of(layout->problem), c = own.size;
+    const retrax_index q = retrax_point_unknowns(layout->problem), c = own.size;
     double primal = 1.0, dual = 1.0, ahead = 0.0, held = 0.0;
     const double *const steps = retrax_collocates(layout->problem) ? ARRAY(POINT_STEPS) : ARRAY(STEPS);
     if (retrax_collocates(layout->problem)) {

@@ -18,9 +18,6 @@
 /* Share of the size of a block below which a negative eigenvalue of it is rounding. */
 #define NEGATIVE 1e-9
 
-/* The larger of both; a number that is NaN stays. */
-static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
-
 void retrax_copy_unknowns(const retrax_layout *layout, const double *from, double *to) {
     static const retrax_array copied[] = {
         RETRAX_ARRAY_CENTRES,  RETRAX_ARRAY_VELOCITIES,        RETRAX_ARRAY_CONTROLS, RETRAX_ARRAY_POINT_COSTATES,
@@ -34,15 +31,9 @@ void retrax_copy_unknowns(const retrax_layout *layout, const double *from, doubl
 
 /* ------------------------------------------------------------------------------------------- room of the controls */
 
-/* Unknowns of a point that an inequality depends on; its controls come last. */
-static retrax_index unknowns_of(const retrax_problem *problem) {
-    const retrax_index n = problem->state_size, m = problem->control_size;
-    return retrax_collocates(problem) ? 3 * n + m : n + m;
-}
-
 /* The second derivative by a control of a point in the Hessian of the Lagrangian. */
 static double curvature_of(const retrax_layout *layout, const double *trajectory, retrax_index point, retrax_index a) {
-    const retrax_index q = unknowns_of(layout->problem);
+    const retrax_index q = retrax_point_unknowns(layout->problem);
     const double *const hessians = retrax_collocates(layout->problem) ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS);
     return hessians[(point * q + a) * q + a];
 }
@@ -51,7 +42,7 @@ static double curvature_of(const retrax_layout *layout, const double *trajectory
 static void find_curved_ways(retrax_search *search, const double *trajectory, retrax_index j, double *ways) {
     const retrax_layout *const layout = search->layout;
     const retrax_problem *const problem = layout->problem;
-    const retrax_index c = problem->inequalities, m = problem->control_size, q = unknowns_of(problem);
+    const retrax_index c = problem->inequalities, m = problem->control_size, q = retrax_point_unknowns(problem);
     const retrax_index points = problem->steps * problem->points;
     double *const other = search->trial;
     retrax_copy_unknowns(layout, trajectory, other);
@@ -67,7 +58,7 @@ static void find_curved_ways(retrax_search *search, const double *trajectory, re
             double found = curvature_of(layout, other, point, q - m + b) - own;
             found = fabs(found) > SUM_ROUNDING * fabs(own) ? found / ARRAY(LIMIT_WEIGHTS)[point * c + j] : 0.0;
             curvatures[point * m + b] = found;
-            largest[b] = larger(largest[b], isfinite(found) ? found : 0.0);
+            largest[b] = retrax_larger(largest[b], isfinite(found) ? found : 0.0);
         }
     }
     for (retrax_index point = 0; point < points; point++) {
@@ -92,13 +83,13 @@ static void find_curved_ways(retrax_search *search, const double *trajectory, re
 static void find_straight_ways(const retrax_search *search, const double *trajectory, retrax_index j, double *ways) {
     const retrax_layout *const layout = search->layout;
     const retrax_problem *const problem = layout->problem;
-    const retrax_index c = problem->inequalities, m = problem->control_size, q = unknowns_of(problem);
+    const retrax_index c = problem->inequalities, m = problem->control_size, q = retrax_point_unknowns(problem);
     const retrax_index points = problem->steps * problem->points;
     for (retrax_index b = 0; b < m; b++) {
         double largest = 0.0;
         for (retrax_index i = j; i < points * c; i += c) {
             const double slope = fabs(ARRAY(LIMIT_JACOBIANS)[i * q + q - m + b]);
-            largest = ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isfinite(slope) ? larger(largest, slope) : largest;
+            largest = ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isfinite(slope) ? retrax_larger(largest, slope) : largest;
         }
         for (retrax_index i = j; i < points * c; i += c) {
             const double slope = ARRAY(LIMIT_JACOBIANS)[i * q + q - m + b];
@@ -144,7 +135,7 @@ double retrax_control_size(const retrax_layout *layout, const double *trajectory
     const retrax_index controls = layout->count[RETRAX_ARRAY_PARTS] - layout->problem->state_size;
     double size = 0.0;
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
-        size = larger(size, fabs(ARRAY(CONTROLS)[k * controls + i])); /* as many numbers as coordinates */
+        size = retrax_larger(size, fabs(ARRAY(CONTROLS)[k * controls + i])); /* as many numbers as coordinates */
     }
     return size;
 }
@@ -164,7 +155,7 @@ void retrax_find_scale(retrax_search *search, const double *trajectory, retrax_s
         find_room(search, trajectory, ways);
         for (retrax_index i = 0; i < controls; i++) {
             const double way = ways[i] > 0.0 ? ways[i] : 1.0;
-            largest = larger(largest, ARRAY(CURVATURES)[n + i] * way * way);
+            largest = retrax_larger(largest, ARRAY(CURVATURES)[n + i] * way * way);
         }
         for (retrax_index i = 0; i < controls; i++) {
             const double way = ways[i] > 0.0 ? ways[i] : 1.0;

@@ -11,6 +11,10 @@
 
 bool retrax_collocates(const retrax_problem *problem) { return problem->points > 1; }
 
+retrax_index retrax_point_unknowns(const retrax_problem *problem) {
+    return (retrax_collocates(problem) ? 3 : 1) * problem->state_size + problem->control_size;
+}
+
 /* ---------------------------------------------------------------------------------------------------- arrays */
 
 const char *retrax_array_name(int array) {

@@ -9,10 +9,22 @@
 
 #include "retrax_core.h"
 
+#include <math.h>
 #include <stdbool.h>
+#include <string.h>
 
 /* The address of an array of a trajectory, where `layout` and `trajectory` have these names. */
 #define ARRAY(name) (trajectory + layout->first[RETRAX_ARRAY_##name])
+
+/* The larger of two numbers; NaN if the second one is. */
+static inline double retrax_larger(double a, double b) { return b > a || isnan(b) ? b : a; }
+
+static inline void retrax_copy(double *to, const double *from, retrax_index count) {
+    memcpy(to, from, sizeof(double) * (size_t)count);
+}
+
+/* Unknowns of a point that inequalities depend on: (dx, dxi, dnu, du), or of a discretization map (dx, du). */
+retrax_index retrax_point_unknowns(const retrax_problem *problem);
 
 /* Whether the method of a problem is a collocation method, and not a discretization map. */
 bool retrax_collocates(const retrax_problem *problem);
@@ -31,6 +43,13 @@ typedef struct {
 
 /* Returns the cost of the end of an evaluated trajectory, or of its start. */
 retrax_end_cost retrax_end_cost_of(const retrax_layout *layout, const double *trajectory, bool of_end);
+
+/* Adds the derivatives of the costs of the ends, times a sign, to covectors [N + 1][E] of the nodes. */
+void retrax_turn_covectors(const retrax_layout *layout, const double *trajectory, double sign, double *covectors);
+
+/* Evaluates a function at `points` places of a trajectory. */
+void retrax_evaluate_function(const retrax_layout *layout, double *trajectory, retrax_function_name name,
+                              retrax_index points);
 
 /* Bytes of workspace of retrax_measure_scale; 0 if it exceeds the address space. */
 size_t retrax_scaling_workspace(const retrax_problem *problem);

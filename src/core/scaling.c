@@ -77,9 +77,6 @@ size_t retrax_scaling_workspace(const retrax_problem *problem) {
     return block.used == SIZE_MAX ? 0 : block.used;
 }
 
-/* The larger of both; a number that is NaN stays. */
-static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
-
 static double or_one(double size) { return size > 0.0 && isfinite(size) ? size : 1.0; }
 
 /* ------------------------------------------------------------------------------------------------- linearised steps */
@@ -163,7 +160,7 @@ static void advance_drift(scaling *own, const double *gap, double sign) {
     }
     for (retrax_index a = 0; a < n; a++) {
         own->drift[a] = own->drifted[a];
-        own->farthest[a] = larger(own->farthest[a], fabs(own->drift[a]));
+        own->farthest[a] = retrax_larger(own->farthest[a], fabs(own->drift[a]));
     }
 }
 
@@ -172,7 +169,7 @@ static double missed(const scaling *own, const double *fixed, const double *last
     double asked = 0.0;
     for (retrax_index a = 0; a < own->n; a++) {
         const double miss = fabs(own->drift[a]), reach = sqrt(fmax(last[a], 0.0));
-        const bool told = miss > STILL * larger(own->data->values[a], own->farthest[a]) &&
+        const bool told = miss > STILL * retrax_larger(own->data->values[a], own->farthest[a]) &&
                           reach > ROUNDING * sqrt(fmax(last_sizes[a], 0.0));
         if (fixed[a] > 0.0 && told && isfinite(miss / reach)) {
             asked = fmax(asked, miss / reach);
@@ -227,7 +224,7 @@ static double reached(const scaling *own, retrax_index a, int sizes) {
     double largest = -INFINITY;
     for (retrax_index k = 0; k < (N == 1 ? 1 : N - 1); k++) {
         const double before = ahead[k * n + a], after = N == 1 ? before : back[(k + 1) * n + a];
-        largest = larger(largest, after < before || isnan(after) ? after : before);
+        largest = retrax_larger(largest, after < before || isnan(after) ? after : before);
     }
     return isfinite(largest) ? sqrt(fmax(largest, 0.0)) : 0.0;
 }
@@ -265,7 +262,7 @@ static void write_push(scaling *own, bool convex) {
     const retrax_index n = own->n, z = own->z;
     double widest = 0.0;
     for (retrax_index i = n; i < z; i++) {
-        widest = larger(widest, convex ? own->data->room[i - n] * sqrt(own->curvature[i]) : INFINITY);
+        widest = retrax_larger(widest, convex ? own->data->room[i - n] * sqrt(own->curvature[i]) : INFINITY);
     }
     for (retrax_index i = n; i < z; i++) {
         const double room = own->data->room[i - n];
@@ -289,17 +286,17 @@ static double size_of(const scaling *own, double asked, bool convex) {
         const double curvature = own->curvature[i], slope = own->slope[i];
         if (reach > 0.0) {
             const double ratio = size / reach;
-            asked = larger(asked, i >= n ? ratio : 0.0);
+            asked = retrax_larger(asked, i >= n ? ratio : 0.0);
             least = fmin(least, i < n ? ratio : INFINITY);
             any_least = fmin(any_least, ratio > 0.0 && i < n ? ratio : INFINITY);
         }
         if (convex) {
-            asked = larger(asked, slope * reach / (1.0 + curvature * reach * reach));
-            costs = larger(costs, i < n ? larger(curvature * size * size, slope * size) : 0.0);
+            asked = retrax_larger(asked, slope * reach / (1.0 + curvature * reach * reach));
+            costs = retrax_larger(costs, i < n ? retrax_larger(curvature * size * size, slope * size) : 0.0);
         }
     }
     for (retrax_index i = n; i < own->z; i++) {
-        most = larger(most, convex ? own->data->room[i - n] / own->push[i] : INFINITY);
+        most = retrax_larger(most, convex ? own->data->room[i - n] / own->push[i] : INFINITY);
     }
     asked = fmax(asked, isfinite(least) ? least : 0.0);
     if (costs > 0.0) {
@@ -320,7 +317,7 @@ static double farthest_of(const scaling *own, retrax_index a) {
     }
     for (retrax_index b = 0; b < own->n; b++) {
         if (own->reach[b] > 0.0) {
-            moved = larger(moved, own->data->sizes[b] / own->reach[b]);
+            moved = retrax_larger(moved, own->data->sizes[b] / own->reach[b]);
         }
     }
     return moved > 0.0 ? FARTHEST * moved * own->reach[a] : INFINITY;
@@ -331,7 +328,7 @@ static double most_cost(const scaling *own, const double *unknowns) {
     double most = 0.0;
     for (retrax_index i = 0; i < own->z; i++) {
         const double x = unknowns[i];
-        most = larger(most, larger(own->curvature[i] * x * x, own->slope[i] * x));
+        most = retrax_larger(most, retrax_larger(own->curvature[i] * x * x, own->slope[i] * x));
     }
     return most;
 }
@@ -349,7 +346,7 @@ static double costly(double curvature, double slope, double most) {
 static void write_unknowns(const scaling *own, double size, double *unknowns) {
     const retrax_index n = own->n;
     for (retrax_index i = 0; i < own->z; i++) {
-        double found = larger(own->data->sizes[i], size * own->reach[i]);
+        double found = retrax_larger(own->data->sizes[i], size * own->reach[i]);
         if (i < n && explodes(own, i)) {
             found = fmin(found, farthest_of(own, i));
         }

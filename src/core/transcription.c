@@ -1,5 +1,5 @@
 /*
- * Transcription: from the iterate of a trajectory to the linear system of a Newton step.
+ * Transcription: from the unknowns of a trajectory to the values of the functions of its problem.
  */
 #include "layout.h"
 
@@ -19,17 +19,12 @@ void retrax_evaluate_tape(void *context, const retrax_tape_data *data, retrax_in
     retrax_tape_run(own->tape, data, 0, points, own->registers, own->lanes, own->set);
 }
 
-/* Evaluates a function at `points` places of a trajectory. */
-static void evaluate(const retrax_layout *layout, double *trajectory, retrax_function_name name,
+void retrax_evaluate_function(const retrax_layout *layout, double *trajectory, retrax_function_name name,
                      retrax_index points) {
     const retrax_function *const own = &layout->problem->functions[name];
     const retrax_tape_data data = {trajectory, layout->numbers, layout->sources[name],
                                    trajectory, layout->numbers, layout->targets[name]};
     own->evaluate(own->context, &data, points);
-}
-
-static void copy(double *to, const double *from, retrax_index count) {
-    memcpy(to, from, sizeof(double) * (size_t)count);
 }
 
 /* Writes the points and ends of the steps in their charts: xi_i = h sum_j A_ij nu_j, eta = h sum_j b_j nu_j. */
@@ -50,14 +45,11 @@ static void write_displacements(const retrax_layout *layout, double *trajectory)
             }
         }
         for (retrax_index i = 0; i < s; i++) {
-            copy(ARRAY(POINT_CENTRES) + (k * s + i) * E, ARRAY(CENTRES) + k * E, E);
+            retrax_copy(ARRAY(POINT_CENTRES) + (k * s + i) * E, ARRAY(CENTRES) + k * E, E);
             ARRAY(POINT_WEIGHTS)[k * s + i] = h[k] * problem->weights[i];
         }
     }
 }
-
-/* The larger of both; a number that is NaN stays. */
-static double larger(double a, double b) { return b > a || isnan(b) ? b : a; }
 
 /* Meets the ends of two steps that are far apart at a point amid them: seen from one of them, an end beyond a quarter turn
  * would come nearer by turning away. `before`: the end of the step before the node.
@@ -75,7 +67,7 @@ static void meet_amid(const retrax_layout *layout, double *trajectory, const dou
         second[e] = before[e] + gap[e];
         sagittas[e] = chords[e] = 0.0;
     }
-    evaluate(layout, trajectory, RETRAX_MIDDLE, 1);
+    retrax_evaluate_function(layout, trajectory, RETRAX_MIDDLE, 1);
     for (retrax_index e = 0; e < E; e++) {
         finite = finite && isfinite(middle[e]);
     }
@@ -136,11 +128,11 @@ static void meet(const retrax_layout *layout, double *trajectory) {
     memset(largest, 0, sizeof(double) * (size_t)E);
     for (retrax_index k = 0; k <= N; k++) {
         for (retrax_index e = 0; e < E; e++) {
-            largest[columns[e]] = larger(largest[columns[e]], fabs(nodes[k * E + e]));
-            distance[e] = larger(distance[e], fabs(gaps[k * E + e]));
+            largest[columns[e]] = retrax_larger(largest[columns[e]], fabs(nodes[k * E + e]));
+            distance[e] = retrax_larger(distance[e], fabs(gaps[k * E + e]));
         }
     }
-    copy(ARRAY(SEEN), gaps, (N + 1) * E);
+    retrax_copy(ARRAY(SEEN), gaps, (N + 1) * E);
     for (retrax_index k = 0; k <= N; k++) {
         double *const node = nodes + k * E, *const gap = gaps + k * E;
         if (is_far(gap, largest, columns, E)) {
@@ -188,8 +180,7 @@ retrax_end_cost retrax_end_cost_of(const retrax_layout *layout, const double *tr
     };
 }
 
-/* Adds the derivatives of the costs of the ends, times a sign, to covectors of the nodes. */
-static void turn_covectors(const retrax_layout *layout, const double *trajectory, double sign, double *covectors) {
+void retrax_turn_covectors(const retrax_layout *layout, const double *trajectory, double sign, double *covectors) {
     const retrax_index E = layout->problem->state_numbers;
     for (int i = 0; i < 2; i++) {
         const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, i == 1);
@@ -203,7 +194,7 @@ static void turn_covectors(const retrax_layout *layout, const double *trajectory
 static void evaluate_end_costs(const retrax_layout *layout, double *trajectory) {
     for (int name = RETRAX_START_COST; name <= RETRAX_END_COST; name++) {
         if (layout->problem->functions[name].evaluate != NULL) {
-            evaluate(layout, trajectory, (retrax_function_name)name, 1);
+            retrax_evaluate_function(layout, trajectory, (retrax_function_name)name, 1);
         }
     }
 }
@@ -213,240 +204,16 @@ void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory)
     if (retrax_collocates(layout->problem)) {
         write_displacements(layout, trajectory);
     }
-    evaluate(layout, trajectory, RETRAX_ENDS, N);
+    retrax_evaluate_function(layout, trajectory, RETRAX_ENDS, N);
     meet(layout, trajectory);
     evaluate_end_costs(layout, trajectory);
-    copy(ARRAY(TURNED_COSTATES), ARRAY(COSTATES), layout->count[RETRAX_ARRAY_COSTATES]);
-    turn_covectors(layout, trajectory, 1.0, ARRAY(TURNED_COSTATES));
-    evaluate(layout, trajectory, RETRAX_FRAMES, N + 1);
-    turn_covectors(layout, trajectory, -1.0, ARRAY(NODE_COSTATES));
+    retrax_copy(ARRAY(TURNED_COSTATES), ARRAY(COSTATES), layout->count[RETRAX_ARRAY_COSTATES]);
+    retrax_turn_covectors(layout, trajectory, 1.0, ARRAY(TURNED_COSTATES));
+    retrax_evaluate_function(layout, trajectory, RETRAX_FRAMES, N + 1);
+    retrax_turn_covectors(layout, trajectory, -1.0, ARRAY(NODE_COSTATES));
     write_asked(layout, trajectory);
-    evaluate(layout, trajectory, RETRAX_POINTS, N * s);
+    retrax_evaluate_function(layout, trajectory, RETRAX_POINTS, N * s);
     if (retrax_collocates(layout->problem)) {
-        evaluate(layout, trajectory, RETRAX_BOTH_ENDS, N);
+        retrax_evaluate_function(layout, trajectory, RETRAX_BOTH_ENDS, N);
     }
-}
-
-/* --------------------------------------------------------------------------------------------------- assembly */
-
-/* The equations of the collocation points as condensing takes them; slope: of the Lagrangian with what is added to it. */
-static retrax_collocation_system system_of(const retrax_layout *layout, double *trajectory, const double *slope) {
-    const retrax_problem *const problem = layout->problem;
-    return (retrax_collocation_system){
-        .steps = problem->steps,
-        .points = problem->points,
-        .state_size = problem->state_size,
-        .control_size = problem->control_size,
-        .columns = 1,
-        .step_size = ARRAY(STEP_SIZE),
-        .matrix = problem->matrix,
-        .weights = problem->weights,
-        .hessian = ARRAY(POINT_HESSIANS),
-        .jacobian = ARRAY(POINT_JACOBIANS),
-        .slope = slope,
-        .defect = ARRAY(POINT_DEFECTS),
-        .end_hessian = ARRAY(END_HESSIANS),
-        .end_left = ARRAY(END_LEFT),
-        .end_right = ARRAY(END_RIGHT),
-        .end_slope = ARRAY(END_SLOPES),
-    };
-}
-
-/* What condensing leaves of them. */
-static retrax_condensed_system condensed_of(const retrax_layout *layout, double *trajectory) {
-    return (retrax_condensed_system){
-        .hessian = ARRAY(HESSIANS),
-        .left = ARRAY(LEFT),
-        .right = ARRAY(RIGHT),
-        .slope = ARRAY(RIGHT_SIDES),
-        .before = ARRAY(BEFORE),
-        .after = ARRAY(AFTER),
-        .factors = ARRAY(FACTORS),
-        .swaps = (retrax_index *)ARRAY(SWAPS),
-        .velocities = ARRAY(VELOCITY_MAPS),
-    };
-}
-
-/* Condenses the collocation steps; the velocities that mend the defects of the points change slopes and ends. */
-static void condense(const retrax_layout *layout, double *trajectory, void *workspace, retrax_instruction_set set) {
-    const retrax_problem *const problem = layout->problem;
-    const bool limited = problem->inequalities > 0;
-    const retrax_collocation_system system =
-        system_of(layout, trajectory, limited ? ARRAY(RIGHT_SLOPES) : ARRAY(POINT_SLOPES));
-    retrax_condensed_system condensed = condensed_of(layout, trajectory);
-    retrax_condense(&system, &condensed, 0, problem->steps, workspace, set);
-    if (limited) {
-        retrax_condense_slope(&system, &condensed, ARRAY(BARRIER_SLOPES), NULL, ARRAY(SLOPES_BY_VELOCITIES),
-                              ARRAY(BARRIER_SIDES));
-    }
-    retrax_condense_slope(&system, &condensed, ARRAY(POINT_SLOPES), ARRAY(END_SLOPES), ARRAY(SLOPES_BY_VELOCITIES),
-                          ARRAY(SLOPES));
-    retrax_condense_slope(&system, &condensed, ARRAY(POINT_GRADIENTS), NULL, ARRAY(GRADIENTS_BY_VELOCITIES),
-                          ARRAY(GRADIENTS));
-}
-
-/* Adds the cost of an end to the blocks of the step there. */
-static void add_end_cost(const retrax_layout *layout, double *trajectory, const retrax_end_cost *cost) {
-    const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
-    double *const hessian = ARRAY(HESSIANS) + cost->step * z * z, *const gradient = ARRAY(GRADIENTS) + cost->step * z;
-    double *const side = ARRAY(RIGHT_SIDES) + cost->step * z;
-    for (retrax_index a = 0; a < n; a++) {
-        const double *const row = cost->end + a * z;
-        for (retrax_index i = 0; i < z; i++) {
-            gradient[i] += cost->slope[a] * row[i];
-        }
-        for (retrax_index b = 0; b < n; b++) {
-            const double curvature = cost->curvature[a * n + b], *const other = cost->end + b * z;
-            for (retrax_index i = 0; i < z; i++) {
-                side[i] += cost->mended == NULL ? 0.0 : row[i] * curvature * cost->mended[b];
-                for (retrax_index j = 0; j < z; j++) {
-                    hessian[i * z + j] += row[i] * curvature * other[j];
-                }
-            }
-        }
-    }
-}
-
-void retrax_assemble_system(const retrax_layout *layout, double *trajectory, void *workspace,
-                            retrax_instruction_set set) {
-    const retrax_problem *const problem = layout->problem;
-    const retrax_index s = problem->points;
-    if (retrax_collocates(problem)) {
-        condense(layout, trajectory, workspace, set);
-        for (retrax_index k = 0; k < problem->steps; k++) {
-            ARRAY(COSTS)[k] = 0.0;
-            for (retrax_index i = 0; i < s; i++) {
-                ARRAY(COSTS)[k] += ARRAY(POINT_COSTS)[k * s + i];
-            }
-        }
-    } else if (problem->inequalities == 0) {
-        copy(ARRAY(RIGHT_SIDES), ARRAY(SLOPES), layout->count[RETRAX_ARRAY_SLOPES]);
-    }
-    for (int i = 0; i < 2; i++) {
-        const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, i == 1);
-        if (cost.derivative != NULL) {
-            add_end_cost(layout, trajectory, &cost);
-        }
-    }
-}
-
-/* ----------------------------------------------------------------------------------------------- Newton's step */
-
-/* to = first + barrier * second, or first where there is no second. */
-static void drive(double *to, const double *first, const double *second, double barrier, retrax_index count,
-                  retrax_index driven) {
-    for (retrax_index i = 0; i < count; i++) {
-        to[i] = first[i] + (driven > 0 ? barrier * second[i] : 0.0);
-    }
-}
-
-void retrax_write_right_sides(const retrax_layout *layout, double *trajectory) {
-    const retrax_index *const count = layout->count, n = layout->problem->state_size;
-    const double barrier = *ARRAY(BARRIER);
-    double *const defects = ARRAY(NEWTON_DEFECTS);
-    drive(ARRAY(NEWTON_SIDES), ARRAY(RIGHT_SIDES), ARRAY(BARRIER_SIDES), barrier, count[RETRAX_ARRAY_NEWTON_SIDES],
-          count[RETRAX_ARRAY_BARRIER_SIDES]);
-    drive(ARRAY(NEWTON_SLOPES), ARRAY(RIGHT_SLOPES), ARRAY(BARRIER_SLOPES), barrier, count[RETRAX_ARRAY_NEWTON_SLOPES],
-          count[RETRAX_ARRAY_BARRIER_SLOPES]);
-    copy(defects, ARRAY(ASKED), count[RETRAX_ARRAY_ASKED]);
-    for (retrax_index i = 0; i < count[RETRAX_ARRAY_BEFORE]; i++) {
-        defects[i] += ARRAY(BEFORE)[i];
-        defects[n + i] -= ARRAY(AFTER)[i];
-    }
-}
-
-/* Writes the steps of the covectors at the nodes: of the multipliers, and at the ends of the slopes of their costs. */
-static void write_covector_steps(const retrax_layout *layout, double *trajectory) {
-    const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
-    copy(ARRAY(COVECTOR_STEPS), ARRAY(MULTIPLIER_STEPS), layout->count[RETRAX_ARRAY_MULTIPLIER_STEPS]);
-    for (int i = 0; i < 2; i++) {
-        const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, i == 1);
-        for (retrax_index b = 0; b < n && cost.derivative != NULL; b++) {
-            double moved = cost.mended == NULL ? 0.0 : cost.mended[b];
-            for (retrax_index j = 0; j < z; j++) {
-                moved += cost.end[b * z + j] * ARRAY(STEPS)[cost.step * z + j];
-            }
-            for (retrax_index a = 0; a < n; a++) {
-                ARRAY(COVECTOR_STEPS)[cost.node * n + a] -= cost.sign * cost.curvature[a * n + b] * moved;
-            }
-        }
-    }
-}
-
-void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *workspace) {
-    write_covector_steps(layout, trajectory);
-    if (!retrax_collocates(layout->problem)) {
-        return;
-    }
-    const bool limited = layout->problem->inequalities > 0;
-    const retrax_collocation_system system =
-        system_of(layout, trajectory, limited ? ARRAY(NEWTON_SLOPES) : ARRAY(POINT_SLOPES));
-    const retrax_condensed_system condensed = condensed_of(layout, trajectory);
-    retrax_expand(&system, &condensed, 0, layout->problem->steps, ARRAY(STEPS), ARRAY(COVECTOR_STEPS),
-                  ARRAY(VELOCITY_STEPS), ARRAY(POINT_MULTIPLIER_STEPS), workspace);
-}
-
-/* Writes covectors with coordinates c + part * d in frames of n directions. */
-static void write_covectors(double *to, const double *frames, const double *coordinates, const double *steps,
-                            double part, retrax_index count, retrax_index n, retrax_index E) {
-    for (retrax_index k = 0; k < count; k++) {
-        for (retrax_index e = 0; e < E; e++) {
-            double found = 0.0;
-            for (retrax_index a = 0; a < n; a++) {
-                found += (coordinates[k * n + a] + part * steps[k * n + a]) * frames[(k * n + a) * E + e];
-            }
-            to[k * E + e] = found;
-        }
-    }
-}
-
-static void write_parts(double *to, const double *from, double part, retrax_index count) {
-    for (retrax_index i = 0; i < count; i++) {
-        to[i] = part * from[i];
-    }
-}
-
-/* Moves the unknowns of collocation steps: velocities are carried to the frames at the moved centres. */
-static void move_collocation(const retrax_layout *layout, const double *from, double part, double *trajectory) {
-    const retrax_problem *const problem = layout->problem;
-    const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, E = problem->state_numbers;
-    const retrax_index m = problem->control_size, z = n + s * m;
-    const double *const steps = from + layout->first[RETRAX_ARRAY_STEPS];
-    for (retrax_index k = 0; k < N; k++) {
-        write_parts(ARRAY(CENTRE_PARTS) + k * n, steps + k * z, part, n);
-        write_parts(ARRAY(CONTROL_PARTS) + k * s * m, steps + k * z + n, part, s * m);
-    }
-    evaluate(layout, trajectory, RETRAX_MOVE, N);
-    evaluate(layout, trajectory, RETRAX_MOVE_CONTROLS, N * s);
-    for (retrax_index k = 0; k < N * s; k++) {
-        const double *const carried = ARRAY(CARRIED) + k / s * n * n;
-        const double *const velocity = from + layout->first[RETRAX_ARRAY_VELOCITIES] + k * n;
-        const double *const step = from + layout->first[RETRAX_ARRAY_VELOCITY_STEPS] + k * n;
-        for (retrax_index a = 0; a < n; a++) {
-            double found = 0.0;
-            for (retrax_index b = 0; b < n; b++) {
-                found += carried[a * n + b] * (velocity[b] + part * step[b]);
-            }
-            ARRAY(VELOCITIES)[k * n + a] = found;
-        }
-    }
-    write_covectors(ARRAY(POINT_COSTATES), from + layout->first[RETRAX_ARRAY_POINT_FRAMES],
-                    from + layout->first[RETRAX_ARRAY_POINT_MULTIPLIERS],
-                    from + layout->first[RETRAX_ARRAY_POINT_MULTIPLIER_STEPS], part, N * s, n, E);
-}
-
-void retrax_move_trajectory(const retrax_layout *layout, const double *from, double part, double *trajectory) {
-    const retrax_problem *const problem = layout->problem;
-    copy(ARRAY(CENTRES_BEFORE), from + layout->first[RETRAX_ARRAY_CENTRES], layout->count[RETRAX_ARRAY_CENTRES]);
-    copy(ARRAY(CONTROLS_BEFORE), from + layout->first[RETRAX_ARRAY_CONTROLS], layout->count[RETRAX_ARRAY_CONTROLS]);
-    if (retrax_collocates(problem)) {
-        move_collocation(layout, from, part, trajectory);
-    } else {
-        write_parts(ARRAY(CENTRE_PARTS), from + layout->first[RETRAX_ARRAY_STEPS], part, layout->count[RETRAX_ARRAY_STEPS]);
-        evaluate(layout, trajectory, RETRAX_MOVE, problem->steps);
-    }
-    write_covectors(ARRAY(COSTATES), from + layout->first[RETRAX_ARRAY_NODE_FRAMES],
-                    from + layout->first[RETRAX_ARRAY_MULTIPLIERS], from + layout->first[RETRAX_ARRAY_COVECTOR_STEPS], part,
-                    problem->steps + 1, problem->state_size, problem->state_numbers);
-    turn_covectors(layout, from, -1.0, ARRAY(COSTATES));
 }
