@@ -41,7 +41,7 @@ void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, re
 
 void retrax_evaluate(retrax_search *search, double *trajectory) {
     retrax_evaluate_trajectory(search->layout, trajectory);
-    if (search->layout->problem->inequalities > 0) {
+    if (retrax_is_limited(search->layout->problem)) {
         retrax_add_inequalities(search->layout, trajectory);
     }
     retrax_assemble_system(search->layout, trajectory, search->workspace, search->set);
@@ -50,7 +50,7 @@ void retrax_evaluate(retrax_search *search, double *trajectory) {
 }
 
 void retrax_measure(retrax_search *search, double *trajectory) {
-    const bool limited = search->layout->problem->inequalities > 0;
+    const bool limited = retrax_is_limited(search->layout->problem);
     const retrax_residual_scale scale = {search->judging.nodes, search->judging.unknowns,
                                          limited ? search->judging.cost : 0.0, search->steps.nodes, search->steps.cost};
     if (limited) {
@@ -130,7 +130,7 @@ static bool is_vain(retrax_search *search, double length) {
 /* Computes the next step, from the iterate as it is now. */
 static void next_step(retrax_search *search, const retrax_direction *before, double fraction, double length,
                       double residual, bool cut) {
-    const bool limited = search->layout->problem->inequalities > 0, good = search->accepted;
+    const bool limited = retrax_is_limited(search->layout->problem), good = search->accepted;
     const double now = RESIDUAL(search->at, LARGEST), tolerance = search->options.tolerance;
     const bool arrived = RESIDUAL(search->at, FINAL) <= tolerance;
     const bool keep = arrived || (good && now <= sqrt(tolerance));
@@ -153,7 +153,7 @@ static void iterate(retrax_search *search) {
     const retrax_direction before = search->direction;
     const double fraction = search->fraction, residual = RESIDUAL(search->at, LARGEST);
     const double length = retrax_step_length(search);
-    const bool was_isolated = search->isolated, limited = search->layout->problem->inequalities > 0;
+    const bool was_isolated = search->isolated, limited = retrax_is_limited(search->layout->problem);
     bool again;
     try_step(search);
     search->accepted = retrax_judge_trial(search, search->trials == 1 && !limited, &again);

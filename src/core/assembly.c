@@ -5,8 +5,10 @@
 
 #include <string.h>
 
-/* The equations of the collocation points as condensing takes them; slope: of the Lagrangian with what is added to it. */
-static retrax_collocation_system system_of(const retrax_layout *layout, double *trajectory, const double *slope) {
+/* The equations of the collocation points as condensing takes them; slope, end_slope: of the Lagrangian with what is added to
+ * them. */
+static retrax_collocation_system system_of(const retrax_layout *layout, double *trajectory, const double *slope,
+                                            const double *end_slope) {
     const retrax_problem *const problem = layout->problem;
     return (retrax_collocation_system){
         .steps = problem->steps,
@@ -24,7 +26,7 @@ static retrax_collocation_system system_of(const retrax_layout *layout, double *
         .end_hessian = ARRAY(END_HESSIANS),
         .end_left = ARRAY(END_LEFT),
         .end_right = ARRAY(END_RIGHT),
-        .end_slope = ARRAY(END_SLOPES),
+        .end_slope = end_slope,
     };
 }
 
@@ -46,13 +48,15 @@ static retrax_condensed_system condensed_of(const retrax_layout *layout, double 
 /* Condenses the collocation steps; the velocities that mend the defects of the points change slopes and ends. */
 static void condense(const retrax_layout *layout, double *trajectory, void *workspace, retrax_instruction_set set) {
     const retrax_problem *const problem = layout->problem;
-    const bool limited = problem->inequalities > 0;
+    const bool limited = retrax_is_limited(problem), at_nodes = problem->node_inequalities > 0;
     const retrax_collocation_system system =
-        system_of(layout, trajectory, limited ? ARRAY(RIGHT_SLOPES) : ARRAY(POINT_SLOPES));
+        system_of(layout, trajectory, limited ? ARRAY(RIGHT_SLOPES) : ARRAY(POINT_SLOPES),
+                  at_nodes ? ARRAY(RIGHT_END_SLOPES) : ARRAY(END_SLOPES));
     retrax_condensed_system condensed = condensed_of(layout, trajectory);
     retrax_condense(&system, &condensed, 0, problem->steps, workspace, set);
     if (limited) {
-        retrax_condense_slope(&system, &condensed, ARRAY(BARRIER_SLOPES), NULL, ARRAY(SLOPES_BY_VELOCITIES),
+        retrax_condense_slope(&system, &condensed, ARRAY(BARRIER_SLOPES), at_nodes ? ARRAY(BARRIER_END_SLOPES) : NULL,
+                              ARRAY(SLOPES_BY_VELOCITIES),
                               ARRAY(BARRIER_SIDES));
     }
     retrax_condense_slope(&system, &condensed, ARRAY(POINT_SLOPES), ARRAY(END_SLOPES), ARRAY(SLOPES_BY_VELOCITIES),
@@ -95,7 +99,7 @@ void retrax_assemble_system(const retrax_layout *layout, double *trajectory, voi
                 ARRAY(COSTS)[k] += ARRAY(POINT_COSTS)[k * s + i];
             }
         }
-    } else if (problem->inequalities == 0) {
+    } else if (!retrax_is_limited(problem)) {
         retrax_copy(ARRAY(RIGHT_SIDES), ARRAY(SLOPES), layout->count[RETRAX_ARRAY_SLOPES]);
     }
     for (int i = 0; i < 2; i++) {
@@ -124,6 +128,8 @@ void retrax_write_right_sides(const retrax_layout *layout, double *trajectory) {
           count[RETRAX_ARRAY_BARRIER_SIDES]);
     drive(ARRAY(NEWTON_SLOPES), ARRAY(RIGHT_SLOPES), ARRAY(BARRIER_SLOPES), barrier, count[RETRAX_ARRAY_NEWTON_SLOPES],
           count[RETRAX_ARRAY_BARRIER_SLOPES]);
+    drive(ARRAY(NEWTON_END_SLOPES), ARRAY(RIGHT_END_SLOPES), ARRAY(BARRIER_END_SLOPES), barrier,
+          count[RETRAX_ARRAY_NEWTON_END_SLOPES], count[RETRAX_ARRAY_BARRIER_END_SLOPES]);
     retrax_copy(defects, ARRAY(ASKED), count[RETRAX_ARRAY_ASKED]);
     for (retrax_index i = 0; i < count[RETRAX_ARRAY_BEFORE]; i++) {
         defects[i] += ARRAY(BEFORE)[i];
@@ -154,9 +160,10 @@ void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *w
     if (!retrax_collocates(layout->problem)) {
         return;
     }
-    const bool limited = layout->problem->inequalities > 0;
+    const bool limited = retrax_is_limited(layout->problem), at_nodes = layout->problem->node_inequalities > 0;
     const retrax_collocation_system system =
-        system_of(layout, trajectory, limited ? ARRAY(NEWTON_SLOPES) : ARRAY(POINT_SLOPES));
+        system_of(layout, trajectory, limited ? ARRAY(NEWTON_SLOPES) : ARRAY(POINT_SLOPES),
+                  at_nodes ? ARRAY(NEWTON_END_SLOPES) : ARRAY(END_SLOPES));
     const retrax_condensed_system condensed = condensed_of(layout, trajectory);
     retrax_expand(&system, &condensed, 0, layout->problem->steps, ARRAY(STEPS), ARRAY(COVECTOR_STEPS),
                   ARRAY(VELOCITY_STEPS), ARRAY(POINT_MULTIPLIER_STEPS), workspace);

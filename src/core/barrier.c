@@ -35,16 +35,18 @@
 #define LEFT 0.01
 #define ROUNDED 1.4901161193847656e-08
 
-static retrax_index inequalities_of(const retrax_search *search) { return search->layout->problem->inequalities; }
-
-static bool is_kept(const retrax_search *search, retrax_index i) {
-    return search->layout->problem->kept[i % inequalities_of(search)] != 0.0;
+static retrax_index limit_of(const retrax_search *search, retrax_index i) {
+    return retrax_limit_of(search->layout->problem, i).limit;
 }
 
-/* The natural size of an unknown of a point that an inequality depends on. */
-static double size_of_unknown(const retrax_search *search, retrax_index point, retrax_index a) {
+static bool is_kept(const retrax_search *search, retrax_index i) {
+    return search->layout->problem->kept[limit_of(search, i)] != 0.0;
+}
+
+/* The natural size of an unknown that an inequality depends on. */
+static double size_of_unknown(const retrax_search *search, const retrax_limit *of, retrax_index a) {
     const retrax_problem *const problem = search->layout->problem;
-    const retrax_index n = problem->state_size, m = problem->control_size;
+    const retrax_index n = problem->state_size, m = problem->control_size, point = of->block % problem->points;
     if (!retrax_collocates(problem)) {
         return search->steps.unknowns[a];
     }
@@ -54,22 +56,22 @@ static double size_of_unknown(const retrax_search *search, retrax_index point, r
     return a < 2 * n ? search->steps.nodes[a % n] : 0.0; /* no inequality depends on velocities */
 }
 
-/* Writes the natural sizes of the inequalities: what a step of natural size changes them by, or their values where that is
- * next to nothing, as that of a ball where its derivative vanishes. */
+/* Writes the natural sizes of the inequalities: what a step of natural size changes them by, or their values where that is next
+ * to nothing, as that of a ball where its derivative vanishes. */
 static void write_limits(retrax_search *search, const double *trajectory) {
     const retrax_layout *const layout = search->layout;
     const retrax_problem *const problem = layout->problem;
-    const retrax_index c = problem->inequalities, s = problem->points;
-    const retrax_index q = layout->count[RETRAX_ARRAY_LIMIT_JACOBIANS] / layout->count[RETRAX_ARRAY_LIMITS];
-    for (retrax_index j = 0; j < c; j++) {
+    const retrax_index total = problem->inequalities + problem->node_inequalities;
+    for (retrax_index j = 0; j < total; j++) {
         double size = 0.0, value = 0.0;
-        for (retrax_index i = j; i < layout->count[RETRAX_ARRAY_LIMITS]; i += c) {
+        for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
+            const retrax_limit of = retrax_limit_of(problem, i);
             double change = 0.0;
-            for (retrax_index a = 0; a < q; a++) {
-                change += fabs(ARRAY(LIMIT_JACOBIANS)[i * q + a]) * size_of_unknown(search, i / c % s, a);
+            for (retrax_index a = 0; a < of.width && of.limit == j; a++) {
+                change += fabs(ARRAY(LIMIT_JACOBIANS)[of.first + a]) * size_of_unknown(search, &of, a);
             }
             size = retrax_larger(size, change);
-            value = retrax_larger(value, fabs(ARRAY(LIMITS)[i]));
+            value = of.limit == j ? retrax_larger(value, fabs(ARRAY(LIMITS)[i])) : value;
         }
         size = size > VALUE * value ? size : value;
         search->limit_sizes[j] = size > 0.0 && isfinite(size) ? size : 1.0;
@@ -79,7 +81,7 @@ static void write_limits(retrax_search *search, const double *trajectory) {
 /* The value of an inequality; a bound that no iterate leaves holds by rounding at least. */
 static double inside(const retrax_search *search, const double *trajectory, retrax_index i) {
     const retrax_layout *const layout = search->layout;
-    const double value = ARRAY(LIMITS)[i], limit = search->limit_sizes[i % inequalities_of(search)];
+    const double value = ARRAY(LIMITS)[i], limit = search->limit_sizes[limit_of(search, i)];
     return is_kept(search, i) ? fmin(value, -DBL_EPSILON * limit) : value;
 }
 
@@ -107,7 +109,7 @@ static void write_central(const retrax_search *search, double *trajectory, retra
 
 /* The usual first penalty of an inequality; infinite where no iterate leaves it. */
 static double first_penalty(const retrax_search *search, retrax_index i) {
-    const double unit = search->limits.rate / search->limit_sizes[i % inequalities_of(search)];
+    const double unit = search->limits.rate / search->limit_sizes[limit_of(search, i)];
     return is_kept(search, i) ? INFINITY : FIRST_PENALTY * unit * search->firm;
 }
 
@@ -135,7 +137,7 @@ void retrax_start_slacks(retrax_search *search, double *trajectory) {
     retrax_find_limits(search, trajectory);
     *ARRAY(BARRIER) = FIRST_BARRIER * search->limits.rate * sqrt(search->firm);
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double limit = search->limit_sizes[i % inequalities_of(search)];
+        const double limit = search->limit_sizes[limit_of(search, i)];
         const bool holds = inside(search, trajectory, i) < -INSIDE * limit;
         write_central(search, trajectory, i, holds ? INFINITY : first_penalty(search, i));
     }
@@ -211,7 +213,7 @@ static bool is_stuck(const retrax_search *search) {
 
 bool retrax_update_barrier(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
-    if (layout->problem->inequalities == 0) {
+    if (!retrax_is_limited(layout->problem)) {
         return false;
     }
     bool cheap;
@@ -250,7 +252,7 @@ bool retrax_reset_slacks(const retrax_search *search, double *trajectory) {
 
 bool retrax_is_infeasible(const retrax_search *search) {
     const retrax_layout *const layout = search->layout;
-    if (layout->problem->inequalities == 0) {
+    if (!retrax_is_limited(layout->problem)) {
         return false;
     }
     const double *const trajectory = search->at, *const survey = ARRAY(LIMIT_SURVEY), barrier = *ARRAY(BARRIER);

@@ -11,9 +11,11 @@
 /* Factor of mu / s within which multipliers stay. */
 #define KEPT 1e10
 
-/* The inequalities of a trajectory, number i of them at a point; there are `count` in all. */
+/* The inequalities of a trajectory: those of all points, then those of the ends of all steps. */
 typedef struct {
-    retrax_index count, size; /* N s c, c */
+    retrax_index count;     /* of all */
+    retrax_index of_points; /* of them, `each` at a point */
+    retrax_index each, at_ends;
     const double *values, *weights, *penalties;
     double *slacks, *multipliers, *excesses;
     double barrier;
@@ -22,7 +24,9 @@ typedef struct {
 static inequalities inequalities_of(const retrax_layout *layout, double *trajectory) {
     return (inequalities){
         .count = layout->count[RETRAX_ARRAY_LIMITS],
-        .size = layout->problem->inequalities,
+        .of_points = layout->problem->steps * layout->problem->points * layout->problem->inequalities,
+        .each = layout->problem->inequalities,
+        .at_ends = layout->problem->node_inequalities,
         .values = ARRAY(LIMITS),
         .weights = ARRAY(LIMIT_WEIGHTS),
         .penalties = ARRAY(PENALTIES),
@@ -54,47 +58,60 @@ static double missing(const inequalities *own, retrax_index i) {
     return own->values[i] + own->slacks[i] - own->excesses[i];
 }
 
+/* Writes slopes without a share of inequalities, and zeros as those that the barrier multiplies. */
+static void begin_slopes(double *slopes, double *driven, const double *plain, retrax_index count) {
+    retrax_copy(slopes, plain, count);
+    memset(driven, 0, sizeof(double) * (size_t)count);
+}
+
 void retrax_add_inequalities(const retrax_layout *layout, double *trajectory) {
-    const retrax_problem *const problem = layout->problem;
     const inequalities own = inequalities_of(layout, trajectory);
-    const retrax_index q = retrax_point_unknowns(problem), c = own.size, points = problem->steps * problem->points;
-    const bool collocates = retrax_collocates(problem);
-    double *const hessians = collocates ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS);
-    const double *const plain = collocates ? ARRAY(POINT_SLOPES) : ARRAY(SLOPES);
-    double *const slopes = collocates ? ARRAY(RIGHT_SLOPES) : ARRAY(RIGHT_SIDES);
-    double *const driven = collocates ? ARRAY(BARRIER_SLOPES) : ARRAY(BARRIER_SIDES);
-    for (retrax_index point = 0; point < points; point++) {
-        double *const hessian = hessians + point * q * q, *const slope = slopes + point * q;
-        double *const drive = driven + point * q;
-        for (retrax_index a = 0; a < q; a++) {
-            slope[a] = plain[point * q + a];
-            drive[a] = 0.0;
+    const bool collocates = retrax_collocates(layout->problem);
+    double *const slopes[] = {collocates ? ARRAY(RIGHT_SLOPES) : ARRAY(RIGHT_SIDES), ARRAY(RIGHT_END_SLOPES)};
+    double *const driven[] = {collocates ? ARRAY(BARRIER_SLOPES) : ARRAY(BARRIER_SIDES), ARRAY(BARRIER_END_SLOPES)};
+    double *const hessians[] = {collocates ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS), ARRAY(END_HESSIANS)};
+    begin_slopes(slopes[0], driven[0], collocates ? ARRAY(POINT_SLOPES) : ARRAY(SLOPES),
+                 layout->count[collocates ? RETRAX_ARRAY_POINT_SLOPES : RETRAX_ARRAY_SLOPES]);
+    begin_slopes(slopes[1], driven[1], ARRAY(END_SLOPES), layout->count[RETRAX_ARRAY_RIGHT_END_SLOPES]);
+    for (retrax_index i = 0; i < own.count; i++) {
+        if (own.weights[i] == 0.0) {
+            continue;
         }
-        for (retrax_index i = point * c; i < (point + 1) * c; i++) {
-            if (own.weights[i] == 0.0) {
+        const retrax_limit of = retrax_limit_of(layout->problem, i);
+        const retrax_index width = of.width;
+        const double *const row = ARRAY(LIMIT_JACOBIANS) + of.first;
+        const double stiff = own.weights[i] * stiffness(&own, i);
+        const double first = stiff * own.values[i], second = stiff * barrier_slope(&own, i);
+        double *const hessian = hessians[of.at_ends] + of.block * width * width;
+        for (retrax_index a = 0; a < width; a++) {
+            if (row[a] == 0.0) {
                 continue;
             }
-            const double *const row = ARRAY(LIMIT_JACOBIANS) + i * q;
-            const double stiff = own.weights[i] * stiffness(&own, i);
-            const double first = stiff * own.values[i], second = stiff * barrier_slope(&own, i);
-            for (retrax_index a = 0; a < q; a++) {
-                if (row[a] == 0.0) {
-                    continue;
-                }
-                slope[a] += row[a] * first;
-                drive[a] += row[a] * second;
-                for (retrax_index b = 0; b < q; b++) {
-                    hessian[a * q + b] += row[a] * stiff * row[b];
-                }
+            slopes[of.at_ends][of.block * width + a] += row[a] * first;
+            driven[of.at_ends][of.block * width + a] += row[a] * second;
+            for (retrax_index b = 0; b < width; b++) {
+                hessian[a * width + b] += row[a] * stiff * row[b];
             }
         }
     }
 }
 
-/* The size that inequality number j of a point is measured by. */
-static double size_of(const inequalities *own, retrax_index j, double limit) {
+/* One of the inequalities along the trajectory: the places first, first + stride, ... before last. */
+typedef struct {
+    retrax_index first, stride, last;
+} limit_row;
+
+static limit_row row_of(const inequalities *own, retrax_index limit) {
+    if (limit < own->each) {
+        return (limit_row){limit, own->each, own->of_points};
+    }
+    return (limit_row){own->of_points + limit - own->each, own->at_ends, own->count};
+}
+
+/* The size that an inequality is measured by. */
+static double size_of(const inequalities *own, limit_row row, double limit) {
     double found = limit;
-    for (retrax_index i = j; i < own->count; i += own->size) {
+    for (retrax_index i = row.first; i < row.last; i += row.stride) {
         if (own->weights[i] > 0.0) {
             found = retrax_larger(found, VALUE * fabs(own->values[i]));
         }
@@ -123,9 +140,10 @@ void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
     for (retrax_index k = 0; k < layout->count[RETRAX_ARRAY_LIMIT_SURVEY]; k++) {
         found[k] = k == RETRAX_LIMIT_LEAST ? INFINITY : 0.0;
     }
-    for (retrax_index j = 0; j < own.size; j++) {
-        const double limit = scale->limits[j], size = size_of(&own, j, limit);
-        for (retrax_index i = j; i < own.count; i += own.size) {
+    for (retrax_index j = 0; j < own.each + own.at_ends; j++) {
+        const limit_row row = row_of(&own, j);
+        const double limit = scale->limits[j], size = size_of(&own, row, limit);
+        for (retrax_index i = row.first; i < row.last; i += row.stride) {
             const double w = own.weights[i], lacking = missing(&own, i), product = own.slacks[i] * own.multipliers[i];
             if (!(w > 0.0)) {
                 continue;
@@ -154,7 +172,7 @@ static double shortened(double fraction, double value, double step, double share
     return step < 0.0 ? fmin(fraction, -share * value / step) : fraction;
 }
 
-/* Writes the steps (dx, dxi, dnu, du) of the points of collocation steps. */
+/* Writes the steps (dx, dxi, dnu, du) of the points of collocation steps, and (dx, deta) of their ends. */
 static void write_point_steps(const retrax_layout *layout, double *trajectory) {
     const retrax_problem *const problem = layout->problem;
     const retrax_index s = problem->points, n = problem->state_size, m = problem->control_size, z = n + s * m;
@@ -175,14 +193,22 @@ static void write_point_steps(const retrax_layout *layout, double *trajectory) {
                 to[3 * n + b] = step[n + i * m + b];
             }
         }
+        for (retrax_index a = 0; a < n && problem->node_inequalities > 0; a++) {
+            double *const to = ARRAY(END_STEPS) + k * 2 * n;
+            to[a] = step[a];
+            to[n + a] = 0.0;
+            for (retrax_index j = 0; j < s; j++) {
+                to[n + a] += h * problem->weights[j] * velocities[j * n + a];
+            }
+        }
     }
 }
 
 void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, double share) {
     const inequalities own = inequalities_of(layout, trajectory);
-    const retrax_index q = retrax_point_unknowns(layout->problem), c = own.size;
     double primal = 1.0, dual = 1.0, ahead = 0.0, held = 0.0;
-    const double *const steps = retrax_collocates(layout->problem) ? ARRAY(POINT_STEPS) : ARRAY(STEPS);
+    const double *const steps[] = {retrax_collocates(layout->problem) ? ARRAY(POINT_STEPS) : ARRAY(STEPS),
+                                   ARRAY(END_STEPS)};
     if (retrax_collocates(layout->problem)) {
         write_point_steps(layout, trajectory);
     }
@@ -190,9 +216,11 @@ void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, d
         const double w = own.weights[i], nu = own.multipliers[i], s = own.slacks[i], t = own.excesses[i];
         double ds = 0.0, dnu = 0.0, dt = 0.0;
         if (w > 0.0) {
-            const double *const row = ARRAY(LIMIT_JACOBIANS) + i * q, *const step = steps + i / c * q;
+            const retrax_limit of = retrax_limit_of(layout->problem, i);
+            const double *const row = ARRAY(LIMIT_JACOBIANS) + of.first;
+            const double *const step = steps[of.at_ends] + of.block * of.width;
             double value = own.values[i];
-            for (retrax_index a = 0; a < q; a++) {
+            for (retrax_index a = 0; a < of.width; a++) {
                 value += row[a] * step[a];
             }
             dnu = stiffness(&own, i) * (value + own.barrier * barrier_slope(&own, i));

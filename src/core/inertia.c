@@ -30,7 +30,7 @@ static void write_curvatures(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     const double *const trajectory = search->at, *const sizes = search->steps.unknowns;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
-    const bool limited = layout->problem->inequalities > 0;
+    const bool limited = retrax_is_limited(layout->problem);
     double most = 0.0;
     for (retrax_index i = 0; i < z; i++) {
         search->curvatures[i] = limited ? 1.0 : ARRAY(CURVATURES)[i] * sizes[i] * sizes[i] / search->steps.cost;
@@ -69,7 +69,7 @@ static void write_promise(retrax_search *search) {
             ahead += product(cost.slope, cost.mended, layout->problem->state_size);
         }
     }
-    if (layout->problem->inequalities > 0) {
+    if (retrax_is_limited(layout->problem)) {
         ahead += ARRAY(LIMIT_STEP)[2];
         dual = found->dual * ARRAY(LIMIT_STEP)[3];
     }
@@ -118,7 +118,7 @@ static void eliminate(retrax_search *search, double shift) {
     found->smallest = solution.inertia.smallest;
     found->finite = finite != 0;
     found->strict = right && clear;
-    found->convex = right || (problem->inequalities == 0 && hidden);
+    found->convex = right || (!retrax_is_limited(problem) && hidden);
 }
 
 void retrax_newton_step(retrax_search *search, double shift) {
@@ -131,7 +131,7 @@ void retrax_newton_step(retrax_search *search, double shift) {
     found->dual = 1.0;
     found->cap = retrax_step_cap(layout, trajectory, search->largest, search->trial, search->steady);
     found->reach = found->cap;
-    if (layout->problem->inequalities > 0) {
+    if (retrax_is_limited(layout->problem)) {
         retrax_step_inequalities(layout, trajectory, BOUNDARY);
         found->reach = fmin(found->cap, ARRAY(LIMIT_STEP)[0]);
         found->dual = ARRAY(LIMIT_STEP)[1];

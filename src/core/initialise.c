@@ -150,7 +150,7 @@ void retrax_find_scale(retrax_search *search, const double *trajectory, retrax_s
         search->sizes[n + i] = retrax_control_size(layout, trajectory, i);
         search->room[i] = INFINITY;
     }
-    if (problem->inequalities > 0) {
+    if (retrax_is_limited(problem)) {
         double *const ways = search->values + n, largest = 0.0;
         find_room(search, trajectory, ways);
         for (retrax_index i = 0; i < controls; i++) {
@@ -246,7 +246,7 @@ static void find_first_multipliers(retrax_search *search) {
 void retrax_initialise(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     double *trajectory = search->at;
-    const bool limited = layout->problem->inequalities > 0;
+    const bool limited = retrax_is_limited(layout->problem);
     retrax_rest_slacks(layout, trajectory);
     memcpy(search->spare, trajectory, sizeof(double) * (size_t)layout->numbers);
     memcpy(search->trial, trajectory, sizeof(double) * (size_t)layout->numbers); /* which have the same data */

@@ -11,6 +11,20 @@
 
 bool retrax_collocates(const retrax_problem *problem) { return problem->points > 1; }
 
+bool retrax_is_limited(const retrax_problem *problem) {
+    return problem->inequalities > 0 || problem->node_inequalities > 0;
+}
+
+retrax_limit retrax_limit_of(const retrax_problem *problem, retrax_index i) {
+    const retrax_index c = problem->inequalities, d = problem->node_inequalities, n = problem->state_size;
+    const retrax_index q = retrax_point_unknowns(problem), of_points = problem->steps * problem->points * c;
+    if (i < of_points) {
+        return (retrax_limit){i % c, i / c, q, i * q, false};
+    }
+    const retrax_index own = i - of_points;
+    return (retrax_limit){c + own % d, own / d, 2 * n, of_points * q + own * 2 * n, true};
+}
+
 retrax_index retrax_point_unknowns(const retrax_problem *problem) {
     return (retrax_collocates(problem) ? 3 : 1) * problem->state_size + problem->control_size;
 }
@@ -28,7 +42,8 @@ const char *retrax_array_name(int array) {
 static void count_arrays(const retrax_problem *problem, retrax_index *count) {
     const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, E = problem->state_numbers;
     const retrax_index m = problem->control_size, U = problem->control_numbers, P = problem->parameters;
-    const retrax_index c = problem->inequalities, q = 3 * n + m, z = n + s * m, p = s * n;
+    const retrax_index c = problem->inequalities, d = problem->node_inequalities, l = N * s * c + N * d;
+    const retrax_index q = 3 * n + m, z = n + s * m, p = s * n;
     const retrax_index v = retrax_collocates(problem) ? N * s : 0;
 #define RETRAX_COUNT_OF(name, number) count[RETRAX_ARRAY_##name] = (number);
     RETRAX_ARRAYS(RETRAX_COUNT_OF)
@@ -39,7 +54,7 @@ static void count_arrays(const retrax_problem *problem, retrax_index *count) {
 static bool fits(const retrax_problem *problem) {
     const retrax_index sizes[] = {problem->points,          problem->state_size, problem->state_numbers,
                                   problem->control_size,    problem->control_numbers,
-                                  problem->parameters,      problem->inequalities};
+                                  problem->parameters,      problem->inequalities, problem->node_inequalities};
     for (size_t i = 0; i < sizeof(sizes) / sizeof(sizes[0]); i++) {
         if (sizes[i] < (i < 3 ? 1 : 0) || sizes[i] > LARGEST_SIZE) {
             return false;
@@ -138,6 +153,7 @@ static void list_of_collocation(const retrax_problem *problem, retrax_function_n
                                 part_list *out) {
     const retrax_index n = problem->state_size, E = problem->state_numbers, U = problem->control_numbers;
     const retrax_index m = problem->control_size, c = problem->inequalities, q = 3 * n + m;
+    const retrax_index d = problem->node_inequalities, of_points = problem->steps * problem->points * c;
     switch (name) {
         case RETRAX_ENDS:
             add(in, RETRAX_ARRAY_CENTRES, E);
@@ -167,11 +183,18 @@ static void list_of_collocation(const retrax_problem *problem, retrax_function_n
             add(in, RETRAX_ARRAY_CENTRES, E);
             add(in, RETRAX_ARRAY_ETA, n);
             add_around(in, E);
+            if (d > 0) {
+                add(in, RETRAX_ARRAY_STEP_SIZE, 1);
+                add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
+                add_strided(in, RETRAX_ARRAY_LIMIT_MULTIPLIERS, of_points, d, d);
+            }
             add(out, RETRAX_ARRAY_END_HESSIANS, 4 * n * n);
             add(out, RETRAX_ARRAY_END_SLOPES, 2 * n);
             add(out, RETRAX_ARRAY_END_LEFT, 2 * n * n);
             add(out, RETRAX_ARRAY_END_RIGHT, 2 * n * n);
+            add_strided(out, RETRAX_ARRAY_LIMIT_JACOBIANS, of_points * q, d * 2 * n, d * 2 * n);
             add(out, RETRAX_ARRAY_END_COORDINATES, 2 * n);
+            add_strided(out, RETRAX_ARRAY_LIMITS, of_points, d, d);
             break;
         case RETRAX_MOVE:
             add(in, RETRAX_ARRAY_CENTRES_BEFORE, E);

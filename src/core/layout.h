@@ -26,6 +26,20 @@ static inline void retrax_copy(double *to, const double *from, retrax_index coun
 /* Unknowns of a point that inequalities depend on: (dx, dxi, dnu, du), or of a discretization map (dx, du). */
 retrax_index retrax_point_unknowns(const retrax_problem *problem);
 
+/* Whether there are inequalities. */
+bool retrax_is_limited(const retrax_problem *problem);
+
+/* One of the inequalities of a trajectory. */
+typedef struct {
+    retrax_index limit; /* which of those of a point, from 0 on, or of the ends of a step, from c on */
+    retrax_index block; /* the point, or the step */
+    retrax_index width; /* unknowns that it depends on: of the point, or (dx, deta) */
+    retrax_index first; /* place of its derivatives in LIMIT_JACOBIANS */
+    bool at_ends;
+} retrax_limit;
+
+retrax_limit retrax_limit_of(const retrax_problem *problem, retrax_index i);
+
 /* Whether the method of a problem is a collocation method, and not a discretization map. */
 bool retrax_collocates(const retrax_problem *problem);
 

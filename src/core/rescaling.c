@@ -97,7 +97,7 @@ static bool are_outgrown(retrax_search *search) {
 bool retrax_renew_scale(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
-    const bool limited = layout->problem->inequalities > 0;
+    const bool limited = retrax_is_limited(layout->problem);
     if (!search->claimed && retrax_cost_falls(search)) { /* a cost that falls without end has no size */
         return false;
     }

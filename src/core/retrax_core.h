@@ -345,8 +345,9 @@ typedef enum {
      * [n][q] of the defect, gradient [q], derivatives [c][q], defect [n], cost, inequalities [c], frame [n][E],
      * coordinates of lambda in it [n]. */
     RETRAX_POINTS,
-    /* Collocation alone: x, eta, the nodes on either side, the covectors there -> Hessian [2 n][2 n] and slope [2 n] of the
-     * Lagrangian by (dx, deta), left [n][2 n], right [n][2 n], both ends in the frames of the nodes [2][n] */
+    /* Collocation alone: x, eta, the nodes on either side, the covectors there, and with inequalities at nodes h, parameters,
+     * multipliers [d] -> Hessian [2 n][2 n] and slope [2 n] of the Lagrangian by (dx, deta), left [n][2 n], right [n][2 n],
+     * with inequalities their derivatives [d][2 n], both ends in the frames of the nodes [2][n], inequalities [d] */
     RETRAX_BOTH_ENDS,
     /* Discretization map: x, u, step [z], h, parameters -> x, u. Collocation: x, dx -> x, and the matrix [n][n] that
      * carries velocities from one chart to the other. */
@@ -387,27 +388,28 @@ typedef struct {
     retrax_index control_size;    /* m >= 0 */
     retrax_index control_numbers; /* U >= 0 */
     retrax_index parameters;      /* P >= 0 */
-    retrax_index inequalities;    /* c >= 0, at each point */
+    retrax_index inequalities;    /* c >= 0, at each point; of a discretization map also those at its nodes */
+    retrax_index node_inequalities; /* d >= 0, at the end and the beginning of a collocation step, else 0 */
     const double *matrix;         /* [s][s] of the tableau about the middle of the step; collocation alone */
     const double *weights;        /* [s] */
     const retrax_index *columns;  /* [E]: column of a matrix that an entry of a state belongs to, in 0, ..., E - 1 */
     const retrax_index *arrays;   /* [E]: array that the entry belongs to, in 0, ..., E - 1 */
-    const double *kept;           /* [c]: 1 for a bound of what is free, which no iterate leaves, else 0 */
+    const double *kept;           /* [c + d]: 1 for a bound of what is free, which no iterate leaves, else 0 */
     retrax_index bounds;          /* inequalities, the first ones, that are straight in the controls */
     retrax_function functions[RETRAX_FUNCTIONS];
 } retrax_problem;
 
-/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0 and
- * p = s n. */
+/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0 p = s n,
+ * and l = N s c + N d inequalities: those of all points, then those of the ends of all steps. */
 #define RETRAX_ARRAYS(X)                                                                                       \
     /* given */                                                                                                \
     X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                             \
     X(START_ENTRIES, E) X(END_ENTRIES, E)                  /* 1 where an entry of them is prescribed, else 0 */ \
     X(FIXED, (N + 1) * n)                                  /* 1 where an equation of a node counts, else 0 */   \
-    X(LIMIT_WEIGHTS, N *s *c) X(PENALTIES, N *s *c) X(BARRIER, 1) /* see 7 */                                   \
+    X(LIMIT_WEIGHTS, l) X(PENALTIES, l) X(BARRIER, 1) /* see 7 */                                   \
     /* unknowns */                                                                                             \
     X(CENTRES, N *E) X(VELOCITIES, v *n) X(CONTROLS, N *s *U) X(POINT_COSTATES, v *E) X(COSTATES, (N + 1) * E) \
-    X(SLACKS, N *s *c) X(LIMIT_MULTIPLIERS, N *s *c) X(EXCESSES, N *s *c) /* of the inequalities */            \
+    X(SLACKS, l) X(LIMIT_MULTIPLIERS, l) X(EXCESSES, l) /* of the inequalities */            \
     /* points and ends of the steps in their charts */                                                         \
     X(POINT_CENTRES, v *E) X(XI, v *n) X(ETA, v / s *n) X(POINT_WEIGHTS, v)                                    \
     /* nodes */                                                                                                \
@@ -421,14 +423,16 @@ typedef struct {
     X(POINT_DEFECTS, v *n) X(POINT_COSTS, v) X(POINT_FRAMES, v *n *E) X(POINT_MULTIPLIERS, v *n)               \
     X(END_HESSIANS, v / s * 4 * n * n) X(END_SLOPES, v / s * 2 * n) X(END_LEFT, v / s * 2 * n * n)             \
     X(END_RIGHT, v / s * 2 * n * n)                                                                            \
-    X(RIGHT_SLOPES, (c > 0) * v * q) X(BARRIER_SLOPES, (c > 0) * v * q) X(NEWTON_SLOPES, (c > 0) * v * q)      \
+    X(RIGHT_SLOPES, (l > 0) * v * q) X(BARRIER_SLOPES, (l > 0) * v * q) X(NEWTON_SLOPES, (l > 0) * v * q)      \
+    X(RIGHT_END_SLOPES, (d > 0) * N * 2 * n) X(BARRIER_END_SLOPES, (d > 0) * N * 2 * n)                        \
+    X(NEWTON_END_SLOPES, (d > 0) * N * 2 * n)                                                                  \
     X(FACTORS, v *n *p) X(SWAPS, v *n) X(VELOCITY_MAPS, v *n *(z + 1)) X(BEFORE, v / s *n) X(AFTER, v / s *n)  \
     X(SLOPES_BY_VELOCITIES, v *n) X(GRADIENTS_BY_VELOCITIES, v *n)                                             \
     /* linear system: slopes of the Lagrangian; right sides with the share of the inequalities, and of the barrier */ \
     X(HESSIANS, N *z *z) X(LEFT, N *n *z) X(RIGHT, N *n *z) X(SLOPES, N *z) X(RIGHT_SIDES, N *z)               \
-    X(BARRIER_SIDES, (c > 0) * N * z) X(NEWTON_SIDES, N *z) X(NEWTON_DEFECTS, (N + 1) * n)                     \
+    X(BARRIER_SIDES, (l > 0) * N * z) X(NEWTON_SIDES, N *z) X(NEWTON_DEFECTS, (N + 1) * n)                     \
     X(GRADIENTS, N *z) X(COSTS, N) X(END_COORDINATES, 2 * N * n)                                               \
-    X(LIMITS, N *s *c) X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z))                                            \
+    X(LIMITS, l) X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z) + N * d * 2 * n)                                            \
     /* what is largest along the trajectory, and how far it is from its conditions: see 8 */                   \
     X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(MISSING, n) X(LACKING, n) X(PARTS, z) X(LARGEST_SLOPES, z)   \
     X(CURVATURES, z) X(POINT_SURVEY, 5 * n) X(TOTALS, 2) X(LIMIT_SURVEY, 10) X(ALONG, n) X(ENTRIES, E)         \
@@ -437,8 +441,8 @@ typedef struct {
     X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(COVECTOR_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
     X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U) X(CENTRE_PARTS, N *(s > 1 ? n : z))                    \
     X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)                                                             \
-    X(SLACK_STEPS, N *s *c) X(LIMIT_MULTIPLIER_STEPS, N *s *c) X(EXCESS_STEPS, N *s *c)                        \
-    X(POINT_STEPS, N *s *(s > 1 ? q : z)) X(LIMIT_STEP, 4)
+    X(SLACK_STEPS, l) X(LIMIT_MULTIPLIER_STEPS, l) X(EXCESS_STEPS, l)                        \
+    X(POINT_STEPS, v *q) X(END_STEPS, (d > 0) * N * 2 * n) X(LIMIT_STEP, 4)
 
 #define RETRAX_NAME_OF(name, count) RETRAX_ARRAY_##name,
 typedef enum { RETRAX_ARRAYS(RETRAX_NAME_OF) RETRAX_ARRAY_TOTAL } retrax_array;
@@ -494,7 +498,7 @@ RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double
 /* ------------------------------------------------------------------------------------------------------
  * 7. Inequalities
  *
- * At each point of a step inequalities g <= 0 are made g + s = t with a slack s > 0 and, where an inequality is elastic, an
+ * At each point of a step, and at its ends, inequalities g <= 0 are made g + s = t with a slack s > 0 and, where an inequality is elastic, an
  * excess t > 0 at the penalty rho t; t = 0 where the penalty is infinite. With the barrier mu and the weight w of a point
  * the cost gets w (rho t - mu log s - mu log t). The multiplier nu and zeta = rho - nu satisfy nu s = mu, zeta t = mu.
  * Slacks, excesses and multipliers are eliminated at each point: with 1 / D = s / nu + t / zeta
@@ -508,7 +512,7 @@ RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double
 /* Natural sizes of the inequalities of a trajectory. */
 typedef struct {
     double rate;          /* of the cost per time: unit of the barrier */
-    const double *limits; /* [c] of the inequalities */
+    const double *limits; /* [c + d] of the inequalities */
     double first_penalty; /* relative to rate / limits: the usual first penalty */
     double near;          /* share of its penalty at which a multiplier says that this is too small */
     double last_penalty;  /* relative: the largest penalty */
@@ -669,7 +673,7 @@ typedef struct {
     const double *first;        /* the guess with its first multipliers and slacks */
     retrax_scale judging;       /* natural sizes that success was judged by */
     retrax_scale steps;         /* those of steps */
-    const double *limits;       /* [c] of the inequalities */
+    const double *limits;       /* [c + d] of the inequalities */
     double rate;                /* unit of the barrier */
     retrax_index iterations;
     bool claimed;               /* whether the iterate counts as an extremal */

@@ -7,7 +7,7 @@
 /* Lays out a search in a block. */
 static retrax_search *lay_out(const retrax_layout *layout, retrax_index max_iterations, retrax_block *block) {
     const retrax_problem *const problem = layout->problem;
-    const retrax_index n = problem->state_size, E = problem->state_numbers, c = problem->inequalities;
+    const retrax_index n = problem->state_size, E = problem->state_numbers, c = problem->inequalities + problem->node_inequalities;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], m = problem->control_size;
     const retrax_index points = problem->steps * problem->points;
     retrax_search *const own = retrax_take(block, 1, 1, sizeof(retrax_search));

@@ -5,21 +5,18 @@ from typing import Any
 import numpy as np
 import pytest
 from retrax.compute.core import best_instruction_set
-from retrax.compute.tape_machine import MachineProgram
 from retrax.compute.transcription import (
     FunctionName,
     LimitScale,
     Scale,
     Search,
     SearchStatus,
-    Sizes,
     Trajectory,
     Transcription,
 )
-from retrax.integrators.boundary_value.engine import beginning
+from retrax.integrators.boundary_value.engine import beginning, core_search
 from retrax.integrators.boundary_value.engine import first_units as engine_units
 from retrax.integrators.boundary_value.engine.barrier import PRICES
-from retrax.integrators.boundary_value.engine.collocation import Collocation
 from retrax.integrators.boundary_value.engine.conditions import Conditions
 from retrax.integrators.boundary_value.engine.inequalities import BOUNDARY
 from retrax.integrators.boundary_value.engine.transcription import Moves
@@ -28,35 +25,12 @@ from retrax.manifolds import InvalidInputError
 from ..integrators.engine.test_trial import CASES, SLEWS
 
 SETS = range(best_instruction_set() + 1)
-NAMES = [name for name in CASES if "nodes" not in name]
-
-
-def program(evaluated: Any, own: int) -> MachineProgram:
-    """The tape of a function for the core."""
-    p = evaluated.tape.program
-    return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size, own)
+NAMES = list(CASES)
 
 
 def transcription(conditions: Conditions, own: int) -> Transcription:
-    """The engine's transcription for the core."""
-    steps, nodes, name = conditions.transcription, conditions.at_nodes, FunctionName
-    functions = {name.ENDS: steps._ends, name.FRAMES: nodes._in_frame, name.MIDDLE: nodes._middle}
-    tableau = np.ones((1, 1)), np.ones(1)
-    if isinstance(steps, Collocation):
-        functions |= {name.POINTS: steps._point, name.BOTH_ENDS: steps._both, name.MOVE: steps._centre}
-        functions[name.MOVE_CONTROLS], tableau = steps._control, (steps.tableau.matrix, steps.tableau.weights)
-    else:
-        functions |= {name.POINTS: steps._row, name.MOVE: steps._move}
-    own_costs = {"first_cost": name.START_COST, "final_cost": name.END_COST}
-    functions |= {own_costs[key]: function for key, function in nodes._paid.items()}
-    sizes = Sizes(
-        conditions.data.steps.shape[1], steps.stages, steps.manifold.dimension, steps.state.size,
-        steps.controls.dimension, steps.control.size, steps.parameter.size, steps.inequalities,
-    )  # fmt: skip
-    programs = {key: program(function, own) for key, function in functions.items()}
-    groups = nodes.layout.columns.astype(np.intp), nodes.layout.arrays.astype(np.intp)
-    bounds = sum(map(len, nodes.problem.limits.bounded.values()))
-    return Transcription(sizes, tableau, groups, steps.kept.astype(float), bounds, programs, own)
+    """The engine's transcription for the core, which runs an instruction set."""
+    return core_search.made(conditions, own)
 
 
 def posed(solver: Any, way: tuple, monkeypatch: Any, **options: Any) -> tuple[Conditions, Any]:
@@ -76,21 +50,12 @@ def posed(solver: Any, way: tuple, monkeypatch: Any, **options: Any) -> tuple[Co
 
 def put(found: Trajectory, conditions: Conditions, iterate: Any) -> Trajectory:
     """The trajectory with what is given and with the unknowns of an iterate."""
-    data, ends = conditions.data, conditions.ends
-    given = {
-        "STEP_SIZE": data.steps, "PARAMETERS": data.parameters, "START": ends.start, "END": ends.end,
-        "START_ENTRIES": ends.start_entries, "END_ENTRIES": ends.end_entries, "FIXED": conditions.fixed,
-        "CENTRES": iterate.unknowns.centres, "CONTROLS": iterate.unknowns.controls, "COSTATES": iterate.costates,
-    }  # fmt: skip
-    if isinstance(conditions.transcription, Collocation):
-        given |= {"VELOCITIES": iterate.unknowns.velocities, "POINT_COSTATES": iterate.unknowns.costates}
+    core_search.put(found, conditions, iterate, 0)
     if iterate.slacks is not None:
-        names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES", "BARRIER"
-        given |= dict(zip(names, iterate.slacks, strict=True))
-    if conditions.transcription.inequalities:
-        given["LIMIT_WEIGHTS"] = conditions.transcription.weights(data)
-    for name, array in given.items():
-        found[name][...] = np.ravel(array)
+        names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES"
+        for name, array in zip(names, iterate.slacks, strict=False):
+            found[name][...] = core_search.flat_limits(conditions.transcription, array[0])
+        found["BARRIER"][...] = iterate.slacks.barrier
     return found
 
 
@@ -101,7 +66,7 @@ def compare(found: Trajectory, expected: dict[str, np.ndarray]) -> None:
         np.testing.assert_allclose(found[name], np.ravel(array), rtol=1e-9, atol=2e-11 * size, err_msg=name)
 
 
-def system(assembled: Any) -> dict[str, np.ndarray]:
+def system(assembled: Any, steps: Any) -> dict[str, np.ndarray]:
     """The engine's arrays by their names in the core."""
     blocks, inner = assembled.blocks, assembled.blocks.inner
     found = {
@@ -114,12 +79,10 @@ def system(assembled: Any) -> dict[str, np.ndarray]:
         found |= {"GRADIENTS_BY_VELOCITIES": inner.gradient}
     found |= {"HESSIANS": blocks.hessian, "RIGHT_SIDES": blocks.slope}
     if blocks.held is not None:
-        found |= {
-            "LIMITS": blocks.held.values,
-            "LIMIT_JACOBIANS": blocks.held.jacobian,
-            "RIGHT_SIDES": blocks.pushed[..., 0],
-        }
-        found |= {"BARRIER_SIDES": blocks.pushed[..., 1], "SLOPES": blocks.slope}
+        found |= {"RIGHT_SIDES": blocks.pushed[..., 0], "BARRIER_SIDES": blocks.pushed[..., 1], "SLOPES": blocks.slope}
+        found["LIMITS"] = core_search.flat_limits(steps, blocks.held.values[0])
+        if steps.places == steps.stages:
+            found["LIMIT_JACOBIANS"] = blocks.held.jacobian
     names = "HIGHEST", "LOWEST", "SUPPORT", None, "MISSING", "LACKING", None, "PARTS", "LARGEST_SLOPES", "CURVATURES"
     found |= {name: own for name, own in zip(names, assembled.extent, strict=True) if name}
     if inner is not None and blocks.held is None:  # the engine takes the slopes of Newton's step for those of the cost
@@ -146,7 +109,7 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
         found = assemble(self, iterate, paid)
         at = put(of(self).trajectory(), self, iterate)
         at.evaluate()
-        compare(at, system(found))
+        compare(at, system(found, self.transcription))
         made[0] += 1
         return found
 
@@ -209,14 +172,15 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
         if step.turn is not None:
             at.step_inequalities(BOUNDARY)
             turn, names = step.turn, ("SLACK_STEPS", "LIMIT_MULTIPLIER_STEPS", "EXCESS_STEPS")
-            compare(at, dict(zip(names, turn[:3], strict=True)))
+            flat = [core_search.flat_limits(self.transcription, a[0]) for a in (*turn[:3], *found.slacks[:3])]
+            compare(at, dict(zip(names, flat[:3], strict=True)))
             np.testing.assert_allclose(
                 at["LIMIT_STEP"][1:], np.ravel([turn.dual, turn.ahead, turn.lacking]), rtol=1e-7, atol=1e-9
             )
             assert turn.reach[0] == pytest.approx(min(1.0, at["LIMIT_STEP"][0]), rel=1e-9)
             to.move_inequalities(at, float((fraction * turn.reach)[0]), float(turn.dual[0]))
             names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES"
-            compare(to, dict(zip(names, found.slacks[:3], strict=True)))
+            compare(to, dict(zip(names, flat[3:], strict=True)))
         unknowns = {"CENTRES": found.unknowns.centres, "CONTROLS": found.unknowns.controls, "COSTATES": found.costates}
         if step.inner is not None:
             unknowns |= {"VELOCITIES": found.unknowns.velocities, "POINT_COSTATES": found.unknowns.costates}
@@ -250,7 +214,7 @@ def test_ends_that_are_far_apart_meet_as_in_the_engine(share, monkeypatch):
     at.evaluate()
     expected = conditions.assemble(far)
     assert not np.allclose(expected.asked, expected.gap)
-    compare(at, system(expected))
+    compare(at, system(expected, conditions.transcription))
 
 
 def test_what_does_not_fit_is_refused(monkeypatch):

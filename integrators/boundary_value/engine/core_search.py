@@ -36,8 +36,8 @@ def is_on_core(conditions: Any, callback: Any) -> bool:
     """Whether the core has all that a search asks for."""
     if conditions.joint or callback is not None:
         return False
-    steps, nodes = conditions.transcription, conditions.at_nodes
-    if not nodes.flat_controls or getattr(steps, "at_nodes", 0):
+    nodes = conditions.at_nodes
+    if not nodes.flat_controls:
         return False
     return all(hasattr(own, "tape") for own in _functions(conditions).values())
 
@@ -55,27 +55,56 @@ def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
 
 
 def transcription_of(conditions: Conditions) -> Transcription:
-    """The transcription of a problem for the core."""
-    steps, nodes, count = conditions.transcription, conditions.at_nodes, conditions.data.steps.shape[1]
-    known = _transcriptions.setdefault(steps, {})
+    """The transcription of a problem for the core; the last ones are kept."""
+    count = conditions.data.steps.shape[1]
+    known = _transcriptions.setdefault(conditions.transcription, {})
     if count not in known:
-        tableau = np.ones((1, 1)), np.ones(1)
-        if isinstance(steps, Collocation):
-            tableau = steps.tableau.matrix, steps.tableau.weights
-        sizes = Sizes(
-            count, steps.stages, steps.manifold.dimension, steps.state.size, steps.controls.dimension,
-            steps.control.size, steps.parameter.size, steps.inequalities,
-        )  # fmt: skip
-        programs = {key: _program(own) for key, own in _functions(conditions).items()}
-        groups = nodes.layout.columns.astype(np.intp), nodes.layout.arrays.astype(np.intp)
-        bounds = sum(map(len, nodes.problem.limits.bounded.values()))
-        known[count] = Transcription(sizes, tableau, groups, steps.kept.astype(float), bounds, programs)
+        known[count] = made(conditions)
     return known[count]
 
 
-def _program(evaluated: Any) -> MachineProgram:
-    p = evaluated.tape.program
-    return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size)
+def made(conditions: Conditions, instruction_set: int | None = None) -> Transcription:
+    """The transcription of a problem for the core; ``instruction_set``: the processor's best, or a lesser one."""
+    steps, nodes, tableau = conditions.transcription, conditions.at_nodes, (np.ones((1, 1)), np.ones(1))
+    if isinstance(steps, Collocation):
+        tableau = steps.tableau.matrix, steps.tableau.weights
+    sizes = Sizes(
+        conditions.data.steps.shape[1], steps.stages, steps.manifold.dimension, steps.state.size,
+        steps.controls.dimension, steps.control.size, steps.parameter.size, *_limits(steps),
+    )  # fmt: skip
+    groups = nodes.layout.columns.astype(np.intp), nodes.layout.arrays.astype(np.intp)
+    bounds = sum(map(len, nodes.problem.limits.bounded.values()))
+    programs = {}
+    for key, function in _functions(conditions).items():
+        p = function.tape.program
+        own = p.codes, p.registers, p.values, p.inputs, p.outputs, p.size
+        programs[key] = MachineProgram(*own, instruction_set)
+    return Transcription(sizes, tableau, groups, steps.kept.astype(float), bounds, programs, instruction_set)
+
+
+def _limits(steps: Any) -> tuple[int, int]:
+    """Numbers of inequalities of a point, and of the ends of a collocation step."""
+    return (steps.own, steps.at_nodes) if isinstance(steps, Collocation) else (steps.inequalities, 0)
+
+
+def flat_limits(steps: Any, array: np.ndarray) -> np.ndarray:
+    """The core's order of an array of inequalities, shape ``(N, r, c)``."""
+    own, at_nodes = _limits(steps)
+    if not at_nodes:
+        return array.ravel()
+    return np.concatenate([array[:, : steps.stages, :own].ravel(), array[:, steps.stages, own:].ravel()])
+
+
+def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np.ndarray:
+    """An array of inequalities of so many steps, shape ``(1, N, r, c)``, from the order of the core; ``unasked``: what
+    stands where there is none."""
+    own, at_nodes = _limits(steps)
+    if not at_nodes:
+        return flat.reshape(1, count, steps.places, steps.inequalities).copy()
+    found, of_points = np.full((1, count, steps.places, steps.inequalities), unasked), count * steps.stages * own
+    found[0, :, : steps.stages, :own] = flat[:of_points].reshape(count, steps.stages, own)
+    found[0, :, steps.stages, own:] = flat[of_points:].reshape(count, at_nodes)
+    return found
 
 
 def put(to: Trajectory, conditions: Conditions, iterate: Iterate, k: int) -> None:
@@ -91,27 +120,28 @@ def put(to: Trajectory, conditions: Conditions, iterate: Iterate, k: int) -> Non
         given |= {"VELOCITIES": iterate.unknowns.velocities[k], "POINT_COSTATES": iterate.unknowns.costates[k]}
     if conditions.transcription.inequalities:
         weights = conditions.transcription.weights(data)
-        given["LIMIT_WEIGHTS"] = weights[k if len(weights) > 1 else 0]
+        given["LIMIT_WEIGHTS"] = flat_limits(conditions.transcription, weights[k if len(weights) > 1 else 0])
     for name, array in given.items():
         to[name][...] = np.ravel(array)
 
 
-def iterate_of(at: Trajectory, like: Iterate, inequalities: tuple[int, ...] | None) -> Iterate:
-    """The iterate of one member; ``like``: a batch of iterates; ``inequalities``: the shape of their arrays."""
+def iterate_of(at: Trajectory, like: Iterate, steps: Any) -> Iterate:
+    """The iterate of one member; ``like``: a batch of iterates."""
 
     def array(name: str, own: np.ndarray) -> np.ndarray:
         return at[name].reshape(1, *own.shape[1:]).copy()
 
-    own = like.unknowns
+    own, count = like.unknowns, len(like.costates[0]) - 1
     if isinstance(own, GaussUnknowns):
         names = "CENTRES", "VELOCITIES", "CONTROLS", "POINT_COSTATES"
         unknowns: Any = GaussUnknowns(*map(array, names, own))
     else:
         unknowns = Unknowns(array("CENTRES", own.centres), array("CONTROLS", own.controls))
     slacks = None
-    if inequalities is not None:
-        names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES"
-        slacks = Slacks(*(at[name].reshape(1, *inequalities).copy() for name in names), at["BARRIER"].copy())
+    if steps.inequalities:
+        none = {"SLACKS": 1.0, "LIMIT_MULTIPLIERS": 0.0, "EXCESSES": 0.0, "PENALTIES": np.inf}
+        parts = (whole_limits(steps, at[name], count, unasked) for name, unasked in none.items())
+        slacks = Slacks(*parts, at["BARRIER"].copy())
     return Iterate(unknowns, array("COSTATES", like.costates), slacks)
 
 
@@ -136,9 +166,7 @@ class CoreSearch:
     def ended(self, guess: Iterate) -> Found:
         """The result of the searches from the guesses."""
         conditions, steps = self.conditions, self.conditions.transcription
-        count, shape = len(guess.costates), None
-        if steps.inequalities:
-            shape = conditions.data.steps.shape[1], steps.places, steps.inequalities
+        count = len(guess.costates)
         own = self.tolerance, self.max_iterations, self.width, self.firm
         search = Search(transcription_of(conditions), *own, looks=not self.as_it_is)
         self.lost, told, iterates, firsts = np.zeros(count, bool), list[SearchResult](), [], []
@@ -154,11 +182,11 @@ class CoreSearch:
                 status, search = search_again.run(), search_again
             result = search.read()
             limited[k] = status is SearchStatus.ITERATION_LIMIT
-            iterates.append(iterate_of(result.trajectory, guess, shape))
-            firsts.append(iterate_of(result.first, guess, shape))
+            iterates.append(iterate_of(result.trajectory, guess, steps))
+            firsts.append(iterate_of(result.first, guess, steps))
             units.append(_units(result.judging))
             wider.append(_units(result.steps))
-            if shape is not None:
+            if steps.inequalities:
                 rate, firm = np.array([result.rate]), np.array([self.firm])
                 barriers.append(Barrier(rate, result.limits[None].copy(), steps.kept[None].copy(), firm))
             told.append(result._replace(judging=None, steps=None, limits=None))

@@ -184,6 +184,7 @@ class ProblemStruct(Structure):
         ("control_numbers", c_ssize_t),
         ("parameters", c_ssize_t),
         ("inequalities", c_ssize_t),
+        ("node_inequalities", c_ssize_t),
         ("matrix", c_void_p),
         ("weights", c_void_p),
         ("columns", c_void_p),
@@ -194,7 +195,7 @@ class ProblemStruct(Structure):
     )
 
 
-ARRAYS = 103  # of a trajectory
+ARRAYS = 107  # of a trajectory
 
 
 @final

@@ -58,7 +58,13 @@ class Sizes(NamedTuple):
     control_size: int
     control_numbers: int
     parameters: int
-    inequalities: int  # at each point
+    inequalities: int  # at each point; of a discretization map also those at its nodes
+    node_inequalities: int  # at the ends of a collocation step, else 0
+
+    @property
+    def limits(self) -> int:
+        """Number of inequalities of a step of one point."""
+        return self.inequalities + self.node_inequalities
 
 
 @final
@@ -108,7 +114,7 @@ class Transcription:
             address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
             address_of(weights, FLOAT, (s,), "weights of a tableau"),
             *(address_of(own, PLACE, (sizes.state_numbers,), "columns of the entries of a state") for own in groups),
-            address_of(kept, FLOAT, (sizes.inequalities,), "bounds that no iterate leaves"),
+            address_of(kept, FLOAT, (sizes.limits,), "bounds that no iterate leaves"),
         )
         for own in groups:
             if own.size and not (own.min() >= 0 and own.max() < sizes.state_numbers):
@@ -178,7 +184,7 @@ class Trajectory:
         """Evaluate the functions of the problem at the unknowns, and assemble the linear system."""
         own, here = self._of._library, (byref(self._layout), self._address)
         own.retrax_evaluate_trajectory(*here)
-        if self._of.sizes.inequalities:
+        if self._of.sizes.limits:
             own.retrax_add_inequalities(*here)
         own.retrax_assemble_system(*here, self._of.workspace, self._of._set)
         own.retrax_write_right_sides(*here)
@@ -200,7 +206,7 @@ class Trajectory:
             steps.cost,
         )
         if limits is not None:
-            c = self._of.sizes.inequalities
+            c = self._of.sizes.limits
             place = address_of(limits.limits, FLOAT, (c,), "natural sizes of inequalities")
             of_limits = byref(LimitScaleStruct(limits.rate, place, *limits[2:]))
             own.retrax_survey_inequalities(*here, of_limits)
@@ -285,7 +291,7 @@ class SearchResult(NamedTuple):
 class Search:
     """Newton's method on the conditions of one trajectory.
 
-    ``width``: the infeasibility that the funnel lets pass at first; ``firm``: times the usual first penalty of excesses;
+    ``width``: the infeasibility that the funnel lets pass at first; ``firm``: times the usual first penalty of an excess;
     ``looks``: whether a guess may be called degenerate.
     """
 
@@ -325,7 +331,7 @@ class Search:
             Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
             for own in (found.judging, found.steps)
         )
-        limits = self._part(found.limits, sizes.inequalities)
+        limits = self._part(found.limits, sizes.limits)
         told = (getattr(found, name) for name in SearchResult._fields[5:])
         return SearchResult(at, first, judging, steps, limits, *told)
 
