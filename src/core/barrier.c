@@ -39,7 +39,7 @@ static retrax_index limit_of(const retrax_search *search, retrax_index i) {
     return retrax_limit_of(search->layout->problem, i).limit;
 }
 
-static bool is_kept(const retrax_search *search, retrax_index i) {
+bool retrax_is_kept(const retrax_search *search, retrax_index i) {
     return search->layout->problem->kept[limit_of(search, i)] != 0.0;
 }
 
@@ -78,17 +78,16 @@ static void write_limits(retrax_search *search, const double *trajectory) {
     }
 }
 
-/* The value of an inequality; a bound that no iterate leaves holds by rounding at least. */
-static double inside(const retrax_search *search, const double *trajectory, retrax_index i) {
+double retrax_limit_inside(const retrax_search *search, const double *trajectory, retrax_index i) {
     const retrax_layout *const layout = search->layout;
     const double value = ARRAY(LIMITS)[i], limit = search->limit_sizes[limit_of(search, i)];
-    return is_kept(search, i) ? fmin(value, -DBL_EPSILON * limit) : value;
+    return retrax_is_kept(search, i) ? fmin(value, -DBL_EPSILON * limit) : value;
 }
 
 /* Writes the slack, multiplier and excess of an inequality on the central path: g + s = t, nu s = zeta t = mu. */
 static void write_central(const retrax_search *search, double *trajectory, retrax_index i, double penalty) {
     const retrax_layout *const layout = search->layout;
-    const double mu = *ARRAY(BARRIER), g = inside(search, trajectory, i);
+    const double mu = *ARRAY(BARRIER), g = retrax_limit_inside(search, trajectory, i);
     double slack = 1.0, multiplier = 0.0, excess = 0.0;
     if (!(ARRAY(LIMIT_WEIGHTS)[i] > 0.0)) {
         penalty = INFINITY;
@@ -110,7 +109,7 @@ static void write_central(const retrax_search *search, double *trajectory, retra
 /* The usual first penalty of an inequality; infinite where no iterate leaves it. */
 static double first_penalty(const retrax_search *search, retrax_index i) {
     const double unit = search->limits.rate / search->limit_sizes[limit_of(search, i)];
-    return is_kept(search, i) ? INFINITY : FIRST_PENALTY * unit * search->firm;
+    return retrax_is_kept(search, i) ? INFINITY : FIRST_PENALTY * unit * search->firm;
 }
 
 void retrax_rest_slacks(const retrax_layout *layout, double *trajectory) {
@@ -138,7 +137,7 @@ void retrax_start_slacks(retrax_search *search, double *trajectory) {
     *ARRAY(BARRIER) = FIRST_BARRIER * search->limits.rate * sqrt(search->firm);
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double limit = search->limit_sizes[limit_of(search, i)];
-        const bool holds = inside(search, trajectory, i) < -INSIDE * limit;
+        const bool holds = retrax_limit_inside(search, trajectory, i) < -INSIDE * limit;
         write_central(search, trajectory, i, holds ? INFINITY : first_penalty(search, i));
     }
 }
@@ -147,7 +146,7 @@ bool retrax_is_hard(const retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     const double *const trajectory = search->at;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isinf(ARRAY(PENALTIES)[i]) && !is_kept(search, i)) {
+        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isinf(ARRAY(PENALTIES)[i]) && !retrax_is_kept(search, i)) {
             return true;
         }
     }

@@ -243,28 +243,59 @@ static void find_first_multipliers(retrax_search *search) {
     retrax_assess(search, search->at);
 }
 
-void retrax_initialise(retrax_search *search) {
+/* Whether the guess knows multipliers of inequalities. */
+static bool knows_multipliers(const retrax_layout *layout, const double *trajectory) {
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMIT_MULTIPLIERS]; i++) {
+        if (ARRAY(LIMIT_MULTIPLIERS)[i] != 0.0) {
+            return true;
+        }
+    }
+    return false;
+}
+
+/* Finds the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. Known multipliers that do
+ * not fit tell nothing, nor do the costates that came with them: then the guess has none. */
+static void begin(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
-    double *trajectory = search->at;
-    const bool limited = retrax_is_limited(layout->problem);
-    retrax_rest_slacks(layout, trajectory);
-    memcpy(search->spare, trajectory, sizeof(double) * (size_t)layout->numbers);
-    memcpy(search->trial, trajectory, sizeof(double) * (size_t)layout->numbers); /* which have the same data */
+    double *const trajectory = search->at;
+    const bool known = knows_multipliers(layout, trajectory);
+    memcpy(search->spare, trajectory, sizeof(double) * (size_t)layout->numbers); /* all of them have the same data */
+    memcpy(search->trial, trajectory, sizeof(double) * (size_t)layout->numbers);
     memcpy(search->first, trajectory, sizeof(double) * (size_t)layout->numbers);
+    retrax_rest_slacks(layout, trajectory);
     retrax_evaluate(search, trajectory);
     retrax_find_scale(search, trajectory, &search->judging);
     retrax_copy_scale(layout, &search->judging, &search->steps);
     search->first_cost = search->judging.cost;
-    if (limited) {
-        retrax_start_slacks(search, trajectory);
-        retrax_evaluate(search, trajectory);
+    if (!retrax_is_limited(layout->problem)) {
+        return;
     }
-    retrax_measure(search, trajectory);
-    const bool linear = !limited;
+    retrax_find_limits(search, trajectory);
+    if (!known) {
+        retrax_start_slacks(search, trajectory);
+    } else if (!retrax_warm_start(search, search->spare)) {
+        retrax_rest_slacks(layout, trajectory);
+        memset(ARRAY(COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_COSTATES]);
+        memset(ARRAY(POINT_COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_POINT_COSTATES]);
+        retrax_evaluate(search, trajectory);
+        retrax_find_scale(search, trajectory, &search->judging);
+        retrax_copy_scale(layout, &search->judging, &search->steps);
+        search->first_cost = search->judging.cost;
+        retrax_start_slacks(search, trajectory);
+    }
+    retrax_evaluate(search, trajectory);
+}
+
+void retrax_initialise(retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const bool linear = !retrax_is_limited(layout->problem);
+    begin(search);
+    retrax_measure(search, search->at);
+    /* The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal. */
     retrax_regularised_step(search, 0.0, linear, linear);
     const bool flat = !search->direction.descends || search->direction.shift > 0.0 ||
-                      (linear && !search->direction.strict && has_flat_controls(layout, trajectory));
-    if (flat && is_without_costates(layout, trajectory) && is_convex(layout, trajectory, search->square)) {
+                      (linear && !search->direction.strict && has_flat_controls(layout, search->at));
+    if (flat && is_without_costates(layout, search->at) && is_convex(layout, search->at, search->square)) {
         find_first_multipliers(search);
         retrax_regularised_step(search, 0.0, linear, linear);
     }

@@ -108,6 +108,16 @@ bool retrax_cost_falls(const retrax_search *search);
 /* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
 
+/* warm_start.c: sets first slacks and multipliers near to the multipliers that a guess knows, of which the evaluated iterate has
+ * the unknowns; known: a trajectory that is overwritten. Returns whether they fit. */
+bool retrax_warm_start(retrax_search *search, double *known);
+
+/* barrier.c: whether no iterate leaves an inequality, as a bound of what is free. */
+bool retrax_is_kept(const retrax_search *search, retrax_index i);
+
+/* barrier.c: the value of an inequality; a bound that no iterate leaves holds by rounding at least. */
+double retrax_limit_inside(const retrax_search *search, const double *trajectory, retrax_index i);
+
 /* barrier.c: sets slacks and multipliers of inequalities that do not pull. */
 void retrax_rest_slacks(const retrax_layout *layout, double *trajectory);
 

@@ -121,6 +121,10 @@ def put(to: Trajectory, conditions: Conditions, iterate: Iterate, k: int) -> Non
     if conditions.transcription.inequalities:
         weights = conditions.transcription.weights(data)
         given["LIMIT_WEIGHTS"] = flat_limits(conditions.transcription, weights[k if len(weights) > 1 else 0])
+        given["LIMIT_MULTIPLIERS"] = np.zeros(len(to["LIMIT_MULTIPLIERS"]))
+        if iterate.slacks is not None:
+            known = iterate.slacks.multipliers[k]
+            given["LIMIT_MULTIPLIERS"] = flat_limits(conditions.transcription, known)
     for name, array in given.items():
         to[name][...] = np.ravel(array)
 
