@@ -242,6 +242,25 @@ static void renew(retrax_search *search) {
     }
 }
 
+/* Tells where the search is; whether it is asked to stop. */
+static bool report(const retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const double *const trajectory = search->at, *const found = ARRAY(RESIDUALS);
+    const retrax_direction *const step = &search->direction;
+    const retrax_iteration iteration = {
+        .number = search->trials - 1,
+        .cost = ARRAY(TOTALS)[0],
+        .defect = found[RETRAX_DEFECT],
+        .stationarity = found[RETRAX_STATIONARITY],
+        .shift = step->shift,
+        .fraction = search->fraction * step->reach,
+        .descends = step->descends,
+        .violation = retrax_larger(found[RETRAX_VIOLATION], found[RETRAX_EXCESS]),
+        .barrier = retrax_is_limited(layout->problem) ? *ARRAY(BARRIER) / search->limits.rate : 0.0,
+    };
+    return search->options.report != NULL && search->options.report(search->options.context, &iteration);
+}
+
 retrax_search_status retrax_search_run(retrax_search *search) {
     retrax_search_status status;
     retrax_initialise(search);
@@ -254,8 +273,9 @@ retrax_search_status retrax_search_run(retrax_search *search) {
             renew(search);
             status = status_of(search);
         }
-        if (status != RETRAX_GOING_ON) {
-            return status;
+        const bool stopped = status != RETRAX_DEGENERATE && report(search);
+        if (status != RETRAX_GOING_ON || stopped) {
+            return status == RETRAX_GOING_ON ? RETRAX_STOPPED : status;
         }
         iterate(search);
     }

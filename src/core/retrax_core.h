@@ -639,8 +639,21 @@ typedef enum {
     RETRAX_INFEASIBLE,      /* inequalities contradict each other, or the ends */
     RETRAX_ELSEWHERE,       /* the equations hold where a point is not at its end, and no step leads on */
     RETRAX_DEGENERATE,      /* the guess is one from which Newton's method cannot set out; another one may do */
-    RETRAX_ITERATION_LIMIT
+    RETRAX_ITERATION_LIMIT,
+    RETRAX_STOPPED          /* as the report has asked */
 } retrax_search_status;
+
+/* What a search tells after each evaluation. */
+typedef struct {
+    retrax_index number;  /* trials so far, but for the guess */
+    double cost;
+    double defect, stationarity;
+    double shift;         /* of the Hessian, relative to its diagonal */
+    double fraction;      /* of the step that is tried next */
+    bool descends;        /* whether that step has positive curvature */
+    double violation;     /* of the inequalities, relative */
+    double barrier;       /* relative to its unit; 0 without inequalities */
+} retrax_iteration;
 
 /* Options of a search. */
 typedef struct {
@@ -649,6 +662,8 @@ typedef struct {
     double width;                /* infeasibility that the funnel lets pass at first; 1 is usual */
     double firm;                 /* times the usual first penalty of excesses; 1 is usual */
     bool looks;                  /* whether a guess may be called degenerate; else the search sets out from any */
+    bool (*report)(void *context, const retrax_iteration *iteration); /* asks to stop by true; NULL: nothing is told */
+    void *context;
 } retrax_options;
 
 /* A search; its arrays stand in the memory that the caller provides. */

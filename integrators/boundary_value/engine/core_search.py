@@ -1,6 +1,7 @@
 """Searches of the compiled core in the place of ``Descent``, while the engine is still there."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, final
 from weakref import WeakKeyDictionary
 
@@ -20,10 +21,11 @@ from ....manifolds.numerics.ambient import joined, taken
 from .acceptance import WIDE
 from .aside import aside
 from .barrier import Barrier
+from .batches import put as put_back
 from .collocation import Collocation, GaussUnknowns
 from .conditions import Conditions
 from .extent import ends_meet
-from .found import Found, Iteration
+from .found import Found, Iteration, stops
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate
 from .scaling import Units
@@ -32,9 +34,9 @@ from .transcription import Unknowns
 _transcriptions: WeakKeyDictionary[Any, dict[int, Transcription]] = WeakKeyDictionary()
 
 
-def is_on_core(conditions: Any, callback: Any) -> bool:
+def is_on_core(conditions: Any) -> bool:
     """Whether the core has all that a search asks for."""
-    if conditions.joint or callback is not None:
+    if conditions.joint:
         return False
     nodes = conditions.at_nodes
     if not nodes.flat_controls:
@@ -168,22 +170,12 @@ class CoreSearch:
         self.lost, self.stopped = np.zeros(0, bool), False
 
     def ended(self, guess: Iterate) -> Found:
-        """The result of the searches from the guesses."""
-        conditions, steps = self.conditions, self.conditions.transcription
-        count = len(guess.costates)
-        own = self.tolerance, self.max_iterations, self.width, self.firm
-        search = Search(transcription_of(conditions), *own, looks=not self.as_it_is)
-        self.lost, told, iterates, firsts = np.zeros(count, bool), list[SearchResult](), [], []
-        units, wider, barriers, limited = [], [], [], np.zeros(count, bool)
+        """The result of the searches from the guesses, which an interrupt ends."""
+        conditions, steps, count = self.conditions, self.conditions.transcription, len(guess.costates)
+        self.lost, limited = np.zeros(count, bool), np.zeros(count, bool)
+        told, iterates, firsts, units, wider, barriers = [], [], [], [], [], []
         for k in range(count):
-            put(search.trajectory, conditions, guess, k)
-            status = search.run()
-            if status is SearchStatus.DEGENERATE:
-                self.lost[k] = True
-                moved = self._aside(guess, k)
-                search_again = Search(transcription_of(conditions), *own, looks=False)
-                put(search_again.trajectory, conditions.of(np.array([k])), moved, 0)
-                status, search = search_again.run(), search_again
+            search, status = self._searched(guess, k)
             result = search.read()
             limited[k] = status is SearchStatus.ITERATION_LIMIT
             iterates.append(iterate_of(result.trajectory, guess, steps))
@@ -194,12 +186,37 @@ class CoreSearch:
                 rate, firm = np.array([result.rate]), np.array([self.firm])
                 barriers.append(Barrier(rate, result.limits[None].copy(), steps.kept[None].copy(), firm))
             told.append(result._replace(judging=None, steps=None, limits=None))
-            if self.lost[k]:
-                search = Search(transcription_of(conditions), *own, looks=not self.as_it_is)
         conditions.units, conditions.wider = joined(units), joined(wider)
         conditions.barrier = joined(barriers) if barriers else None
         iterate, self._first = joined(iterates), joined(firsts)
         return self._found(iterate, told, limited)
+
+    def _searched(self, guess: Iterate, k: int) -> tuple[Search, SearchStatus]:
+        """The search of a member, from its guess or from that moved aside, and how it has ended."""
+        own, members = (self.tolerance, self.max_iterations, self.width, self.firm), np.array([k])
+        report = partial(self._report, k)
+        for looks in (False,) if self.as_it_is else (True, False):
+            search = Search(transcription_of(self.conditions), *own, looks=looks, report=report)
+            put(search.trajectory, self.conditions, guess, k)
+            try:
+                status = search.run()
+            except KeyboardInterrupt:
+                status = SearchStatus.STOPPED
+            self.stopped |= status is SearchStatus.STOPPED
+            if status is not SearchStatus.DEGENERATE:
+                break
+            self.lost[k] = True
+            moved = self._aside(guess, k)
+            guess = put_back(guess, members, moved)
+        return search, status
+
+    def _report(self, k: int, iteration: Any) -> bool:
+        """Show an iteration to the callback; whether that, or an interrupt before, asks to stop."""
+        if self.stopped or self.callback is None:
+            return self.stopped
+        names = "cost", "defect", "stationarity", "shift", "fraction", "descends", "violation", "barrier"
+        seen = (np.array([getattr(iteration, name)]) for name in names)
+        return stops(self.callback(Iteration(iteration.number, np.array([k]), *seen)))
 
     def first(self) -> tuple[Iterate, Assembled]:
         """The guesses with their first multipliers and slacks, and their systems."""
@@ -230,7 +247,15 @@ class CoreSearch:
         ended = strict & own["isolated"], own["iterations"], limited, claimed, own["solvable"]
         falling = own["falls"] & ~claimed
         return Found(
-            iterate, assembled, residuals, *ended, False, missing, own["infeasible"], conditions.judging.cost, falling
+            iterate,
+            assembled,
+            residuals,
+            *ended,
+            self.stopped,
+            missing,
+            own["infeasible"],
+            conditions.judging.cost,
+            falling,
         )
 
 

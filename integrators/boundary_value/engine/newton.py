@@ -68,7 +68,7 @@ def _search(conditions: Any, tolerance: float, most: int, callback: Any, **optio
     if "search" in PARTS_ON_CORE:
         from .core_search import CoreSearch, is_on_core
 
-        if is_on_core(conditions, callback):
+        if is_on_core(conditions):
             return CoreSearch(conditions, tolerance, most, callback, **options)
     return Descent(conditions, tolerance, most, callback, **options)
 

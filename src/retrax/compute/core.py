@@ -253,6 +253,26 @@ class ScaleDataStruct(Structure):
 
 
 @final
+class IterationStruct(Structure):
+    """``retrax_iteration``."""
+
+    _fields_ = (
+        ("number", c_ssize_t),
+        ("cost", c_double),
+        ("defect", c_double),
+        ("stationarity", c_double),
+        ("shift", c_double),
+        ("fraction", c_double),
+        ("descends", c_bool),
+        ("violation", c_double),
+        ("barrier", c_double),
+    )
+
+
+REPORT = ctypes.CFUNCTYPE(c_bool, c_void_p, POINTER(IterationStruct))
+
+
+@final
 class OptionsStruct(Structure):
     """``retrax_options``."""
 
@@ -262,6 +282,8 @@ class OptionsStruct(Structure):
         ("width", c_double),
         ("firm", c_double),
         ("looks", c_bool),
+        ("report", REPORT),
+        ("context", c_void_p),
     )
 
 

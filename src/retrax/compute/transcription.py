@@ -1,9 +1,9 @@
 """Trajectories of a transcribed problem: their arrays, their linear systems, and steps from one to the next."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from ctypes import addressof, byref, c_void_p, cast, pointer
 from enum import IntEnum
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 
 import numpy as np
 
@@ -14,7 +14,9 @@ from .core import (
     BYTES,
     FLOAT,
     PLACE,
+    REPORT,
     FunctionStruct,
+    IterationStruct,
     LayoutStruct,
     LimitScaleStruct,
     OptionsStruct,
@@ -266,6 +268,7 @@ class SearchStatus(IntEnum):
     ELSEWHERE = 4
     DEGENERATE = 5
     ITERATION_LIMIT = 6
+    STOPPED = 7
 
 
 @final
@@ -291,8 +294,8 @@ class SearchResult(NamedTuple):
 class Search:
     """Newton's method on the conditions of one trajectory.
 
-    ``width``: the infeasibility that the funnel lets pass at first; ``firm``: times the usual first penalty of an excess;
-    ``looks``: whether a guess may be called degenerate.
+    ``width``: the infeasibility that the funnel lets pass at first; ``firm``: times the usual first penalty of excesses.
+    ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
     """
 
     def __init__(
@@ -303,13 +306,16 @@ class Search:
         width: float = 1.0,
         firm: float = 1.0,
         looks: bool = True,
+        report: Callable[[IterationStruct], bool] | None = None,
     ) -> None:
         own = self._library = library()
         self._of, self._layout = transcription, byref(transcription._layout)
         self._memory = aligned(-(-own.retrax_search_memory(self._layout, max_iterations) // BYTES))
         self._memory[...] = 0.0
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
-        options = OptionsStruct(tolerance, max_iterations, width, firm, looks)
+        self._report, self._error = report, None  # type: Any, BaseException | None
+        self._callback = REPORT(self._told)  # C calls it
+        options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
         self._search = own.retrax_search_make(self._layout, byref(options), transcription._set, place)
 
     @property
@@ -319,8 +325,21 @@ class Search:
         return Trajectory(self._of, self._part(place, self._of._layout.numbers))
 
     def run(self) -> SearchStatus:
-        """Search an extremal from the guess."""
-        return SearchStatus(self._library.retrax_search_run(self._search))
+        """Search an extremal from the guess; an error of the report, or an interrupt, is raised when the search has
+        ended."""
+        self._error = None
+        status = SearchStatus(self._library.retrax_search_run(self._search))
+        if self._error is not None:
+            raise self._error
+        return status
+
+    def _told(self, _context: int | None, iteration: Any) -> bool:
+        """What C calls after each evaluation: Python looks for an interrupt then."""
+        try:
+            return self._report is not None and self._report(iteration.contents)
+        except BaseException as error:  # C knows no exceptions
+            self._error = error
+            return True
 
     def read(self) -> SearchResult:
         """Return what the last run has found; its arrays are those of the search, which the next run overwrites."""
