@@ -131,11 +131,26 @@ static void find_room(retrax_search *search, const double *trajectory, double *w
 
 /* ---------------------------------------------------------------------------------------------------------- scale */
 
-double retrax_control_size(const retrax_layout *layout, const double *trajectory, retrax_index i) {
-    const retrax_index controls = layout->count[RETRAX_ARRAY_PARTS] - layout->problem->state_size;
+/* The largest size along the trajectory of a number that stands at a place of each step. */
+static double largest_of(const retrax_layout *layout, const double *numbers, retrax_index stride, retrax_index place) {
     double size = 0.0;
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
-        size = retrax_larger(size, fabs(ARRAY(CONTROLS)[k * controls + i])); /* as many numbers as coordinates */
+        size = retrax_larger(size, fabs(numbers[k * stride + place]));
+    }
+    return size;
+}
+
+double retrax_control_size(const retrax_layout *layout, const double *trajectory, retrax_index i) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index s = problem->points, m = problem->control_size, U = problem->control_numbers;
+    const retrax_index point = i / m;
+    if (!problem->curved_controls) { /* as many numbers as coordinates */
+        return largest_of(layout, ARRAY(CONTROLS), s * m, i);
+    }
+    double size = 0.0;
+    for (retrax_index e = 0; e < U; e++) {
+        const double direction = largest_of(layout, ARRAY(CONTROL_FRAMES), s * m * U, i * U + e);
+        size = retrax_larger(size, direction * largest_of(layout, ARRAY(CONTROLS), s * U, point * U + e));
     }
     return size;
 }

@@ -43,6 +43,7 @@ static void count_arrays(const retrax_problem *problem, retrax_index *count) {
     const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, E = problem->state_numbers;
     const retrax_index m = problem->control_size, U = problem->control_numbers, P = problem->parameters;
     const retrax_index c = problem->inequalities, d = problem->node_inequalities, l = N * s * c + N * d;
+    const retrax_index g = problem->curved_controls ? 1 : 0;
     const retrax_index q = 3 * n + m, z = n + s * m, p = s * n;
     const retrax_index v = retrax_collocates(problem) ? N * s : 0;
 #define RETRAX_COUNT_OF(name, number) count[RETRAX_ARRAY_##name] = (number);
@@ -236,6 +237,10 @@ static void list(const retrax_problem *problem, retrax_function_name name, part_
             add(out, RETRAX_ARRAY_DEFECTS, n);
             add(out, RETRAX_ARRAY_MULTIPLIERS, n);
             add(out, RETRAX_ARRAY_NODE_COSTATES, E);
+            break;
+        case RETRAX_CONTROL_FRAMES:
+            add(in, RETRAX_ARRAY_CONTROLS, problem->control_numbers);
+            add(out, RETRAX_ARRAY_CONTROL_FRAMES, problem->control_size * problem->control_numbers);
             break;
         case RETRAX_START_COST:
             add(in, RETRAX_ARRAY_NODES, E);

@@ -358,6 +358,8 @@ typedef enum {
      * [n], its Hessian there [n][n] */
     RETRAX_START_COST,
     RETRAX_END_COST,
+    /* Where the controls lie on a manifold that is not flat: u -> frame [m][U] */
+    RETRAX_CONTROL_FRAMES,
     RETRAX_FUNCTIONS /* their number */
 } retrax_function_name;
 
@@ -394,13 +396,17 @@ typedef struct {
     const double *weights;        /* [s] */
     const retrax_index *columns;  /* [E]: column of a matrix that an entry of a state belongs to, in 0, ..., E - 1 */
     const retrax_index *arrays;   /* [E]: array that the entry belongs to, in 0, ..., E - 1 */
+    bool curved_controls;         /* whether the controls lie on a manifold that is not flat */
+    const retrax_index *control_columns; /* [U] as `columns` and `arrays`, of the controls; NULL where these are flat */
+    const retrax_index *control_arrays;
     const double *kept;           /* [c + d]: 1 for a bound of what is free, which no iterate leaves, else 0 */
     retrax_index bounds;          /* inequalities, the first ones, that are straight in the controls */
     retrax_function functions[RETRAX_FUNCTIONS];
 } retrax_problem;
 
 /* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0 p = s n,
- * and l = N s c + N d inequalities: those of all points, then those of the ends of all steps. */
+ * and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie on a
+ * manifold that is not flat, else 0. */
 #define RETRAX_ARRAYS(X)                                                                                       \
     /* given */                                                                                                \
     X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                             \
@@ -440,7 +446,7 @@ typedef struct {
     /* Newton step from here, and room for the parts of it that a move makes */                                \
     X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(COVECTOR_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
     X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U) X(CENTRE_PARTS, N *(s > 1 ? n : z))                    \
-    X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)                                                             \
+    X(CONTROL_SUPPORT, g *m *U) X(CONTROL_FRAMES, g *N *s *m *U) X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)                                                             \
     X(SLACK_STEPS, l) X(LIMIT_MULTIPLIER_STEPS, l) X(EXCESS_STEPS, l)                        \
     X(POINT_STEPS, v *q) X(END_STEPS, (d > 0) * N * 2 * n) X(LIMIT_STEP, 4)
 

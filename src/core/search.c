@@ -33,7 +33,7 @@ static retrax_search *lay_out(const retrax_layout *layout, retrax_index max_iter
     to->ways = retrax_take(block, 2 * points, m, sizeof(double));
     to->control_work = retrax_take(block, points + 1, m, sizeof(double));
     to->square = retrax_take(block, z, z, sizeof(double));
-    to->steady = retrax_take(block, E, 1, sizeof(bool));
+    to->steady = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
     to->workspace = retrax_take(block, 1, 1, retrax_workspace(problem));
     return own;
 }

@@ -53,7 +53,7 @@ struct retrax_search {
     double *square;              /* [z][z] */
     double *costs;               /* [max_iterations + 2] of the iterates after 1, 2, ... trials */
     double first_cost;           /* natural size of the cost at the guess */
-    bool *steady;                /* [E] */
+    bool *steady;                /* [E + U] */
     retrax_direction direction;
     retrax_merit merit;
     double fraction;   /* of the step that is tried */
@@ -70,8 +70,8 @@ struct retrax_search {
 };
 
 /* step_cap.c: returns the fraction of the step in which points that keep their size move by no more than a diameter.
- * largest: [z] steps of the unknowns; trial: a trajectory that is overwritten; steady: [E] workspace. */
-double retrax_step_cap(const retrax_layout *layout, const double *trajectory, const double *largest, double *trial,
+ * largest: [z] steps of the unknowns; trial: a trajectory that is overwritten; steady: [E + U] workspace. */
+double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
                        bool *steady);
 
 /* inertia.c: computes the Newton step at the iterate with a shift of the Hessian. */

@@ -21,8 +21,8 @@ typedef struct {
     retrax_index points, numbers, dimension;
     const retrax_index *columns, *arrays; /* [numbers] of the entries */
     const double *support;                /* [dimension][numbers] largest entries of frame vectors */
-    const double *moves;                  /* coordinates of the steps */
-    retrax_index stride;                  /* of one point in them */
+    const double *moves;                  /* coordinates of the steps: those of point i of step k are at */
+    retrax_index each, stride, inner;     /* k stride + i inner, where a step has `each` points */
     bool *steady;                         /* [numbers] columns that keep their sizes */
 } moving_points;
 
@@ -81,7 +81,7 @@ static double farthest_motion(const moving_points *own, const double *points) {
         for (retrax_index k = 0; k < own->points; k++) {
             double moved = 0.0, square = 0.0;
             for (retrax_index a = 0; a < own->dimension; a++) {
-                const double move = own->moves[k * own->stride + a];
+                const double move = own->moves[k / own->each * own->stride + k % own->each * own->inner + a];
                 moved += moves_alone(own, a, array) ? move * move : 0.0;
             }
             for (retrax_index e = 0; e < own->numbers; e++) {
@@ -119,31 +119,63 @@ static bool all_small(const retrax_layout *layout, const double *trajectory, con
     return true;
 }
 
-double retrax_step_cap(const retrax_layout *layout, const double *trajectory, const double *largest, double *trial,
+/* Marks the columns that keep their sizes along the trajectory, by themselves or as a whole array. */
+static void mark_steady(moving_points *own, const double *points) {
+    memset(own->steady, 0, sizeof(bool) * (size_t)own->numbers);
+    for (retrax_index e = 0; e < own->numbers; e++) {
+        own->steady[own->columns[e]] = is_steady(own, points, own->columns, own->columns[e]) ||
+                                       is_steady(own, points, own->arrays, own->arrays[e]);
+    }
+}
+
+/* Of these, keeps those that have the sizes that they had. */
+static void mark_kept(moving_points *own, const double *before, const double *after) {
+    for (retrax_index e = 0; e < own->numbers; e++) {
+        own->steady[own->columns[e]] =
+            own->steady[own->columns[e]] && (is_kept(own, before, after, own->columns, own->columns[e]) ||
+                                             is_kept(own, before, after, own->arrays, own->arrays[e]));
+    }
+}
+
+/* Writes the largest entries of the frames at the controls. */
+static void write_control_support(const retrax_layout *layout, double *trajectory) {
+    const retrax_index size = layout->problem->control_size * layout->problem->control_numbers;
+    memset(ARRAY(CONTROL_SUPPORT), 0, sizeof(double) * (size_t)size);
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_CONTROL_FRAMES]; i++) {
+        double *const found = ARRAY(CONTROL_SUPPORT) + i % size;
+        *found = retrax_larger(*found, fabs(ARRAY(CONTROL_FRAMES)[i]));
+    }
+}
+
+double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
                        bool *steady) {
     const retrax_problem *const problem = layout->problem;
-    const retrax_index E = problem->state_numbers, *const groups[] = {problem->columns, problem->arrays};
-    moving_points own = {problem->steps, E, problem->state_size, problem->columns, problem->arrays, ARRAY(SUPPORT),
-                         ARRAY(STEPS), layout->count[RETRAX_ARRAY_PARTS], steady};
-    if (all_small(layout, trajectory, largest)) {
+    const retrax_index E = problem->state_numbers, n = problem->state_size, m = problem->control_size;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], s = problem->points;
+    static const retrax_array arrays[] = {RETRAX_ARRAY_CENTRES, RETRAX_ARRAY_CONTROLS};
+    moving_points parts[] = {{problem->steps, E, n, problem->columns, problem->arrays, ARRAY(SUPPORT), ARRAY(STEPS), 1, z,
+                              0, steady},
+                             {problem->steps * s, problem->control_numbers, m, problem->control_columns,
+                              problem->control_arrays, ARRAY(CONTROL_SUPPORT), ARRAY(STEPS) + n, s, z, m, steady + E}};
+    const int count = problem->curved_controls ? 2 : 1;
+    double farthest = 0.0, kept = 0.0;
+    if (problem->curved_controls) {
+        write_control_support(layout, trajectory);
+    } else if (all_small(layout, trajectory, largest)) {
         return 1.0;
     }
-    const double *const before = ARRAY(CENTRES);
-    memset(steady, 0, sizeof(bool) * (size_t)E);
-    for (retrax_index e = 0; e < E; e++) {
-        steady[problem->columns[e]] = is_steady(&own, before, groups[0], problem->columns[e]) ||
-                                      is_steady(&own, before, groups[1], problem->arrays[e]);
+    for (int i = 0; i < count; i++) {
+        mark_steady(&parts[i], trajectory + layout->first[arrays[i]]);
+        farthest = fmax(farthest, farthest_motion(&parts[i], trajectory + layout->first[arrays[i]]));
     }
-    const double farthest = farthest_motion(&own, before);
     if (!(farthest > DIAMETER)) {
         return 1.0;
     }
     retrax_move_trajectory(layout, trajectory, DIAMETER / farthest, trial);
-    const double *const after = trial + layout->first[RETRAX_ARRAY_CENTRES];
-    for (retrax_index e = 0; e < E; e++) {
-        steady[problem->columns[e]] =
-            steady[problem->columns[e]] && (is_kept(&own, before, after, groups[0], problem->columns[e]) ||
-                                            is_kept(&own, before, after, groups[1], problem->arrays[e]));
+    for (int i = 0; i < count; i++) {
+        const double *const before = trajectory + layout->first[arrays[i]];
+        mark_kept(&parts[i], before, trial + layout->first[arrays[i]]);
+        kept = fmax(kept, farthest_motion(&parts[i], before));
     }
-    return DIAMETER / fmax(farthest_motion(&own, before), DIAMETER);
+    return DIAMETER / fmax(kept, DIAMETER);
 }

@@ -216,4 +216,7 @@ void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory)
     if (retrax_collocates(layout->problem)) {
         retrax_evaluate_function(layout, trajectory, RETRAX_BOTH_ENDS, N);
     }
+    if (layout->problem->curved_controls) {
+        retrax_evaluate_function(layout, trajectory, RETRAX_CONTROL_FRAMES, N * s);
+    }
 }

@@ -230,13 +230,15 @@ def test_what_does_not_fit_is_refused(monkeypatch):
         (sizes._replace(inequalities=2), "expected"),
     ):
         with pytest.raises(InvalidInputError, match=words):
-            Transcription(wrong, tableau, columns, np.zeros(wrong.inequalities), 0, programs)
+            Transcription(wrong, tableau, columns, None, np.zeros(wrong.limits), 0, programs)
     with pytest.raises(InvalidInputError, match="needs the function POINTS"):
-        Transcription(sizes, tableau, columns, none, 0, {k: p for k, p in programs.items() if k is not name.POINTS})
+        Transcription(
+            sizes, tableau, columns, None, none, 0, {k: p for k, p in programs.items() if k is not name.POINTS}
+        )
     with pytest.raises(InvalidInputError, match="columns of entries"):
-        Transcription(sizes, tableau, (columns[0] - 1, columns[1]), none, 0, programs)
+        Transcription(sizes, tableau, (columns[0] - 1, columns[1]), None, none, 0, programs)
     with pytest.raises(InvalidInputError, match="weights of a tableau"):
-        Transcription(sizes, (np.ones((1, 1)), np.ones(2)), columns, none, 0, programs)
+        Transcription(sizes, (np.ones((1, 1)), np.ones(2)), columns, None, none, 0, programs)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -18,6 +18,7 @@ from ....compute.transcription import (
     Transcription,
 )
 from ....manifolds.numerics.ambient import joined, taken
+from ...layout import Layout
 from .acceptance import WIDE
 from .aside import aside
 from .barrier import Barrier
@@ -38,9 +39,6 @@ def is_on_core(conditions: Any) -> bool:
     """Whether the core has all that a search asks for."""
     if conditions.joint:
         return False
-    nodes = conditions.at_nodes
-    if not nodes.flat_controls:
-        return False
     return all(hasattr(own, "tape") for own in _functions(conditions).values())
 
 
@@ -50,6 +48,8 @@ def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
     found = {name.ENDS: steps._ends, name.FRAMES: nodes._in_frame, name.MIDDLE: nodes._middle}
     costs = {"first_cost": name.START_COST, "final_cost": name.END_COST}
     found |= {costs[key]: function for key, function in nodes._paid.items()}
+    if nodes._directions is not None:
+        found[name.CONTROL_FRAMES] = nodes._directions
     if isinstance(steps, Collocation):
         found |= {name.POINTS: steps._point, name.BOTH_ENDS: steps._both, name.MOVE: steps._centre}
         return found | {name.MOVE_CONTROLS: steps._control}
@@ -74,14 +74,21 @@ def made(conditions: Conditions, instruction_set: int | None = None) -> Transcri
         conditions.data.steps.shape[1], steps.stages, steps.manifold.dimension, steps.state.size,
         steps.controls.dimension, steps.control.size, steps.parameter.size, *_limits(steps),
     )  # fmt: skip
-    groups = nodes.layout.columns.astype(np.intp), nodes.layout.arrays.astype(np.intp)
+    groups, of_controls = _groups(nodes.layout), None if nodes.flat_controls else _groups(nodes.control)
     bounds = sum(map(len, nodes.problem.limits.bounded.values()))
     programs = {}
     for key, function in _functions(conditions).items():
         p = function.tape.program
         own = p.codes, p.registers, p.values, p.inputs, p.outputs, p.size
         programs[key] = MachineProgram(*own, instruction_set)
-    return Transcription(sizes, tableau, groups, steps.kept.astype(float), bounds, programs, instruction_set)
+    return Transcription(
+        sizes, tableau, groups, of_controls, steps.kept.astype(float), bounds, programs, instruction_set
+    )
+
+
+def _groups(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    """The column and the array of each entry of a point."""
+    return layout.columns.astype(np.intp), layout.arrays.astype(np.intp)
 
 
 def _limits(steps: Any) -> tuple[int, int]:

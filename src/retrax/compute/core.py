@@ -168,7 +168,7 @@ class TapeFunctionStruct(Structure):
     _fields_ = (("tape", POINTER(TapeStruct)), ("registers", c_void_p), ("lanes", c_ssize_t), ("set", c_int))
 
 
-FUNCTIONS = 9  # of a problem
+FUNCTIONS = 10  # of a problem
 
 
 @final
@@ -189,13 +189,16 @@ class ProblemStruct(Structure):
         ("weights", c_void_p),
         ("columns", c_void_p),
         ("arrays", c_void_p),
+        ("curved_controls", c_bool),
+        ("control_columns", c_void_p),
+        ("control_arrays", c_void_p),
         ("kept", c_void_p),
         ("bounds", c_ssize_t),
         ("functions", FunctionStruct * FUNCTIONS),
     )
 
 
-ARRAYS = 107  # of a trajectory
+ARRAYS = 109  # of a trajectory
 
 
 @final

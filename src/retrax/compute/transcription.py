@@ -44,9 +44,12 @@ class FunctionName(IntEnum):
     MOVE_CONTROLS = 6
     START_COST = 7
     END_COST = 8
+    CONTROL_FRAMES = 9
 
 
-_OPTIONAL = frozenset({FunctionName.MIDDLE, FunctionName.START_COST, FunctionName.END_COST})
+_OPTIONAL = frozenset(
+    {FunctionName.MIDDLE, FunctionName.START_COST, FunctionName.END_COST, FunctionName.CONTROL_FRAMES}
+)
 
 
 @final
@@ -94,9 +97,10 @@ class Transcription:
     """A transcribed problem as the core has it.
 
     ``matrix``, ``weights``: the tableau about the middle of a step, shapes ``(s, s)`` and ``(s,)``; ``groups``: the
-    column of a matrix, and the array, that each entry of a state belongs to, shape ``(E,)``; ``kept``: 1 for the bounds
-    that no iterate leaves, else 0, shape ``(c,)``; ``bounds``: how many inequalities, the first ones, are straight in
-    the controls.
+    column of a matrix, and the array, that each entry of a state belongs to, shape ``(E,)``; ``control_groups``: the
+    same of the controls, shape ``(U,)``, where these lie on a manifold that is not flat, else None; ``kept``: 1 for the
+    bounds that no iterate leaves, else 0, shape ``(c,)``; ``bounds``: how many inequalities, the first ones, are
+    straight in the controls.
     """
 
     def __init__(
@@ -104,6 +108,7 @@ class Transcription:
         sizes: Sizes,
         tableau: tuple[np.ndarray, np.ndarray],
         groups: tuple[np.ndarray, np.ndarray],
+        control_groups: tuple[np.ndarray, np.ndarray] | None,
         kept: np.ndarray,
         bounds: int,
         functions: Mapping[FunctionName, MachineProgram],
@@ -116,13 +121,16 @@ class Transcription:
             address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
             address_of(weights, FLOAT, (s,), "weights of a tableau"),
             *(address_of(own, PLACE, (sizes.state_numbers,), "columns of the entries of a state") for own in groups),
+            control_groups is not None,
+            *(address_of(own, PLACE, (sizes.control_numbers,), "columns of controls") for own in control_groups or ()),
+            *(() if control_groups else (None, None)),
             address_of(kept, FLOAT, (sizes.limits,), "bounds that no iterate leaves"),
         )
-        for own in groups:
-            if own.size and not (own.min() >= 0 and own.max() < sizes.state_numbers):
-                raise InvalidInputError(f"columns of entries lie in 0 to {sizes.state_numbers - 1}, got {own}")
+        for own in (*groups, *(control_groups or ())):
+            if own.size and not (own.min() >= 0 and own.max() < own.size):
+                raise InvalidInputError(f"columns of entries lie in 0 to {own.size - 1}, got {own}")
         self._problem = ProblemStruct(*sizes, *addresses, bounds)
-        self._kept: list[object] = [matrix, weights, groups, kept]
+        self._kept: list[object] = [matrix, weights, groups, control_groups, kept]
         points = (sizes.steps + 1) * s
         most = max((own.sizes[2] * own.lanes(points) for own in functions.values()), default=0)
         self._registers = aligned(max(most, 1))
@@ -294,7 +302,7 @@ class SearchResult(NamedTuple):
 class Search:
     """Newton's method on the conditions of one trajectory.
 
-    ``width``: the infeasibility that the funnel lets pass at first; ``firm``: times the usual first penalty of excesses.
+    ``width``: the infeasibility that the funnel lets pass first; ``firm``: times the usual first penalty of excesses;
     ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
     """
 
