@@ -90,7 +90,7 @@ class Case:
 
     def _controls(self, moves):
         rest = np.asarray(self.rest)
-        return np.asarray(jax.vmap(lambda c: self.problem.steer(rest, c))(moves))
+        return np.asarray(jax.vmap(lambda c: self.problem._steer(rest, c))(moves))
 
     @property
     def rest(self):

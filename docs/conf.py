@@ -42,6 +42,7 @@ mathjax3_config = {
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 exclude_patterns = ["_site", "_gallery"]
 html_theme, html_title = "furo", f"retrax {__version__}"
+html_static_path, html_css_files = ["_site/static"], ["landing.css"]
 html_show_sourcelink = False
 highlight_language = "none"  # formulas are set off as literal blocks
 myst_heading_anchors = 3

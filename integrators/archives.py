@@ -2,6 +2,8 @@
 
 import io
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ import numpy as np
 from ..manifolds import InvalidInputError
 
 MENDING = "save it again, or take a copy of it that is whole"
+MOST_WORDS = 100_000  # bytes of an entry that is read alone
 
 
 def archived(path: Path) -> dict[str, bytes]:
@@ -19,15 +22,10 @@ def archived(path: Path) -> dict[str, bytes]:
     if path.is_dir():
         raise InvalidInputError("it is a folder")
     content = path.read_bytes()
-    try:
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            entries = archive.infolist()
-            declared = sum(entry.file_size for entry in entries)
-            found = {} if declared > len(content) else {entry.filename: archive.read(entry) for entry in entries}
-    except Exception as error:  # zipfile and zlib raise about everything for bytes that they did not write
-        raise InvalidInputError(
-            f"it is damaged, or not an archive of arrays ({type(error).__name__}: {error}); {MENDING}"
-        ) from error
+    with _damage_named(), zipfile.ZipFile(io.BytesIO(content)) as archive:
+        entries = archive.infolist()
+        declared = sum(entry.file_size for entry in entries)
+        found = {} if declared > len(content) else {entry.filename: archive.read(entry) for entry in entries}
     if declared > len(content):
         raise InvalidInputError(
             f"its entries have {declared} bytes, more than the {len(content)} of the file: it is compressed, or "
@@ -42,9 +40,27 @@ def archived_arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays in a file of NumPy's by their names, none of them objects; raises ``InvalidInputError`` for other
     files."""
     entries = archived(path)
-    try:
+    with _damage_named():
         return {name.removesuffix(".npy"): _array(content) for name, content in entries.items()}
-    except Exception as error:  # NumPy raises about everything for bytes that it did not write
+
+
+def archived_words(path: Path, text: str, array: str) -> str:
+    """The words of a text entry, or else of an array with one string; empty without both. No other entry is read."""
+    with path.open("rb") as file, _damage_named(), zipfile.ZipFile(file) as archive:
+        name = next((name for name in (text, array) if name in archive.namelist()), None)
+        if name is None:
+            return ""
+        with archive.open(name) as entry:
+            content = entry.read(MOST_WORDS)
+        return content.decode() if name == text else str(_array(content))
+
+
+@contextmanager
+def _damage_named() -> Iterator[None]:
+    """A context that raises ``InvalidInputError`` instead of what zipfile, zlib and NumPy raise for other bytes."""
+    try:
+        yield
+    except Exception as error:  # these raise about everything for bytes that they did not write
         raise InvalidInputError(
             f"it is damaged, or not an archive of arrays ({type(error).__name__}: {error}); {MENDING}"
         ) from error

@@ -34,8 +34,10 @@ class BoundaryConditions(eqx.Module):
 
     @classmethod
     def of(cls, constraints: Any, periodic: Any, taken: Collection[str] = ()) -> "BoundaryConditions":
-        """Those of a user, checked; the arguments of the functions are not looked at. ``taken``: names of other
-        multipliers."""
+        """The conditions of a user, checked without a look at the arguments of the functions.
+
+        ``taken``: names of other multipliers.
+        """
         if isinstance(constraints, cls):
             return constraints
         given = {} if constraints is None else constraints
@@ -80,18 +82,18 @@ def same(q: Ambient) -> Ambient:
 
 
 def boundary_words(name: str) -> str:
-    """What the function of a boundary constraint is called in a message."""
+    """The name of the function of a boundary constraint in a message."""
     return f"boundary_constraints[{name!r}]"
 
 
 def boundary_values(name: str, value: Any) -> Array:
-    """What the function of a boundary constraint returned, in a row; raises if it is something else than numbers."""
+    """The values of the function of a boundary constraint, in a row; raises if these are something else than
+    numbers."""
     return jnp.ravel(real_vector(boundary_words(name), value, ZERO))
 
 
 def linked(name: str, function: Callable[..., Any], manifold: Manifold, q: Ambient) -> Ambient:
-    """What a map between states returns; raises ``InvalidInputError`` if it is not a point of the manifold by its
-    structure."""
+    """The image under a map between states; raises ``InvalidInputError`` if its structure is not a point's."""
     image = function(q)
     wrong = manifold.describe_mismatch(shapes_in(image), f"the value of {name}, a point")
     if wrong:

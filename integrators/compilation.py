@@ -47,8 +47,10 @@ def call_compiled(function: Callable[..., R], *arguments: Any) -> tuple[R, float
 
 
 def call_optimized(function: Callable[..., R], *arguments: Any) -> tuple[R, float, float]:
-    """The same of a function that runs long, or often: it takes half as long as by ``call_compiled``, and two to three
-    times as long to compile."""
+    """The results of ``call_compiled`` for a function that runs long or often.
+
+    The function takes half as long as by ``call_compiled``, and two to three times as long to compile.
+    """
     return _called(compiler_options(optimized=True), function, *arguments)
 
 
@@ -68,7 +70,7 @@ def _called(options: dict[str, Option], function: Callable[..., R], *arguments: 
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """A function whose values are those of ``call_compiled``."""
+    """A function with the values of ``call_compiled``."""
 
     @wraps(function)
     def call(*arguments: P.args, **options: P.kwargs) -> R:
@@ -78,7 +80,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def in_chunks(function: Callable[..., Any], *rows: Any, size: int = CHUNK) -> Any:
-    """What a compiled function of rows gives for each of them; one program serves any number of rows.
+    """The values of a compiled function at each row; one program serves any number of rows.
 
     The function is called with ``size`` rows at once, the last of them repeated.
     """

@@ -25,5 +25,5 @@ def listen(listener: Callable[[float], None]) -> None:
 
 
 def ignore(listener: Callable[[float], None]) -> None:
-    """Have it called no more."""
+    """Stop calling a listener."""
     _listeners.remove(listener)

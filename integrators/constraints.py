@@ -27,12 +27,12 @@ Constraint = Callable[..., Any]
 
 @final
 class Inequalities(eqx.Module):
-    """``lower <= u <= upper``, and the entries of functions of ``(q, u)``, and of others of ``q``, each ``<= 0``.
+    """Bounds ``lower <= u <= upper``, functions of ``(q, u)`` and functions of ``q``, each ``<= 0``.
 
-    ``lower``, ``upper``: of all entries of ``u`` in a row, infinite where there is no bound; empty where there is none
-    at all. ``names`` of the ``functions``, which hold at the points of a trajectory; ``at_first`` are those that hold
-    at the first of them only. ``node_functions`` hold at its nodes. ``clock``: whether the last entry of the state is
-    the time, and that of the end is given, or None.
+    ``lower``, ``upper``: bounds of all entries of ``u`` in a row, infinite without a bound; empty without any bounds.
+    ``names``: names of the ``functions``, which hold at the points of a trajectory. Functions ``at_first`` hold at the
+    first point only, ``node_functions`` at the nodes. ``clock``: whether the end of the time is given, if the last
+    entry of the state is the time, or None.
     """
 
     lower: tuple[float, ...] = eqx.field(static=True, default=())
@@ -46,7 +46,7 @@ class Inequalities(eqx.Module):
 
     @classmethod
     def of(cls, bounds: Any, constraints: Any, node_constraints: Any, controls: Manifold) -> "Inequalities":
-        """Those of a user, checked; the arguments of the functions are not looked at."""
+        """The inequalities of a user, checked without a look at the arguments of the functions."""
         lower, upper = _checked_bounds(bounds, controls)
         given = _checked_constraints("constraints", constraints, "a state and a control")
         at_nodes = _checked_constraints("node_constraints", node_constraints, "a state")
@@ -87,7 +87,10 @@ class Inequalities(eqx.Module):
         return bool(self.node_names) or not self.at_first.issuperset(self.names)
 
     def once(self, sizes: Mapping[str, int | None]) -> np.ndarray:
-        """Which entries at a point hold at the first one only, bounds of what is free; ``sizes``: of the functions."""
+        """Whether each entry holds at the first point only, as bounds of free quantities do.
+
+        ``sizes``: numbers of entries of the functions.
+        """
         found = [False for side in self.bounded.values() for _ in side]
         return np.array(
             found + [name in self.at_first for name, size in sizes.items() for _ in range(count(size))], bool
@@ -100,11 +103,11 @@ class Inequalities(eqx.Module):
 
     @property
     def function_words(self) -> tuple[str, ...]:
-        """What all functions are called in messages."""
+        """The names of all functions in messages."""
         return *map(constraint_words, self.names), *map(node_words, self.node_names)
 
     def values(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
-        """Those at a point, of a state and a control: bounds from below, from above, then the functions in order."""
+        """The inequalities of a state and a control: bounds from below, from above, then the functions in order."""
         rows, sides = [jnp.zeros(0)], self.bounded
         if any(sides.values()):
             flat = jnp.ravel(u)
@@ -113,11 +116,11 @@ class Inequalities(eqx.Module):
         return jnp.concatenate([*rows, *self.of_points(q, u)])
 
     def at_node(self, q: Ambient) -> Float[Array, " k"]:
-        """Those at a node, in order."""
+        """The inequalities at a node, in order."""
         return jnp.concatenate([jnp.zeros(0), *map(jnp.ravel, self._each_at_node(q))])
 
     def of_functions(self, q: Ambient, u: Ambient) -> tuple[Array, ...]:
-        """The values of each function, those at the nodes last, in a row."""
+        """The values of each function in a row, with the functions at the nodes last."""
         return *self.of_points(q, u), *map(jnp.ravel, self._each_at_node(q))
 
     def of_points(self, q: Ambient, u: Ambient) -> tuple[Array, ...]:
@@ -142,7 +145,7 @@ class Inequalities(eqx.Module):
         return dict(zip(self.node_names, map(_size, jax.eval_shape(self._each_at_node, q)), strict=True))
 
     def words_of_entries(self, q: Ambient, u: Ambient) -> list[str]:
-        """Of each entry of ``of_functions`` what its function is called in messages."""
+        """The name in messages of the function of each entry of ``of_functions``."""
         sizes = (*self.sizes(q, u).values(), *self.node_sizes(q).values())
         return [words for words, size in zip(self.function_words, sizes, strict=True) for _ in range(count(size))]
 
@@ -163,12 +166,12 @@ class Inequalities(eqx.Module):
 
 
 def constraint_words(name: str) -> str:
-    """What the function of a constraint is called in a message."""
+    """The name of the function of a constraint in a message."""
     return f"constraints[{name!r}]"
 
 
 def node_words(name: str) -> str:
-    """What the function of a constraint at the nodes is called in a message."""
+    """The name of the function of a constraint at the nodes in a message."""
     return f"node_constraints[{name!r}]"
 
 

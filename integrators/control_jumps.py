@@ -1,4 +1,4 @@
-"""Jumps in the controls: values that change where no derivative does, as those of rounding and of whole numbers."""
+"""Jumps in the controls: values that change where no derivative does, such as rounded values and whole numbers."""
 
 from typing import TYPE_CHECKING
 
@@ -68,10 +68,10 @@ def _admitted(u: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> bool:
 
 
 def control_words(problem: "OptimalControlProblem", jump: Jump, steps: list[str], at: str = "") -> str:
-    """What is said of a jump; ``at``: of which state."""
+    """Words on a jump; ``at`` names the state."""
     name = rate_names(problem)[jump.entry]
     place = jax.tree.map(lambda leaf: rounded(leaf, float(np.max(np.abs(leaf), initial=0.0))), jump.control)
-    hint = OF_CONTROL if name in problem.limits.function_words else SMOOTH
+    hint = OF_CONTROL if name in problem._limits.function_words else SMOOTH
     return (
         f"{name} jumps in the controls at u = {place}{at}: it computes {' and '.join(steps)} from them, and no "
         "derivative tells of the jump; expected a smooth function of u, because the conditions dH/du = 0 do not see a "

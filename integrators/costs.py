@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 def require_cost(
     problem: "OptimalControlProblem", around: tuple[Ambient, Ambient, np.ndarray], end: Ambient, fixed: tuple[bool, ...]
 ) -> None:
-    """Raise if both costs are a number each; ``around``: a state, a control, and coordinates of others around that."""
+    """Raise unless both costs are a number each, around a state, a control, and coordinates of nearby controls."""
     q, u, near = around
     directions = np.concatenate([size * near for size in (1, 1e2, 1e4)])
     moves = (
@@ -48,7 +48,7 @@ def require_cost(
     )
 
 
-def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...]) -> bool:
+def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...] = ()) -> bool:
     """Whether an entry of the differential of the terminal cost is one number, not zero, in an array that is not
     ``fixed``."""
     if problem.terminal_cost is None:
@@ -61,7 +61,7 @@ def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...]) -> bool:
 
 
 def _points(problem: "OptimalControlProblem", q: Ambient, fixed: tuple[bool, ...] = ()) -> Ambient:
-    """A point and random ones, along the leading axis; those of its arrays that are ``fixed`` are the same in all."""
+    """A point and random points along the leading axis; arrays that are ``fixed`` are the same in all points."""
     keys = jax.random.split(jax.random.key(0), CURVATURES)
     points = [jax.tree.map(np.asarray, x) for x in (q, *map(problem.manifold.random_point, keys))]
     leaves, structure = jax.tree.flatten(vec.stacked(points))
@@ -93,7 +93,7 @@ def _cost_rates(
     def at(q: Array, u: Array, move: Array, c: Array) -> tuple[Array, Array]:
         x, u0 = state.point(q), control.point(u)
         moved = retraction.chart(x, retraction.frame(x), move)
-        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem.steer(u0, z[1])))((moved, c))
+        rate, slopes = jax.value_and_grad(lambda z: problem.cost_rate(z[0], problem._steer(u0, z[1])))((moved, c))
         return rate, vec.size(slopes)
 
     points = (layout.rows(x, 0)[None, None] for layout, x in ((state, q), (control, u)))

@@ -65,8 +65,7 @@ class Lines(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """At places of lines: the points there, the values, the margins of the steps in them and their sizes, and slopes of
-    the margins along the line."""
+    """The points, values, margins of steps with their sizes, and slopes of margins, at places of lines."""
 
     states: np.ndarray  # (K, j, E)
     controls: np.ndarray
@@ -128,7 +127,7 @@ class Crossings:
         self._given = parameter_layout(example)
 
     def seen(self, given: Given, lines: Lines) -> Seen:
-        """What is seen at the ends of lines."""
+        """The values and margins at the ends of lines."""
         return self._at(given, lines, np.stack([lines.low, lines.high], axis=1))
 
     def slopes(self, given: Given, points: Lines) -> np.ndarray:
@@ -222,7 +221,7 @@ class Crossings:
         return ends[:, 1]
 
     def _at(self, given: Given, lines: Lines, places: np.ndarray) -> Seen:
-        """What is seen at some places of each line, shape ``(K, j)``."""
+        """The values and margins at some places of each line, shape ``(K, j)``."""
         ways = lines.ways.reshape(len(places), -1)
         own = lines.states, lines.controls, lines.times[:, None], ways, lines.turns, lines.spans[:, None]
         rows = *(a[:, None] for a in own), places[..., None], self._given.rows(given, 0)[None, None]
@@ -242,7 +241,7 @@ class Crossings:
         return self.problem.manifold.dimension, self.problem.controls.dimension
 
     def _seen(self, *line: Array) -> tuple[Array, ...]:
-        """What is seen at a place of a line."""
+        """The values and margins at a place of a line."""
         q, u, t, ways, turn, span, place, given = line
 
         def point(s: Array) -> tuple[Ambient, Ambient, Array]:
@@ -272,7 +271,7 @@ class Crossings:
         state = self.state.point(q)
         if self.retraction is not None:
             state = self.retraction(state, vec.combine(self.retraction.manifold.basis(state), way))
-        return state, self.problem.steer(self.control.point(u), turn), (t + span)[0]
+        return state, self.problem._steer(self.control.point(u), turn), (t + span)[0]
 
     def _value(self, point: tuple[Ambient, Ambient, Array], given: Array) -> Array:
         (parameters, own), (state, control, time) = self._given.point(given), point
@@ -310,14 +309,14 @@ def rates(problem: "OptimalControlProblem", q: Ambient, u: Ambient, _: None = No
     halves = [
         jnp.ravel(half) for leaf in leaves for half in ((leaf.real, leaf.imag) if jnp.iscomplexobj(leaf) else (leaf,))
     ]
-    return jnp.concatenate([*halves, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem.limits.of_functions(q, u)])
+    return jnp.concatenate([*halves, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem._limits.of_functions(q, u)])
 
 
 def rate_names(problem: "OptimalControlProblem") -> list[str]:
-    """Of each of these entries the name of its function."""
+    """The name of the function of each of these entries."""
     count = sum(
         leaf.size * (1 + jnp.issubdtype(leaf.dtype, jnp.complexfloating))
         for leaf in jax.tree.leaves(problem.manifold.ambient)
     )
-    limits = problem.at_time(0.0).limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
+    limits = problem.at_time(0.0)._limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
     return [*count * ["dynamics"], "running_cost", *limits]

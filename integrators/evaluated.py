@@ -1,4 +1,4 @@
-"""What evaluates functions of one point at many points, with their derivatives."""
+"""Interfaces of evaluators, which evaluate functions of one point at many points, with their derivatives."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -38,8 +38,10 @@ class Evaluated(ABC):
         return np.dtype(float)
 
     def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> "Placed | None":
-        """What a kernel needs to evaluate it by itself for arrays of these shapes; None if it is not a tape, or takes
-        so long that threads had better share it."""
+        """The data with which a kernel evaluates the function itself, for arrays of these shapes.
+
+        None if the function is not a tape, or takes so long that threads had better share the evaluation.
+        """
         del axes, shapes
         return None
 
@@ -67,7 +69,7 @@ class Evaluator(ABC):
     @property
     @abstractmethod
     def reason(self) -> str:
-        """Why it was chosen, in words."""
+        """The reason for the choice, in words."""
 
     def values(self, function: Function, *sizes: int) -> Evaluated:
         """The values of a function, a tuple of arrays."""
@@ -85,7 +87,7 @@ class Evaluator(ABC):
 
     @abstractmethod
     def compile(self) -> None:
-        """Make machine code of the tapes among the functions that it has made; those of XLA are compiled anyway."""
+        """Make machine code of the tapes among the functions of this evaluator; XLA has compiled the rest."""
 
     @abstractmethod
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:

@@ -33,8 +33,10 @@ def at_each(function: Callable[..., Any], points: Any, *arguments: Any) -> Any:
 
 
 def violations_at(manifold: Manifold, points: Ambient) -> dict[str, np.ndarray]:
-    """``manifold.violations`` of points, arrays of the manifold's kinds with one leading axis, which the values have
-    too; in one reading those of a manifold, or of others with the same data, are traced once."""
+    """The violations ``manifold.violations`` of points with one leading axis, which the values have too.
+
+    In one reading, the violations of a manifold, or of manifolds with the same data, are traced once.
+    """
     leaves, structure = jax.tree.flatten(manifold)
     try:
         hash(structure)

@@ -1,4 +1,4 @@
-"""Which evaluator runs functions: tapes of scalar instructions, or XLA where these cannot be traced."""
+"""The choice of the evaluator: tapes of scalar instructions, or XLA for functions that cannot be traced."""
 
 import math
 from collections.abc import Callable, Sequence

@@ -26,19 +26,18 @@ def find_control(
 ) -> tuple[Ambient, Bool[Array, ""]]:
     """Control with ``dH/du(q, p, u) = 0`` by Newton's method from ``near``, and whether there is one; else ``near``."""
     zero = jnp.zeros(problem.controls.dimension)
-    slope = jax.grad(lambda c: problem.hamiltonian(q, p, problem.steer(near, c)))
+    slope = jax.grad(lambda c: problem.hamiltonian(q, p, problem._steer(near, c)))
     root, found = find_root(slope, zero, _control_sizes(problem, q, p, near))
-    return problem.steer(near, jnp.where(found, root, zero)), found
+    return problem._steer(near, jnp.where(found, root, zero)), found
 
 
 def _control_sizes(problem: OptimalControlProblem, q: Ambient, p: Ambient, near: Ambient) -> Array:
-    """Sizes of the coordinates of a control: those of ``near``, and those of the steps that the parts of ``dH/du`` ask
-    for."""
+    """Sizes of the coordinates of a control, from ``near`` and from the steps that the parts of ``dH/du`` ask for."""
     q, p, near = jax.lax.stop_gradient((q, p, near))
 
     def asked_along(e: Array) -> Array:
         def parts(s: Array) -> Array:
-            return jnp.stack(problem.parts(q, p, problem.steer(near, s * e)))
+            return jnp.stack(problem._parts(q, p, problem._steer(near, s * e)))
 
         zero, one = jnp.zeros(()), jnp.ones(())
         slopes, curvatures = jax.jvp(lambda s: jax.jvp(parts, (s,), (one,))[1], (zero,), (one,))

@@ -1,4 +1,4 @@
-"""What is free: a horizon, a parameter or a part of an end, with a guess and bounds."""
+"""Free quantities: a horizon, a parameter or a part of an end, with a guess and bounds."""
 
 from typing import Any, final
 
@@ -132,7 +132,7 @@ def all_guessed(given: Any) -> Any:
 
 
 def near(value: Any, found: Any) -> Any:
-    """What may be free, guessed as it was found, between its bounds."""
+    """The value with the found number as its guess, between its bounds, if the value is free."""
     return Free(np.clip(found, value.lower, value.upper), value.lower, value.upper) if is_free(value) else value
 
 
@@ -145,7 +145,7 @@ def inside(guess: np.ndarray, lower: np.ndarray, upper: np.ndarray, share: float
 
 
 def scaled(value: Any, factor: float) -> Any:
-    """What may be free, a number, guessed so many times as large; None where that is outside its bounds."""
+    """The value with a guess larger by a factor, if the value is free; None for a guess outside its bounds."""
     if not is_free(value):
         return value
     guess = factor * value.guess

@@ -29,13 +29,16 @@ TRUTH = "try jnp.where(condition, 1.0, 0.0)"
 
 
 def real_number(name: str, value: Any) -> Array:
-    """What a user's function returned, as one real number in the precision in use; raises if it is something else."""
+    """The result of a user's function as one real number in the precision in use; raises if the result is something
+    else."""
     return _real(name, value, 0, TRUTH)
 
 
 def real_vector(name: str, value: Any, truth: str) -> Array:
-    """What a user's function returned, as a real number or a vector of them; raises if it is something else.
-    ``truth``: what to try in place of a comparison."""
+    """The result of a user's function as a real number or a vector; raises if the result is something else.
+
+    ``truth``: what to try in place of a comparison.
+    """
     return _real(name, value, 1, truth)
 
 
@@ -162,7 +165,7 @@ def is_transformed(*arguments: Any) -> bool:
 
 @cache
 def _untransformed() -> Any:
-    """The state of JAX outside of ``jit``, ``vmap`` and ``grad``: that of a new thread."""
+    """The state of JAX outside of ``jit``, ``vmap`` and ``grad``, which a new thread has."""
     with ThreadPoolExecutor(1) as thread:
         return thread.submit(get_opaque_trace_state).result()
 

@@ -53,8 +53,8 @@ def probes(problem: "OptimalControlProblem", u: Ambient, near: float | None = No
         flat = np.ravel(np.asarray(u, float))
         if near is not None:
             moves *= near * np.where(flat != 0, np.abs(flat), 1.0)
-        if problem.limits.lower:
-            rooms = [np.abs(np.array(side) - flat) / 2 for side in (problem.limits.lower, problem.limits.upper)]
+        if problem._limits.lower:
+            rooms = [np.abs(np.array(side) - flat) / 2 for side in (problem._limits.lower, problem._limits.upper)]
             moves = np.clip(moves, -rooms[0], rooms[1])
     return moves.astype(working_precision()), covectors
 
@@ -62,10 +62,10 @@ def probes(problem: "OptimalControlProblem", u: Ambient, near: float | None = No
 def inspected(problem: "OptimalControlProblem", q: Ambient, guessed: Ambient | None = None) -> "Inspection":
     """A look at the functions at a state, at rest or inside the bounds; near a guessed control where they are not
     finite there."""
-    found = Inspection(problem, q, within_bounds(problem.limits, resting_control(problem.controls)))
+    found = Inspection(problem, q, within_bounds(problem._limits, resting_control(problem.controls)))
     if guessed is None or not found.undefined:
         return found
-    u = within_bounds(problem.limits, guessed)
+    u = within_bounds(problem._limits, guessed)
     for near in NEARER:
         found = Inspection(problem, q, u, near)
         if not found.undefined:
@@ -104,7 +104,7 @@ class Inspection:
             )
 
     def require_smooth(self) -> None:
-        """Raise if the functions jump, hide their derivatives, or have a kink where ``d2H/du2`` is singular, as that of
+        """Raise if the functions jump, hide their derivatives, or have a kink where ``d2H/du2`` is singular, such as
         ``|u|``.
 
         A kink: null directions along which ``dH/du`` is not constant, and no second derivative accounts for it.
@@ -117,14 +117,14 @@ class Inspection:
         for flat, bent, slopes in zip(self._every, self._bends, self._along.slopes, strict=True):
             if bent is not None and not bent.smooth:
                 places = (0.0, LADDER[bent.place])
-                there = [self.problem.steer(self.u, flat.bases[bent.line] + t * flat.direction) for t in places]
+                there = [self.problem._steer(self.u, flat.bases[bent.line] + t * flat.direction) for t in places]
                 raise InvalidInputError(
                     kink_words(bent, flat.direction, slopes[bent.line, [0, bent.place], bent.part], there)
                 )
 
     @property
     def is_regular(self) -> bool:
-        """Whether at one of the controls ``d2H/du2`` is invertible, or its null directions bend, as that of ``u^4``."""
+        """Whether at one of the controls ``d2H/du2`` is invertible, or its null directions bend, as for ``u^4``."""
         if self._is_curved:
             return True
         counts = np.cumsum([0, *map(len, self._flats)])
@@ -133,7 +133,7 @@ class Inspection:
     @cached_property
     def undefined(self) -> str:
         """Words on functions that are not finite here; empty if all are."""
-        return undefined_words(self.problem.limits.function_words, self._probed, self.q)
+        return undefined_words(self.problem._limits.function_words, self._probed, self.q)
 
     @property
     def _is_curved(self) -> bool:

@@ -25,7 +25,7 @@ STEPS = {
 
 
 class Margins(NamedTuple):
-    """Of each step a number that changes sign where it jumps, and the size of what that is the difference of."""
+    """Margins of steps: numbers that change sign where a step jumps, and the sizes of the terms of these numbers."""
 
     values: Array  # (G,)
     sizes: Array
@@ -57,14 +57,13 @@ def dependent(jaxpr: Any) -> Iterator[Any]:
 
 
 def _is_cut(equation: Any) -> bool:
-    """Whether real numbers become whole ones."""
+    """Whether an equation turns real numbers into whole numbers."""
     before, after = (v.aval.dtype for v in (equation.invars[0], equation.outvars[0]))
     return jnp.issubdtype(before, jnp.inexact) and not jnp.issubdtype(after, jnp.inexact)
 
 
 def with_margins(function: Callable[..., Array], *arguments: Any) -> tuple[Array, Margins]:
-    """The value of a function, and the margins of the steps that it computes; none of those in loops of unknown
-    length."""
+    """The value of a function, and the margins of its steps, without steps in loops of unknown length."""
     closed = jax.make_jaxpr(function)(*arguments)
     found: list[Margins] = []
     value = _run(closed, jax.tree.leaves(arguments), found)[0]
@@ -131,8 +130,10 @@ def _margin(equation: Any, inputs: list[Any]) -> list[Margins]:
 
 
 def _wave(x: Array) -> Margins:
-    """``sin(pi x)``, exactly zero at whole numbers in every precision; its size is the distance between two of them, or
-    what rounding of ``x`` makes of it."""
+    """The wave ``sin(pi x)``, exactly zero at whole numbers in every precision.
+
+    Its size is the distance between two whole numbers, or the rounding of ``x``, whichever is larger.
+    """
     whole = jnp.round(x)
     sign = 1 - 2 * jnp.abs(whole - 2 * jnp.round(whole / 2))
     return Margins(sign * jnp.sin(jnp.pi * (x - whole)), jnp.maximum(1.0, 4 * jnp.abs(x)))

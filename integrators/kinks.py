@@ -61,13 +61,13 @@ def zoomed(
 
     def one(q: Ambient, p: Ambient, u: Ambient, way: Array, part: Array) -> tuple[Zoom, Ambient]:
         def value(s: Array) -> Array:
-            return jnp.stack(problem.parts(q, p, problem.steer(u, s * way)))[part]
+            return jnp.stack(problem._parts(q, p, problem._steer(u, s * way)))[part]
 
         def derivatives(s: Array) -> tuple[Array, Array]:
             return jax.jvp(lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),))[1], (s,), (jnp.ones_like(s),))
 
         zoom = closing_in(derivatives, -0.93 * reach, 1.01 * reach)
-        return zoom, problem.steer(u, zoom.places[-1] * way)
+        return zoom, problem._steer(u, zoom.places[-1] * way)
 
     by_part = jax.vmap(one, (None, None, None, None, 0))
     by_way = jax.vmap(by_part, (None, None, None, 0, None))

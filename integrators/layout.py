@@ -72,10 +72,10 @@ class Layout:
         return np.concatenate(parts, axis=-1, dtype=float)
 
     def held(self, points: Any, axes: int) -> np.ndarray | None:
-        """The rows of NumPy's arrays of finite real numbers for each of a point's, with some leading axes in common;
-        None if these are something else.
+        """The rows of points that are NumPy arrays of finite real numbers of the right shapes; None for all other
+        input.
 
-        That may still be points: this sees most that are at once.
+        Other input may still be points: this check accepts most points at once.
         """
         leaves, structure = jax.tree.flatten(points)
         if structure != self._structure:
@@ -105,7 +105,7 @@ class Layout:
 
 
 def _columns(shape: tuple[int, ...], is_complex: bool) -> np.ndarray:
-    """Which column of an array each of its entries in a flat vector belongs to."""
+    """The column of an array to which each of its entries in a flat vector belongs."""
     if len(shape) < 2:
         own = np.zeros(shape, int)
     else:

@@ -1,4 +1,4 @@
-"""What is often asked for and not offered, in words that say what does it today."""
+"""Arguments that users often ask for, with words on what to use instead."""
 
 import inspect
 from collections.abc import Callable

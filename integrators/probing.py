@@ -36,10 +36,10 @@ PARTS = "dynamics", "running_cost"
 
 
 class Probed(NamedTuple):
-    """What the functions of a problem give at a point: with the control asked for, and with others.
+    """The values of the functions of a problem at a point, with the given control and with other controls.
 
-    Of both parts of ``H``, ``<p, X>`` and ``F``: ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``,
-    at the control asked for and at the others, by coordinates in the chart around it.
+    ``slopes``, shape ``(k, 2, m)``, and ``curvatures``, ``(k, 2, m, m)``, are derivatives of both parts of ``H``,
+    ``<p, X>`` and ``F``, by coordinates in the chart around the given control.
     """
 
     controls: Ambient
@@ -62,9 +62,9 @@ def probe(
     def at(d: Array, first: Array, q: Array, u: Array, c: Array, covector: Array) -> tuple[Any, ...]:
         x, u0 = state.point(q), control.point(u)
         power, rate = parts(problem, x, u0, state.point(covector), c + d)
-        moved = problem.steer(u0, c + d)
-        own = jnp.stack(problem.normal_size(x, moved)), jnp.stack([rate, problem.final_cost(x)]), control.flat(moved)
-        return jnp.where(first[0] > 0, power, rate), problem.limits.of_functions(x, moved), *own
+        moved = problem._steer(u0, c + d)
+        own = jnp.stack(_normal_size(problem, x, moved)), jnp.stack([rate, problem.final_cost(x)]), control.flat(moved)
+        return jnp.where(first[0] > 0, power, rate), problem._limits.of_functions(x, moved), *own
 
     m = problem.controls.dimension
     made = Automatic().derivatives(at, m, 1, state.size, control.size, m, state.size)
@@ -73,7 +73,7 @@ def probe(
     each = np.concatenate([rows[:1], rows])
     found = made.at(2, np.array([[[1.0]], [[0.0]]]), *(a[None, None] for a in points), coordinates[None], each[None])
     curvatures, slopes, *others = (a.astype(working_precision()) for a in found)
-    count = len(problem.limits.every_name)
+    count = len(problem._limits.every_name)
     slope, value = (tuple(a[0, 0] for a in others[k : k + count]) for k in (0, count))
     sizes, costs, controls = (a[0] for a in others[2 * count :])
     slopes, curvatures = (a.swapaxes(0, 1) for a in (slopes, curvatures))
@@ -84,7 +84,7 @@ def probe(
 
 def parts(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covector: Ambient, c: Array) -> Float[Array, " 2"]:
     """``<p, X>`` and ``p_0 F`` at the control with coordinates ``c`` around ``u``."""
-    return jnp.stack(problem.parts(q, problem.manifold.projection(q, covector), problem.steer(u, c)))
+    return jnp.stack(problem._parts(q, problem.manifold.projection(q, covector), problem._steer(u, c)))
 
 
 def flat_directions(slopes: np.ndarray, curvatures: np.ndarray) -> np.ndarray:
@@ -226,7 +226,7 @@ def _departures(value: np.ndarray, slope: np.ndarray, curvature: float) -> tuple
 
 
 def _lasting(change: np.ndarray, rounding: np.ndarray) -> np.ndarray:
-    """At which places on a line a change lasts over the next ones outward: rounding of hidden terms grows from place to
+    """The places on a line at which a change lasts outward, because rounding of hidden terms grows from place to
     place."""
     outward = change[1:].reshape(2, -1)
     lasting = np.isfinite(outward) & (np.abs(outward) > rounding[1:].reshape(2, -1))
@@ -275,17 +275,24 @@ IN_JAX = {  # what to write in a line that JAX cannot trace, by what is in it
 }
 
 
+def _normal_size(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> tuple[Array, Array]:
+    """Sizes of the normal part of ``X(q, u)``, which is zero for dynamics on the manifold, and of ``X(q, u)``."""
+    v = problem.velocity(q, u)
+    return vec.size(vec.subtract(v, problem.manifold.projection(q, v))), vec.size(v)
+
+
 def failure_words(problem: "OptimalControlProblem", error: Exception, q: Ambient, u: Ambient) -> str:
     """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
     shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
     reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
-    given = next((own.value for own in problem.functions.values() if isinstance(own, Bound)), None)
+    functions = {name: function for name, function, _ in problem._functions()}
+    given = next((own.value for own in functions.values() if isinstance(own, Bound)), None)
     other = "try another number of controls, or index what is there"
     if given is not None:
         expected = jax.tree.map(np.shape, given)
         other = f"parameters have the shapes {expected}, try other ones, another number of controls, or index them"
     hint = next((words for part, words in HINTS.items() if part in reason), other)
-    where = failing_line(error, problem.functions)
+    where = failing_line(error, functions)
     if isinstance(error, jax.errors.JAXTypeError):
         reason, hint = f"JAX cannot trace them ({type(error).__name__})", _traceable(where.source)
     elif not _has_velocity(problem, q, u) and _has_velocity(problem, u, q):
@@ -299,7 +306,7 @@ def failure_words(problem: "OptimalControlProblem", error: Exception, q: Ambient
 
 
 def _traceable(source: str) -> str:
-    """What to try in place of a line that JAX cannot trace."""
+    """Advice instead of a line that JAX cannot trace."""
     for pattern, words in IN_JAX.items():
         found = re.search(pattern, source)
         if found:

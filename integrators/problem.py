@@ -17,15 +17,13 @@ from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..module import Module
 from ..reading import traced
-from ..retractions import DiscretizationMap, Gauss, default_retraction
+from ..retractions import default_retraction
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, linked, same
 from .compilation import digest
 from .constraints import Constraint, Inequalities, constraint_words, node_words
 from .control_use import warn_of_broadcast
-from .controls import resting_control, within_bounds
-from .costs import is_steep, require_cost
-from .functions import Bound, imprecise, in_precision, real_number, shapes_in, with_last
-from .inspection import Inspection, probes
+from .functions import Bound, in_precision, real_number, shapes_in, with_last
+from .inspection import Inspection
 from .options import arguments_of, known_options, require_arguments, takes_more
 from .probing import FAILURES, failure_words
 from .quantities import Quantities
@@ -91,8 +89,8 @@ class OptimalControlProblem(Module):
     terminal_cost: TerminalCost | None
     abnormal: bool = eqx.field(static=True)
     initial_cost: TerminalCost | None
-    limits: Inequalities
-    boundary: BoundaryConditions
+    _limits: Inequalities
+    _boundary: BoundaryConditions
     time_dependent: bool = eqx.field(static=True)
     quantities: Quantities = eqx.field(static=True)
     takes_parameters: bool = eqx.field(static=True)
@@ -129,10 +127,10 @@ class OptimalControlProblem(Module):
                 raise InvalidInputError(f"{name} must be True or False, got {flag!r}")
         given: Any = constraints
         is_made = isinstance(given, Inequalities)
-        self.limits = given if is_made else Inequalities.of(control_bounds, given, node_constraints, self.controls)
+        self._limits = given if is_made else Inequalities.of(control_bounds, given, node_constraints, self.controls)
         named = Quantities.of(self.manifold, self.controls, labels, units)
-        self.quantities = named.bounded(self.limits.lower, self.limits.upper)
-        self.boundary = BoundaryConditions.of(boundary_constraints, periodic, self.limits.every_name)
+        self.quantities = named.bounded(self._limits.lower, self._limits.upper)
+        self._boundary = BoundaryConditions.of(boundary_constraints, periodic, self._limits.every_name)
         expected = (
             ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")
         )
@@ -140,41 +138,38 @@ class OptimalControlProblem(Module):
         self.takes_parameters = any(takes)
 
     def _functions(self) -> Iterator[tuple[str, Callable[..., Any], int]]:
-        """Names of the functions, and of what they are: 3 of both ends, 2 of state and control, 1 of a state and its
-        time, 0 of a state."""
+        """Names of the functions, the functions, and the kinds of their arguments.
+
+        A kind is 3 for both ends, 2 for state and control, 1 for a state and its time, 0 for a state.
+        """
         names = ("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1), ("initial_cost", 0)
         for name, kind in names:
             if getattr(self, name) is not None or kind == 2:
                 yield name, getattr(self, name), kind
-        for name, function in zip(self.limits.names, self.limits.functions, strict=True):
+        for name, function in zip(self._limits.names, self._limits.functions, strict=True):
             yield constraint_words(name), function, 2
-        for name, function in zip(self.limits.node_names, self.limits.node_functions, strict=True):
+        for name, function in zip(self._limits.node_names, self._limits.node_functions, strict=True):
             yield node_words(name), function, 1
-        for name, function in zip(self.boundary.names, self.boundary.functions, strict=True):
+        for name, function in zip(self._boundary.names, self._boundary.functions, strict=True):
             yield boundary_words(name), function, 3
-        if self.boundary.turn is not None:
-            yield PERIODIC, self.boundary.turn, 0
-
-    @property
-    def functions(self) -> dict[str, Callable[..., Any]]:
-        """The functions by the names that messages have for them."""
-        return {name: function for name, function, _ in self._functions()}
+        if self._boundary.turn is not None:
+            yield PERIODIC, self._boundary.turn, 0
 
     @property
     def control_bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
         """The bounds of the controls, arrays of their shape; None if there are none."""
-        both = [np.array(side) for side in (self.limits.lower, self.limits.upper)]
+        both = [np.array(side) for side in (self._limits.lower, self._limits.upper)]
         return (both[0].reshape(self._shape), both[1].reshape(self._shape)) if both[0].size else None
 
     @property
     def constraints(self) -> dict[str, Constraint]:
         """The constraints by their names."""
-        return dict(zip(self.limits.names, self.limits.functions, strict=True))
+        return dict(zip(self._limits.names, self._limits.functions, strict=True))
 
     @property
     def node_constraints(self) -> dict[str, Constraint]:
         """The constraints at the nodes by their names."""
-        return dict(zip(self.limits.node_names, self.limits.node_functions, strict=True))
+        return dict(zip(self._limits.node_names, self._limits.node_functions, strict=True))
 
     @property
     def _shape(self) -> tuple[int, ...]:
@@ -185,25 +180,47 @@ class OptimalControlProblem(Module):
         return f"OptimalControlProblem:\n{statement(self)}"
 
     def with_parameters(self, parameters: Any) -> "OptimalControlProblem":
-        """The problem whose functions have the parameters; the problem itself if they take none."""
+        """The problem with these values as the parameters of its functions.
+
+        Parameters
+        ----------
+        parameters : pytree of arrays
+            The values, as ``solve`` takes them.
+
+        Returns
+        -------
+        OptimalControlProblem
+            The same problem if its functions take no parameters.
+        """
         if not self.takes_parameters:
             return self
         return self._changed(lambda f, kind: with_last(f, self._counts[kind], parameters), self.time_dependent)
 
     @property
     def _counts(self) -> tuple[int, ...]:
-        """How many arguments functions of each kind take, without parameters."""
+        """The numbers of arguments of functions of each kind, without parameters."""
         return (1, 2, 3, 3) if self.time_dependent else (1, 1, 2, 2)
 
     @property
-    def first_with_parameters(self) -> str:
-        """The first of the functions that takes parameters, in words."""
+    def _first_with_parameters(self) -> str:
+        """Words on the first function that takes parameters."""
         first, of, kind = next(part for part in self._functions() if takes_more(part[1], self._counts[part[2]]))
         count = self._counts[kind]
         return f"{first} has the arguments {arguments_of(of)}, one more than the {count} of one without parameters"
 
     def at_time(self, t: Any) -> "OptimalControlProblem":
-        """The problem whose functions have the time; the problem itself if they take none."""
+        """The problem at one instant, of which no function takes the time.
+
+        Parameters
+        ----------
+        t : float
+            The time, in the unit of the horizon.
+
+        Returns
+        -------
+        OptimalControlProblem
+            The same problem if it is not ``time_dependent``.
+        """
         if not self.time_dependent:
             return self
         time = jnp.asarray(t, float)  # of Python's own numbers the inverse of zero is an error
@@ -212,9 +229,9 @@ class OptimalControlProblem(Module):
     def _changed(
         self, change: Callable[[Callable[..., Any], int], Callable[..., Any]], time_dependent: bool
     ) -> "OptimalControlProblem":
-        """The problem with other functions, made of these and their kinds."""
+        """The problem with every function replaced by ``change(function, kind)``."""
         given: dict[str, Any] = {name: change(function, kind) for name, function, kind in self._functions()}
-        own, ends = self.limits, self.boundary
+        own, ends = self._limits, self._boundary
         functions = tuple(given[constraint_words(name)] for name in own.names)
         at_nodes = tuple(given[node_words(name)] for name in own.node_names)
         limits = own.replaced(functions, at_nodes)
@@ -222,57 +239,55 @@ class OptimalControlProblem(Module):
         boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor, ends.closed)
         names = "dynamics", "running_cost", "terminal_cost", "initial_cost"
         more: Any = {"constraints": limits, "boundary_constraints": boundary, "time_dependent": time_dependent}
-        return self.replaced(**more, **{name: given[name] for name in names if name in given})
+        return self._replaced(**more, **{name: given[name] for name in names if name in given})
 
-    def replaced(self, **changes: Any) -> "OptimalControlProblem":
+    def _replaced(self, **changes: Any) -> "OptimalControlProblem":
         """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a
         ``boundary``."""
         names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "initial_cost"
         given: Any = {name: getattr(self, name) for name in (*names, "abnormal", "time_dependent")}
-        given |= {"constraints": self.limits, "boundary_constraints": self.boundary, "labels": self.quantities}
+        given |= {"constraints": self._limits, "boundary_constraints": self._boundary, "labels": self.quantities}
         return OptimalControlProblem(**given | changes)
 
     def inequalities(self, q: Ambient, u: Ambient) -> Float[Array, " k"]:
-        """All inequalities at a point, each ``<= 0``: ``lower - u``, ``u - upper`` where these are finite, then the
-        constraints in order."""
-        return self.limits.values(q, u)
+        """The values of all bounds and constraints at a point, each feasible if ``<= 0``.
+
+        Parameters
+        ----------
+        q, u : point, control
+            The state and the control, arrays of the shapes of their manifolds.
+
+        Returns
+        -------
+        array of shape (k,)
+            ``lower - u`` and ``u - upper`` for the finite bounds, then the constraints in order.
+        """
+        return self._limits.values(q, u)
 
     def node_inequalities(self, q: Ambient) -> Float[Array, " k"]:
-        """All inequalities at a node, each ``<= 0``: the node constraints in order."""
-        return self.limits.at_node(q)
+        """The values of the node constraints in order, shape ``(k,)``, each feasible if ``<= 0``.
+
+        Parameters
+        ----------
+        q : point
+            The state, an array or a tuple of arrays of the shapes of the manifold.
+        """
+        return self._limits.at_node(q)
 
     @property
-    def inequality_names(self) -> tuple[str, ...]:
+    def _inequality_names(self) -> tuple[str, ...]:
         """A name for each of the inequalities, such as ``cone[1]``, of a problem without parameters."""
-        return self.limits.words(self.inequality_sizes, self._shape)
+        return self._limits.words(self._inequality_sizes, self._shape)
 
     @property
-    def inequality_sizes(self) -> dict[str, int | None]:
+    def _inequality_sizes(self) -> dict[str, int | None]:
         """The number of entries of each constraint; None for a number."""
-        return self.limits.sizes(self.manifold.ambient, self.controls.ambient)
+        return self._limits.sizes(self.manifold.ambient, self.controls.ambient)
 
     @property
-    def node_sizes(self) -> dict[str, int | None]:
+    def _node_sizes(self) -> dict[str, int | None]:
         """The number of entries of each node constraint; None for a number."""
-        return self.limits.node_sizes(self.manifold.ambient)
-
-    def require_treated(self, what: str, *treated: str) -> None:
-        """Raise if the problem has bounds, constraints, an initial cost or a time that ``what`` does not treat."""
-        has = {
-            "control bounds": any(self.limits.bounded.values()),
-            "constraints": bool(self.limits.functions),
-            "node constraints": bool(self.limits.node_functions),
-            "an initial cost": self.initial_cost is not None,
-            "an explicit time": self.time_dependent,
-            "boundary constraints": bool(self.boundary.functions),
-            "periodic ends": self.boundary.turn is not None,
-        }
-        left = [words for words, there in has.items() if there and words not in treated]
-        if left:
-            raise InvalidInputError(
-                f"the problem has {' and '.join(left)}, which {what} does not treat; expected a problem without; try "
-                "one that has none"
-            )
+        return self._limits.node_sizes(self.manifold.ambient)
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
         """The velocity ``X(q, u)``; ``InvalidInputError`` if ``dynamics`` returns another structure than a point.
@@ -290,34 +305,49 @@ class OptimalControlProblem(Module):
             raise InvalidInputError(wrong)
         return jax.tree.map(lambda s, a: in_precision("dynamics", a, s.dtype), self.manifold.ambient, v)
 
-    def steer(self, u: Ambient, c: Array) -> Ambient:
+    def _steer(self, u: Ambient, c: Array) -> Ambient:
         """The control with coordinates ``c``, shape ``(m,)``, in the retraction chart of U around ``u``."""
         retraction = default_retraction(self.controls)
         return retraction.chart(u, retraction.frame(u), c)
 
-    def normal_size(self, q: Ambient, u: Ambient) -> tuple[Array, Array]:
-        """Sizes of the normal part of ``X(q, u)``, which is zero for dynamics on the manifold, and of ``X(q, u)``."""
-        v = self.velocity(q, u)
-        return vec.size(vec.subtract(v, self.manifold.projection(q, v))), vec.size(v)
-
     def cost_rate(self, q: Ambient, u: Ambient) -> Array:
-        """``p_0 F(q, u)``: the running cost, zero in the abnormal case."""
+        """The running cost ``p_0 F(q, u)``, which is zero in the abnormal case.
+
+        Parameters
+        ----------
+        q, u : point, control
+            The state and the control, arrays of the shapes of their manifolds.
+        """
         return jnp.zeros(()) if self.abnormal else real_number("running_cost", self.running_cost(q, u))
 
     def final_cost(self, q: Ambient) -> Array:
-        """Terminal cost ``Phi(q)``, zero if there is none."""
+        """The terminal cost ``Phi(q)``, zero for a problem without terminal cost.
+
+        Parameters
+        ----------
+        q : point
+            The state, an array or a tuple of arrays of the shapes of the manifold.
+        """
         return jnp.zeros(()) if self.terminal_cost is None else real_number("terminal_cost", self.terminal_cost(q))
 
     def first_cost(self, q: Ambient) -> Array:
-        """Initial cost ``Phi_0(q)``, zero if there is none."""
+        """The initial cost ``Phi_0(q)``, zero for a problem without initial cost.
+
+        Parameters
+        ----------
+        q : point
+            The state, an array or a tuple of arrays of the shapes of the manifold.
+        """
         return jnp.zeros(()) if self.initial_cost is None else real_number("initial_cost", self.initial_cost(q))
 
-    def turned(self, q: Ambient) -> Ambient:
+    def _periodic_end(self, q: Ambient) -> Ambient:
         """``g(q)`` of periodic ends, ``q(T) = g(q(0))``."""
-        own = self.manifold.factors[0] if self.boundary.factor and isinstance(self.manifold, Product) else self.manifold
-        return linked(PERIODIC, self.boundary.turn or same, own, q)
+        own = (
+            self.manifold.factors[0] if self._boundary.factor and isinstance(self.manifold, Product) else self.manifold
+        )
+        return linked(PERIODIC, self._boundary.turn or same, own, q)
 
-    def parts(self, q: Ambient, p: Ambient, u: Ambient) -> tuple[Array, Array]:
+    def _parts(self, q: Ambient, p: Ambient, u: Ambient) -> tuple[Array, Array]:
         """The power ``<p, X(q, u)>`` and the cost rate ``p_0 F(q, u)``."""
         return vec.pairing(p, self.velocity(q, u)), self.cost_rate(q, u)
 
@@ -329,52 +359,44 @@ class OptimalControlProblem(Module):
         q, p, u : point, covector, control
             The state, the costate and the control.
         """
-        power, rate = self.parts(q, p, u)
+        power, rate = self._parts(q, p, u)
         return power - rate
 
-    def imprecise(self, q: Ambient, u: Ambient) -> str:
-        """Words on functions that compute in a lower precision than is in use; empty if none does."""
-        return imprecise({"dynamics": self.dynamics, "running_cost": self.running_cost}, q, u)
+    def _digest(self, parameters: Any = None) -> bytes | None:
+        """A digest of the results of the functions, with the values that they use now; None if there is none.
 
-    def digest(self, parameters: Any = None) -> bytes | None:
-        """A digest of what the functions compute of parameters of this structure, with the values that they read now;
-        None where that cannot be told."""
+        ``parameters``: an example of the structure.
+        """
         examples = self.manifold.ambient, self.controls.ambient, parameters, np.zeros(())
         return digest(lambda q, u, p, t: self.with_parameters(p).at_time(t)._values(q, u), *examples)
 
     def _values(self, q: Ambient, u: Ambient) -> tuple[Any, ...]:
-        """What all functions return."""
-        ends = self.boundary.values(q, q), None if self.boundary.turn is None else self.turned(q)
+        """The values of all functions."""
+        ends = self._boundary.values(q, q), None if self._boundary.turn is None else self._periodic_end(q)
         costs = self.cost_rate(q, u), self.final_cost(q), self.first_cost(q)
         return self.velocity(q, u), *costs, self.inequalities(q, u), self.node_inequalities(q), ends
 
-    def check_discretization(self, discretization: DiscretizationMap | Gauss) -> None:
-        """Raise if a discretization map or a Gauss method acts on another manifold than this problem."""
-        if not same_manifold(discretization.manifold, self.manifold):
-            came, expected = discretization.manifold, self.manifold
-            raise InvalidInputError(f"the method acts on {came}, the problem on {expected}; use one manifold")
-
     def check(self, q: Ambient, u: Ambient) -> None:
-        """Raise if the functions return a wrong kind at ``(q, u)``, or are not smooth in the controls there."""
-        self.require_values()
+        """Raise if the functions return a wrong kind at ``(q, u)``, or are not smooth in the controls there.
+
+        Parameters
+        ----------
+        q, u : point, control
+            The state and the control, arrays of the shapes of their manifolds.
+
+        Raises
+        ------
+        InvalidInputError
+            With the name of the function, what the function returns, and what to try.
+        """
+        self._require_values()
         Inspection(self, q, u).require_sound()
 
-    def is_regular_at(self, q: Ambient, u: Ambient) -> bool:
-        """Whether ``d2H/du2`` is invertible at one of a few random controls around ``u`` and covectors at ``q``."""
-        return Inspection(self, q, u).is_regular
+    def _require_values(self) -> ClosedJaxpr:
+        """The program of all functions of a point and a control.
 
-    def require_cost(self, q: Ambient, end: Ambient, fixed: tuple[bool, ...] = ()) -> None:
-        """Raise unless both costs are numbers, near ``q`` and at random points like ``end`` where ``fixed``."""
-        u = within_bounds(self.limits, resting_control(self.controls))
-        require_cost(self, (q, u, probes(self, u)[0]), end, fixed)
-
-    def is_steep_at(self, fixed: tuple[bool, ...] = ()) -> bool:
-        """Whether the differential of the terminal cost has a constant nonzero entry that is not ``fixed``."""
-        return is_steep(self, fixed)
-
-    def require_values(self) -> ClosedJaxpr:
-        """The program of all functions of a point and a control; raises if they cannot be called, read entries that
-        these do not have, or return something of another kind."""
+        Raises if a function cannot be called, reads entries that its arguments do not have, or returns another kind.
+        """
         q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (self.manifold, self.controls))
         try:
             program = traced(self._values, q, u)
@@ -388,12 +410,11 @@ class OptimalControlProblem(Module):
 
 
 def is_same_problem(a: object, b: object) -> bool:
-    """Whether two problems have the same manifolds, and functions that compute the same with the values that they read
-    now."""
+    """Whether two problems have the same manifolds, and functions with the same results for the values used now."""
     if a is b or not (isinstance(a, OptimalControlProblem) and isinstance(b, OptimalControlProblem)):
         return a is b
     return (
         same_manifold(a.manifold, b.manifold)
         and same_manifold(a.controls, b.controls)
-        and a.digest() == b.digest() is not None
+        and a._digest() == b._digest() is not None
     )

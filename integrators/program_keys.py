@@ -1,5 +1,5 @@
-"""Programs that JAX traced, in a form in which equal ones are equal: what is compiled is found again by what it
-computes."""
+"""Keys of programs that JAX traced, equal for programs that compute the same, so that compiled programs are found
+again."""
 
 import itertools
 import sys
@@ -55,7 +55,7 @@ def value_of(known: dict[Any, Any], variable: Any) -> Any:
 
 
 def outputs_of(jaxpr: Jaxpr, equation: Any, known: dict[Any, Any]) -> list[Any]:
-    """What one equation of a program gives."""
+    """The outputs of one equation of a program."""
     variables = list({v: None for v in equation.invars if not isinstance(v, Literal)})
     alone = Jaxpr([], variables, equation.outvars, [equation], equation.effects, jaxpr.debug_info)
     return jaxpr_as_fun(ClosedJaxpr(alone, []))(*(known[v] for v in variables))
@@ -157,7 +157,7 @@ def _is_nowhere(value: Any) -> bool:
 
 
 def _is_found_by_name(value: Any) -> bool:
-    """Whether this is a function of a module of JAX, as those of a generator of random numbers are."""
+    """Whether a value is a function of a module of JAX, such as a generator of random numbers."""
     module, name = getattr(value, "__module__", None) or "", getattr(value, "__qualname__", "")
     return module.startswith("jax.") and getattr(sys.modules.get(module), name, None) is value
 

@@ -9,6 +9,7 @@ from typing import Any, Self, final
 import jax
 
 from ..manifolds import InvalidInputError, Manifold, Product
+from ..manifolds.product import factor_name
 from .text import brief
 
 ABOUT = "states", "controls"
@@ -151,7 +152,7 @@ class Quantities:
         count : int
             The number of factors.
         """
-        names = [f"factor {k}" for k in range(count)]
+        names = [factor_name(k) for k in range(count)]
         if len(self.states) == count:
             pairs = zip(names, self.states, _names("q", self.states), strict=True)
             names = [name if own.name == default else own.name for name, own, default in pairs]
@@ -220,7 +221,7 @@ def _words(quantity: Quantity) -> str:
 
 
 def _checked(what: str, given: Any, expected: tuple[str, ...]) -> dict[str, Any]:
-    """What was given by its keys; raises for other keys."""
+    """The given words by their keys; raises for other keys."""
     if given is None:
         return {}
     if not isinstance(given, Mapping) or not set(given) <= set(expected):
@@ -242,7 +243,7 @@ def _quantities(about: str, manifold: Manifold, labels: Any, units: Any) -> tupl
 
 
 def _each(what: str, given: Any, arrays: list[tuple[str, tuple[int, ...]]]) -> list[Any]:
-    """What is given of each of the arrays; raises where their number is another one."""
+    """The words for each of the arrays; raises for another number of words."""
     if len(arrays) == 1:
         return [given]
     if not isinstance(given, list | tuple) or len(given) != len(arrays):

@@ -11,7 +11,7 @@ import equinox as eqx
 import numpy as np
 
 from ..manifolds import InvalidInputError
-from .archives import archived, archived_arrays
+from .archives import archived_arrays, archived_words
 from .text import brief
 
 LOADERS = {"Solution": "load_solution", "Trajectory": "load_trajectory"}  # what reads the files of which class
@@ -48,7 +48,8 @@ class _Context(NamedTuple):
 
 @dataclass(frozen=True)
 class RecordFile:
-    """The ``.npz`` file of a class: its name and version, and its fields with their annotations; no pickled objects.
+    """The ``.npz`` file of a class, with its name, its version, and its fields with their annotations; no pickled
+    objects.
 
     ``disagreement`` says in words what is wrong with values that fit their annotations one by one; else it is empty.
     """
@@ -70,8 +71,7 @@ class RecordFile:
             np.savez(file, allow_pickle=False, **flat)
 
     def read(self, path: str | Path) -> dict[str, Any]:
-        """Values of the fields, those that are dataclasses made; raises ``InvalidInputError`` if the file is something
-        else."""
+        """Values of the fields, with dataclasses made; raises ``InvalidInputError`` if the file is something else."""
         try:
             return self._require(self._values(archived_arrays(_path(path))))
         except (InvalidInputError, RecursionError) as error:  # the second for tuples in tuples, a thousand deep
@@ -115,15 +115,13 @@ class RecordFile:
 
 
 def record_kind(path: str | Path) -> str:
-    """The name of the class whose record a file holds; empty where it does not name one.
+    """The name of the class whose record a file holds, empty for a file that names no class.
 
     Raises ``InvalidInputError`` for a file that is damaged or no archive.
     """
-    place = _path(path)
     try:
-        entries = archived(place)
-        mark = entries[HEAD].decode() if HEAD in entries else str(archived_arrays(place).get("schema", ""))
-    except (InvalidInputError, UnicodeDecodeError) as error:
+        mark = archived_words(_path(path), HEAD, "schema.npy")
+    except InvalidInputError as error:
         raise InvalidInputError(f"{path} is not a record of retrax: {error}") from error
     return mark.removeprefix("retrax.").partition(" ")[0]
 
@@ -172,8 +170,8 @@ def not_finite(values: dict[str, Any]) -> str:
 
 
 def _flattened(values: dict[str, Any]) -> dict[str, np.ndarray]:
-    """Entries ``name/0``, ... for the parts of a tuple or dictionary, with their number or keys; those of None say
-    so."""
+    """Entries ``name/0``, ... for the parts of a tuple or dictionary, with their number or keys, and a mark for
+    None."""
     flat: dict[str, np.ndarray] = {}
     for name, value in values.items():
         parts = value.values() if isinstance(value, dict) else value if isinstance(value, tuple) else ()
@@ -190,7 +188,7 @@ def _flattened(values: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _unflatten(name: str, flat: dict[str, np.ndarray]) -> Any:
-    """What ``_flattened`` took apart, removed from ``flat``; raises if something is missing."""
+    """The value that ``_flattened`` took apart, removed from ``flat``; raises if something is missing."""
     if f"{name}/none" in flat:
         if flat.pop(f"{name}/none").tolist() is not True:
             raise InvalidInputError(f"{name}/none is not True")
@@ -261,8 +259,8 @@ def _which(value: Any, hints: tuple[Any, ...]) -> Any:
 
 
 def _require_along(name: str, tree: Any, along: Along, context: _Context) -> None:
-    """Raise unless these are arrays of numbers, as long as others along the axis, and shaped like those they go
-    with."""
+    """Raise unless these are arrays of numbers, as long as their axis, and shaped like the entry that they belong
+    to."""
     if tree is None and along.optional:
         return
     like = context.values[along.like] if along.like else None
@@ -279,7 +277,7 @@ def _require_along(name: str, tree: Any, along: Along, context: _Context) -> Non
 
 
 def _leaves(tree: Any) -> list[Any]:
-    """What nested tuples are made of."""
+    """The leaves of nested tuples."""
     return [leaf for part in tree for leaf in _leaves(part)] if isinstance(tree, tuple) else [tree]
 
 
@@ -291,7 +289,7 @@ def _rows(tree: Any) -> Any:
 
 
 def _words(value: Any) -> str:
-    """What came, in a few words."""
+    """A few words on a value."""
     if isinstance(value, np.ndarray):
         return f"an array of {value.dtype} with shape {value.shape}"
     if isinstance(value, dict | tuple):

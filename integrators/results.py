@@ -13,7 +13,7 @@ BETTER = "a better guess (Guess.from_controls, Free(value) at a free end, or con
 
 
 class Result(eqx.Enumeration):
-    """The end of an integration, ``Trajectory.result``: compare with ``Result.successful``; ``Result[item]`` is a
+    """The end of an integration, ``Trajectory.result``, to compare with ``Result.successful``; ``Result[item]`` is a
     sentence.
 
     Notes

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 def statement(problem: "OptimalControlProblem") -> str:
-    """What is minimised, subject to what, with the names of the functions, in a few lines."""
+    """The statement of the problem in a few lines: minimised costs and conditions, with the names of the functions."""
     t, p = (", t" if problem.time_dependent else ""), (", p" if problem.takes_parameters else "")
     rate = "" if problem.abnormal else f"int_0^T {_name(problem.running_cost)}(q, u{t}{p}) dt"
     ends = ("q(0)", problem.initial_cost, ""), ("q(T)", problem.terminal_cost, ", T" if t else "")
@@ -28,8 +28,8 @@ def statement(problem: "OptimalControlProblem") -> str:
     lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem.constraints]
     lines += [f"            {name}(q{t}{p}) <= 0 at the nodes" for name in problem.node_constraints]
     last = ", T" if t else ""
-    lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem.boundary.names]
-    turn = problem.boundary.turn
+    lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem._boundary.names]
+    turn = problem._boundary.turn
     if turn is not None:
         lines.append("            q(T) = q(0)" if turn is same else f"            q(T) = {_name(turn)}(q(0){p})")
     lines += [f"{'where' if not place else '':12}{text}" for place, text in enumerate(problem.quantities.lines)]
@@ -57,7 +57,7 @@ def _between(name: str, lower: float, upper: float) -> str:
 
 
 def _name(function: Callable[..., Any] | Any) -> str:
-    """What a function is called."""
+    """The name of a function."""
     while isinstance(function, partial | Bound):
         function = function.func if isinstance(function, partial) else function.function
     name = getattr(function, "__name__", type(function).__name__)

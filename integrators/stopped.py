@@ -153,20 +153,19 @@ class TrueDerivatives:
 
 
 def own_rules(program: ClosedJaxpr) -> list[str]:
-    """What a program computes from its arguments that has a rule of its own for derivatives, or none, each once."""
+    """The computations of a program from its arguments that have a derivative rule of their own, or none, each once."""
     rules = (MADE_BY.get(name_of(own)) for own in dependent(program.jaxpr) if not is_in_scalars(own))
     return list(dict.fromkeys(filter(None, rules)))
 
 
 def usually_missed(line: Any) -> np.ndarray:
-    """Of each function the share of its change that is not in its derivative, the middle one of those along several
-    lines."""
+    """The share of the change of each function that its derivative misses, the median along several lines."""
     below, above = (np.moveaxis(part, -2, 0).reshape(len(SPANS), -1) for part in (line.below, line.above))
     return np.median(_missed(below, above, np.ravel(line.slopes)).reshape(line.slopes.shape), axis=-2)
 
 
 def _missed(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Of each function the share of its change that is not in its derivative; 0 where that may be rounding."""
+    """The share of the change of each function that its derivative misses; 0 where that may be rounding."""
     with np.errstate(all="ignore"):
         quotients = (above - below) / (2 * SPANS[:, None])
         size = np.abs(slopes) + np.abs(quotients)
@@ -190,21 +189,21 @@ def near(retraction: Any, x: Ambient, way: Array) -> Ambient:
 
 
 def _values(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> Array:
-    """The entries of all functions in a row, those of both ends with one point for both."""
+    """The entries of all functions in a row, with one point for both ends."""
     costs = [problem.cost_rate(q, u), problem.final_cost(q), problem.first_cost(q)]
     velocity = [jnp.real(leaf).ravel() for leaf in jax.tree.leaves(problem.velocity(q, u))]
     return jnp.concatenate(
-        [*velocity, jnp.stack(costs), *problem.limits.of_functions(q, u), problem.boundary.values(q, q)]
+        [*velocity, jnp.stack(costs), *problem._limits.of_functions(q, u), problem._boundary.values(q, q)]
     )
 
 
 def _names(problem: "OptimalControlProblem", q: Ambient) -> list[str]:
-    """Of each of these entries the name of its function."""
+    """The name of the function of each of these entries."""
     count = sum(leaf.size for leaf in jax.tree.leaves(problem.manifold.ambient))
-    limits = problem.limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
+    limits = problem._limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
     ends = [
         boundary_words(name)
-        for name, values in zip(problem.boundary.names, jax.eval_shape(problem.boundary.each, q, q), strict=True)
+        for name, values in zip(problem._boundary.names, jax.eval_shape(problem._boundary.each, q, q), strict=True)
         for _ in range(values.size)
     ]
     return [*count * ["dynamics"], "running_cost", "terminal_cost", "initial_cost", *limits, *ends]

@@ -57,7 +57,7 @@ class TapeEvaluator(Evaluator):
 
     @property
     def reason(self) -> str:
-        """That all functions are tapes."""
+        """The reason: all functions are tapes."""
         return ALL_TRACED
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> Evaluated:
@@ -164,7 +164,7 @@ class _OnTape(Evaluated):
         return tuple(_parts(written, plan.written))
 
     def _planned(self, key: tuple[Any, ...]) -> "tuple[_Plan, _Small | None]":
-        """What arrays of some shapes ask for; a few of these are kept."""
+        """The plan for arrays of some shapes; a few plans are kept."""
         axes, *shapes = key
         plan = _Plan.of(axes, shapes, self.tape.shapes)
         if len(self._plans) == PLANS:
@@ -191,7 +191,7 @@ _rooms: list[_Room] = []  # those that no tape runs in
 
 @final
 class _Small:
-    """What a tape needs where its loop takes no longer than Python: all that shapes decide is made once."""
+    """The arrays of a tape whose loop takes no longer than Python, made once for some shapes."""
 
     def __init__(self, tape: "Tape", code: "Program", registers: tuple[int, int], plan: _Plan) -> None:
         from ..tape.machine import run
@@ -208,7 +208,7 @@ class _Small:
 
     @classmethod
     def of(cls, tape: "Tape", plan: _Plan) -> Self | None:
-        """That of a tape; None where a loop is shared among threads, or needs more room."""
+        """The arrays for a tape; None if threads share the loop, or if the loop needs more room."""
         found, (read, written) = tape.alone(plan.count), plan.numbers
         if found is None or not written or math.prod(found[1]) + read + LINE > ROOM:
             return None

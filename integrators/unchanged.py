@@ -1,4 +1,4 @@
-"""Functions that somebody holds traced are those that they were: else what is traced later would be of others."""
+"""The guard that traced functions of a user have not changed since the first trace."""
 
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
@@ -14,8 +14,11 @@ from .probing import FAILURES
 
 @final
 class Unchanged:
-    """The functions of a ``holder`` as they were first read; ``digest``: of what they compute now, or None where that
-    cannot be told, for arguments of one structure; ``hint``: what else to try than a new holder."""
+    """The functions of a ``holder`` as they were first read.
+
+    ``digest``: of what they compute now, or None where that cannot be told, for arguments of one structure; ``hint``:
+    what else to try than a new holder.
+    """
 
     def __init__(self, holder: str, digest: Callable[..., bytes | None], hint: str = "") -> None:
         self._holder, self._digest, self._hint = holder, digest, hint
@@ -24,8 +27,10 @@ class Unchanged:
 
     @contextmanager
     def required(self, *given: Any) -> Iterator[None]:
-        """A time in which functions may be traced: ``InvalidInputError`` if some are, and they are not those that were
-        traced before; then ever after, as the holder keeps both."""
+        """A time in which functions may be traced; raises ``InvalidInputError`` if a traced function has changed.
+
+        After a change it raises ever after, because the holder keeps both traces.
+        """
         with one_reading() as reading:
             self._require()
             before = reading.traces

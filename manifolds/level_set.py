@@ -4,7 +4,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from inspect import get_annotations, signature
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -41,6 +41,16 @@ def positive_norms(rows: Float[Array, "m N"]) -> Float[Array, " m"]:
     return jnp.where(lengths > 0, lengths, 1.0)
 
 
+if TYPE_CHECKING:
+
+    class _Shape:
+        """A field that is given as a number or a tuple and read as a tuple; mypy checks no converters of fields."""
+
+        def __get__(self, instance: object, owner: object = None) -> tuple[int, ...]: ...
+
+        def __set__(self, instance: object, value: int | tuple[int, ...]) -> None: ...
+
+
 class LevelSet(Manifold):
     r"""A regular level set :math:`\{x : c(x) = 0\}` of a smooth function of arrays: a base class.
 
@@ -65,7 +75,10 @@ class LevelSet(Manifold):
     1
     """
 
-    shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
+    if TYPE_CHECKING:
+        shape: _Shape
+    else:
+        shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 
     def __init_subclass__(cls, **options: Any) -> None:
         """A shape that the class has for all of its manifolds need not be given to them."""
@@ -174,7 +187,7 @@ class LevelSet(Manifold):
         return Verdict(False, verdict.reason + self._dependence(x)) if LOST in verdict.reason else verdict
 
     def _dependence(self, x: Ambient) -> str:
-        """Words on the equations that follow from others at ``x``; empty where there are none."""
+        """Words on the equations that depend on earlier equations at ``x``, empty for independent equations."""
         dependent = np.asarray(_dependent(self.in_lengths(jnp.asarray(x))[1]))
         found = np.flatnonzero(dependent)
         named = ", ".join(map(str, found[:NAMED])) + (", ..." if len(found) > NAMED else "")

@@ -45,7 +45,7 @@ class Manifold(Module):
     }
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Let the methods of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
+        """Make the methods of every subclass reject arrays of other shapes, such as batches without ``jax.vmap``."""
         super().__init_subclass__(**options)
         check_shapes(cls, cls.one_point, lambda manifold: manifold)
 
@@ -171,7 +171,7 @@ class Manifold(Module):
         return Verdict(True, f"a point of the manifold to {limit:.1g}")
 
     def _hint(self, words: str, value: float) -> str:
-        """What to try where a point violates the equation of these words by a value, behind a semicolon."""
+        """Advice for a point that violates the equation of these words by a value, behind a semicolon."""
         return "; restore(x) brings a point near the manifold onto it" if value < NEAR else ""
 
     def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:

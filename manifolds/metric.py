@@ -41,7 +41,7 @@ class Metric(Module):
     }
 
     def __init_subclass__(cls, **options: Any) -> None:
-        """Let the methods of every subclass refuse arrays of other shapes, as those of a batch without ``jax.vmap``."""
+        """Make the methods of every subclass reject arrays of other shapes, such as batches without ``jax.vmap``."""
         super().__init_subclass__(**options)
         check_shapes(cls, cls.one_point, lambda metric: metric.manifold)
 

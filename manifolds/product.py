@@ -61,7 +61,9 @@ class Product(Manifold):
 
     def violations(self, x: tuple[Any, ...]) -> dict[str, Array]:
         pairs = enumerate(zip(self.factors, x, strict=True))
-        return {f"factor {i}: {words}": value for i, (m, xi) in pairs for words, value in m.violations(xi).items()}
+        return {
+            f"{factor_name(i)}: {words}": value for i, (m, xi) in pairs for words, value in m.violations(xi).items()
+        }
 
     def length(self, x: tuple[Any, ...], a: tuple[Any, ...]) -> Array:
         return vec.size([m.length(xi, ai) for m, xi, ai in zip(self.factors, x, a, strict=True)])
@@ -96,10 +98,15 @@ class Product(Manifold):
         return tuple(jax.tree.map(lambda leaf, i=i: padded(leaf, i), frame) for i, frame in enumerate(frames))
 
 
+def factor_name(k: int) -> str:
+    """The name of a factor without a label."""
+    return f"factor {k}"
+
+
 def homogeneous_factors(manifold: Manifold, point: Any, path: str = "") -> Iterator[tuple[str, HomogeneousSpace, Any]]:
     """Factors on which a group acts, each with a name such as ``factor 0, SO(3)`` and its part of ``point``."""
     if isinstance(manifold, Product):
         for i, (factor, part) in enumerate(zip(manifold.factors, point, strict=True)):
-            yield from homogeneous_factors(factor, part, f"{path}factor {i}, ")
+            yield from homogeneous_factors(factor, part, f"{path}{factor_name(i)}, ")
     elif isinstance(manifold, HomogeneousSpace):
         yield f"{path}{manifold}", manifold, point

@@ -106,7 +106,7 @@ class DiscretizationMap(Module):
 
 
 def _are_reached(manifold: Manifold, wanted: Pair, ends: Pair, z: Pair) -> Bool[Array, ""]:
-    """Whether both ends of a step ``z`` are those wanted."""
+    """Whether both ends of a step ``z`` are the wanted ends."""
     return is_reached(manifold, wanted[0], ends[0], *z) & is_reached(manifold, wanted[1], ends[1], *z)
 
 

@@ -7,7 +7,7 @@ import re
 from pathlib import Path
 
 import pytest
-from retrax import manifolds, retractions
+from retrax import manifolds, problems, retractions
 from retrax.retractions import families
 
 from tests.support.pages import Pages
@@ -136,6 +136,20 @@ def test_words_of_the_field_are_headings_and_index_entries_of_their_pages(monkey
     assert search.missed({**index, "indexentries": {}, "alltitles": {}})
 
 
+def test_the_glossary_has_the_quantities_of_the_solver_once_each():
+    rows = re.findall(r"^\| ([^|]+) \|", (ROOT / "docs" / "glossary.md").read_text(), re.MULTILINE)
+    terms = [term for row in rows for term in row.split(", ") if term not in ("term", "---")]
+    assert len(terms) == len(set(terms)) > 100
+    needed = (
+        "defect, tangential defect, constraint values, elastic excess, penalty, elastic mode, slack, fraction to the "
+        "boundary, step cap, trial point, Newton iteration, regularisation, inertia correction, scaling, rescaling, "
+        "control range, magnitudes, transcription, transcribed problem, boundary data, reformulation, termination "
+        "status, audit, constraint qualification, linkage, bordered system, condensing, pullback, pushforward, "
+        "globalisation, predicted reduction, perturbed guess, diverging, converged, batch"
+    )
+    assert set(needed.split(", ")) <= set(terms)
+
+
 def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
     monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
     links = importlib.import_module("links")
@@ -162,6 +176,9 @@ def test_the_pages_that_use_a_name_are_found(monkeypatch):
         "other.path(G)"
     )
     assert uses.count(code) == {("plotting", "path"): 2, ("manifolds", "SO"): 2}
+    code = "import retrax as rx\nrx.SO(3); rx.solve(x).states.SO; rx.plotting.path(rx.hat(x)); rx.load(x)"
+    expected = [("manifolds", "SO"), ("integrators", "solve"), ("plotting", "path"), ("manifolds", "hat")]
+    assert uses.count(code) == dict.fromkeys(expected, 1)
     assert "/singular" in uses.used("integrators", "classify")
     assert uses.used("integrators", "SO") == []
 
@@ -180,6 +197,14 @@ def test_every_retraction_is_in_the_table_of_the_site(monkeypatch):
     }
     concrete = {name for name in kinds if not inspect.isabstract(public[name])}
     assert concrete - {kind.__name__ for kind in shown} == of_any_manifold
+
+
+def test_pages_of_problems_set_the_formulas_of_their_records(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    pages = importlib.import_module("problem_pages")
+    assert pages.plain("a|b in R^2: $u_1 = |v|$") == r"a\|b in $R^2$: $u_1 = |v|$"
+    for entry in problems.all():
+        assert not re.search(r"=|\^|\b(sqrt|exp|pi)\b", re.sub(r"\$[^$]*\$", "", entry.origin)), entry.name
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from importlib import import_module
+from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
@@ -58,6 +59,14 @@ def test_load_reads_every_record(tmp_path, solver):
     assert rx.load(tmp_path / "one.npz").cost == solution.cost
     np.testing.assert_array_equal(rx.load(tmp_path / "batch.npz").cost, batch.cost)
     np.testing.assert_array_equal(rx.load(str(tmp_path / "path.npz")).q, path.q)
+
+
+def test_load_reads_a_file_once(tmp_path, solver, monkeypatch):
+    solver.solve([0.0], [1.0], 1.0).save(tmp_path / "one.npz")
+    read, whole = [], Path.read_bytes
+    monkeypatch.setattr(Path, "read_bytes", lambda path: (read.append(path), whole(path))[1])
+    rx.load(tmp_path / "one.npz")
+    assert read == [tmp_path / "one.npz"]
 
 
 def test_load_refuses_other_files(tmp_path):

@@ -7,6 +7,7 @@ import importlib
 import inspect
 import io
 import re
+import tempfile
 import textwrap
 import tomllib
 from functools import cache
@@ -16,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import retrax
 
 ROOT = Path(__file__).parents[1]
 ROOMS = (
@@ -115,15 +117,15 @@ def names_of_examples() -> dict[str, object]:
     """What the examples of docstrings have imported: ``jax``, ``jnp``, ``np``, and the names of the first rooms."""
     modules = [importlib.import_module(f"retrax.{room}") for room in ROOMS[:4]]
     found = {name: getattr(module, name) for module in modules for name in module.__all__}
-    return {**found, "jax": jax, "jnp": jnp, "np": np}
+    return {**found, "load": retrax.load, "jax": jax, "jnp": jnp, "np": np, "tempfile": tempfile}
 
 
-@pytest.mark.parametrize("room", ROOMS)
+@pytest.mark.parametrize("room", [*ROOMS, ""])
 def test_the_examples_of_docstrings_print_what_they_say(room):
-    module = importlib.import_module(f"retrax.{room}")
+    module = importlib.import_module(f"retrax.{room}") if room else retrax
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS | doctest.IGNORE_EXCEPTION_DETAIL)
     printed = io.StringIO()
-    for name in module.__all__:
+    for name in module.__all__ if room else ["load"]:
         words = inspect.getdoc(getattr(module, name)) or ""
         test = doctest.DocTestParser().get_doctest(words, dict(names_of_examples()), name, None, 0)
         runner.run(test, out=printed.write)

@@ -145,9 +145,11 @@ def sentence(text: str) -> str:
 
 
 def plain(text: str) -> str:
-    """The text with the signs of markup escaped, and powers of spaces as formulas."""
-    text = re.sub(r"([|*_$<>])", r"\\\1", text)
-    return re.sub(r"\b(T?[SR])\^(\d|n)\b", r"$\1^\2$", text)
+    """The text with the signs of markup escaped, formulas as they are, and powers of spaces as formulas."""
+    parts = re.split(r"(\$[^$]*\$)", text)
+    parts[::2] = (re.sub(r"([|*_$<>])", r"\\\1", part) for part in parts[::2])
+    parts[::2] = (re.sub(r"\b(T?[SR])\^(\d|n)\b", r"$\1^\2$", part) for part in parts[::2])
+    return "".join(parts)
 
 
 def units(text: str) -> str:

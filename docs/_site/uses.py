@@ -6,6 +6,8 @@ from collections import Counter
 from functools import cache
 from pathlib import Path
 
+import retrax
+
 DOCS = Path(__file__).parents[1]
 MOST = 3  # pages that are named
 
@@ -30,9 +32,14 @@ def blocks(page: str) -> list[str]:
 
 
 def count(text: str) -> Counter[tuple[str, str]]:
-    """How often code uses the names that it imports from rooms, and attributes of rooms that it imports, by room and
-    name."""
-    nodes, names, rooms = list(ast.walk(ast.parse(text))), dict[str, tuple[str, str]](), dict[str, str]()
+    """How often code uses the names that it imports from rooms, and attributes of rooms that it imports and of the
+    package, by room and name."""
+    nodes, names, rooms, packages = (
+        list(ast.walk(ast.parse(text))),
+        dict[str, tuple[str, str]](),
+        dict[str, str](),
+        set(),
+    )
     for node in nodes:
         if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "retrax":
             room = str(node.module).partition(".")[2]
@@ -41,10 +48,23 @@ def count(text: str) -> Counter[tuple[str, str]]:
                     names[alias.asname or alias.name] = room, alias.name
                 else:
                     rooms[alias.asname or alias.name] = alias.name
+        elif isinstance(node, ast.Import):
+            packages |= {alias.asname or alias.name for alias in node.names if alias.name == "retrax"}
     uses = [names[node.id] for node in nodes if isinstance(node, ast.Name) and node.id in names]
-    uses += [
-        (rooms[node.value.id], node.attr)
-        for node in nodes
-        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in rooms
-    ]
+    for node in (node for node in nodes if isinstance(node, ast.Attribute)):
+        owner = ast.unparse(node.value)
+        package, _, inner = owner.partition(".")
+        if owner in rooms:
+            uses.append((rooms[owner], node.attr))
+        elif owner in packages and node.attr in _everyday():
+            uses.append((_everyday()[node.attr], node.attr))
+        elif package in packages and inner in retrax.__all__ and inner not in _everyday():
+            uses.append((inner, node.attr))
     return Counter(uses)
+
+
+@cache
+def _everyday() -> dict[str, str]:
+    """The rooms of the names that the package itself has."""
+    rooms = {room: getattr(retrax, room) for room in ("integrators", "manifolds", "retractions")}
+    return {name: room for room, module in rooms.items() for name in set(module.__all__) & set(retrax.__all__)}

@@ -26,7 +26,7 @@ OWN, DURATIONS, LAST = "own", "durations", "duration of the last arc"
 
 
 class _Arc(NamedTuple):
-    """What holds at a time: the duration of the arc, the time of the problem, and the controls that are fixed, with
+    """The state of an arc at a time: its duration, the time of the problem, and the fixed controls with their
     values."""
 
     duration: Array
@@ -51,7 +51,7 @@ class Arcs:
 
     def __init__(self, problem: OptimalControlProblem, sides: np.ndarray, horizon: Any, unit: float) -> None:
         self.own, self.horizon, self.unit, self.count = problem, horizon, unit, len(sides)
-        lower, upper = (np.array(side) for side in (problem.limits.lower, problem.limits.upper))
+        lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
         self._slope: dict[Any, Evaluated] = {}
         self.sides, self.fixed = sides, (sides != 0).astype(float)
@@ -61,8 +61,8 @@ class Arcs:
         nearest = np.where(np.isfinite(lower), lower + 1, np.where(np.isfinite(upper), upper - 1, 0.0))
         self.middle = np.where(both, (np.where(both, lower, 0) + np.where(both, upper, 0)) / 2, nearest)
         last = () if is_free(horizon) else (LAST,)
-        names, limits = problem.limits.names, [self._limit(place) for place in range(len(problem.limits.names))]
-        own, every = problem.limits, (*limits, self._last) if last else tuple(limits)
+        names, limits = problem._limits.names, [self._limit(place) for place in range(len(problem._limits.names))]
+        own, every = problem._limits, (*limits, self._last) if last else tuple(limits)
         at_nodes = own.node_names, tuple(map(self._node_limit, range(len(own.node_names))))
         held: Any = Inequalities(own.lower, own.upper, names + last, every, own.at_first | frozenset(last), *at_nodes)
         changes: Any = {
@@ -73,7 +73,7 @@ class Arcs:
         }
         costs = ("terminal_cost", self._final), ("initial_cost", self._first)
         changes |= {name: cost for name, cost in costs if getattr(problem, name) is not None}
-        self.problem = problem.replaced(boundary_constraints=self._boundary(), **changes)
+        self.problem = problem._replaced(boundary_constraints=self._boundary(), **changes)
 
     def parameters(self, durations: np.ndarray, own: Any) -> Any:
         """The parameters of the problem in arcs: guessed durations, and the parameters of the problem itself."""
@@ -83,7 +83,7 @@ class Arcs:
         }
 
     def durations(self, found: Any) -> Any:
-        """The durations of all arcs from those that are free."""
+        """The durations of all arcs from the free durations."""
         return (
             found
             if is_free(self.horizon)
@@ -182,7 +182,7 @@ class Arcs:
         row."""
         parameter = parameter_layout(parameters)
         held = np.concatenate(
-            [np.zeros((len(along[3]), 0)), *(multipliers[name] for name in self.own.limits.names)], axis=1
+            [np.zeros((len(along[3]), 0)), *(multipliers[name] for name in self.own._limits.names)], axis=1
         )
         key = structure_of(parameters), held.shape[1]
         if key not in self._slope:
@@ -198,7 +198,7 @@ class Arcs:
             point, covector = self.state.point(q), self.state.point(p)
 
             def hamiltonian(u: Array) -> Array:
-                values = [jnp.zeros(0), *bound.limits.of_points(point, self.control.point(u))]
+                values = [jnp.zeros(0), *bound._limits.of_points(point, self.control.point(u))]
                 return bound.hamiltonian(point, covector, self.control.point(u)) - nu @ jnp.concatenate(values)
 
             return (jax.grad(hamiltonian)(u),)
@@ -240,19 +240,19 @@ class Arcs:
         return self._bound(0.0, given).first_cost(q)
 
     def _boundary(self) -> BoundaryConditions:
-        own = self.own.boundary
+        own = self.own._boundary
         turn = None if own.turn is None else self._turned
         return BoundaryConditions(own.names, tuple(map(self._between, range(len(own.names)))), turn)
 
     def _between(self, place: int) -> Any:
         def between(first: Any, last: Any, tau: Array, given: Any) -> Any:
             end = jnp.sum(self.durations(given[DURATIONS]))
-            return self._bound(end, given).boundary.functions[place](first, last)
+            return self._bound(end, given)._boundary.functions[place](first, last)
 
         return between
 
     def _turned(self, q: Any, given: Any) -> Any:
-        return self._bound(0.0, given).turned(q)
+        return self._bound(0.0, given)._periodic_end(q)
 
     def _last(self, q: Any, v: Array, tau: Array, given: Any) -> Array:
         return -self.durations(given[DURATIONS])[-1]
@@ -260,12 +260,12 @@ class Arcs:
     def _limit(self, place: int) -> Any:
         def limit(q: Any, v: Array, tau: Array, given: Any) -> Any:
             arc = self._arc(tau, given)
-            return self._bound(arc.time, given).limits.functions[place](q, self._control(v, arc))
+            return self._bound(arc.time, given)._limits.functions[place](q, self._control(v, arc))
 
         return limit
 
     def _node_limit(self, place: int) -> Any:
         def limit(q: Any, tau: Array, given: Any) -> Any:
-            return self._bound(self._arc(tau, given).time, given).limits.node_functions[place](q)
+            return self._bound(self._arc(tau, given).time, given)._limits.node_functions[place](q)
 
         return limit

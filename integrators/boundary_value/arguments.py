@@ -1,4 +1,4 @@
-"""What a solver is called with: checked, and as what it computes with."""
+"""The arguments of a solve, checked and in the form that the solver computes with."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -14,6 +14,7 @@ from ...manifolds.numerics.tolerances import SAME_TIME
 from ...retractions import DiscretizationMap, Gauss
 from ..free import is_free, near
 from ..problem import OptimalControlProblem
+from ..requirements import require_same_manifold, require_treated
 from ..results import warn_about_precision
 from ..singular import Classification, SingularIntegrator
 from ..text import brief
@@ -29,7 +30,7 @@ Method = DiscretizationMap | Gauss
 
 
 class Given(NamedTuple):
-    """What an extremal is a function of; ``None`` where an end is free, and for no parameters."""
+    """The data that determine an extremal; ``None`` for a free end, and for no parameters."""
 
     start: Any
     end: Any
@@ -84,7 +85,7 @@ def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
     numbers."""
     if problem.takes_parameters and parameters is None:
         raise InvalidInputError(
-            f"the problem's functions take parameters, and none are given: {problem.first_with_parameters}; try "
+            f"the problem's functions take parameters, and none are given: {problem._first_with_parameters}; try "
             "parameters=..., numbers or arrays, or tuples or dictionaries of them; a state of several arrays is one "
             "argument, a tuple"
         )
@@ -136,8 +137,8 @@ def check_problem(problem: Any, method: Any) -> None:
             f"solve takes a Gauss method or a discretization map, got {brief(method)}; try "
             "Midpoint(default_retraction(manifold))"
         )
-    problem.require_treated("solve", *ALONG, *BETWEEN)
-    problem.check_discretization(method)
+    require_treated(problem, "solve", *ALONG, *BETWEEN)
+    require_same_manifold(problem, method)
 
 
 def check_accuracy(accuracy: Any) -> None:
@@ -146,7 +147,7 @@ def check_accuracy(accuracy: Any) -> None:
 
 
 def check_classification(problem: OptimalControlProblem, classification: Any) -> None:
-    """Raise if the classification is that of something else than the problem."""
+    """Raise unless the classification belongs to the problem."""
     if not (isinstance(classification, Classification) and classification.is_of(problem.at_time(0.0))):
         raise InvalidInputError(
             f"classification must be that of the problem with its functions as they are, got {classification!r}; try "
@@ -177,7 +178,7 @@ def check_singular(
             f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
             "try method, choice = singular_integrator(classification, discretization); a Composition is for integrate"
         )
-    problem.require_treated("solve of a singular problem", *LIMITS)
+    require_treated(problem, "solve of a singular problem", *LIMITS)
     if not isinstance(method, DiscretizationMap):
         raise InvalidInputError(
             "the problem is singular, dH/du = 0 does not determine its controls, and solve takes a discretization map "

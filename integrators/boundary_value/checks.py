@@ -1,4 +1,4 @@
-"""What a user checks on a solution."""
+"""The figures of a solution that a user checks."""
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field

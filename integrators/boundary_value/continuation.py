@@ -220,7 +220,8 @@ class Predictor:
         self._steered = values(self._steered_of, u, u)
 
     def __call__(self, solution: Solution, before: Given, after: Given) -> Guess | None:
-        """The extremal of a problem near that of a solution, to first order; None where that has no derivatives."""
+        """The extremal of a problem near the extremal of a solution, to first order; None for a solution without
+        derivatives."""
         try:
             derivatives = self.solver.sensitivity(solution)
         except ConvergenceError:
@@ -264,7 +265,7 @@ def _change(a: Any, b: Any) -> np.ndarray:
 
 
 def _between(solution: Solution, at_nodes: np.ndarray) -> np.ndarray:
-    """Vectors at the stages, linear in time between those at the nodes of each step."""
+    """Vectors at the stages, linear in time between the vectors at the nodes of each step."""
     k = np.repeat(np.arange(solution.steps), len(solution.stage_times) // solution.steps)
     share = ((solution.stage_times - solution.times[k]) / np.diff(solution.times)[k])[:, None]
     return (1 - share) * at_nodes[k] + share * at_nodes[k + 1]

@@ -26,8 +26,10 @@ class ControlCurvature:
         self._curvatures: Evaluated = Automatic().values(self._curvatures_of, *sizes)
 
     def __call__(self, solution: Solution, parameters: Any) -> np.ndarray:
-        """Sums of their sizes at the stages, shape ``(N s, m)``: 0 where it is linear in an entry; not finite on a
-        curved space."""
+        """Sums of the sizes of the derivatives at the stages, shape ``(N s, m)``.
+
+        The sums are 0 where the Hamiltonian is linear in an entry, and not finite on a curved space.
+        """
         if not isinstance(self.problem.controls, Euclidean):
             return np.full((len(solution.stage_times), self.control.size), np.inf)
         layouts = (

@@ -22,12 +22,12 @@ class Own(NamedTuple):
     def sizes(self) -> dict[str, int]:
         """How many equations each of its boundary constraints has."""
         bound, q = self.problem.with_parameters(self.parameters), self.problem.manifold.ambient
-        values = jax.eval_shape(bound.boundary.each, q, q)
-        return {name: value.shape[0] for name, value in zip(bound.boundary.names, values, strict=True)}
+        values = jax.eval_shape(bound._boundary.each, q, q)
+        return {name: value.shape[0] for name, value in zip(bound._boundary.names, values, strict=True)}
 
     def state(self, y: Any) -> Any:
         """The state of the problem that a user gave."""
-        return y[0] if self.problem.boundary.factor else y
+        return y[0] if self.problem._boundary.factor else y
 
 
 def coupling_of(
@@ -40,10 +40,10 @@ def coupling_of(
 
     def values(ends: list[Any], given: list[Any]) -> Array:
         pairs = zip(phases, given, ends[::2], ends[1::2], strict=True)
-        own = [phase.problem.with_parameters(its).boundary.values(a, b) for phase, its, a, b in pairs]
+        own = [phase.problem.with_parameters(its)._boundary.values(a, b) for phase, its, a, b in pairs]
         return jnp.concatenate([*own, *([] if equations is None else [equations(ends, given)])])
 
-    turns = [_turn(k, phase) for k, phase in enumerate(phases) if phase.problem.boundary.turn is not None]
+    turns = [_turn(k, phase) for k, phase in enumerate(phases) if phase.problem._boundary.turn is not None]
     given = [phase.parameters for phase in phases]
     return Coupling([phase.problem for phase in phases], given, values, [*turns, *links], evaluator)
 
@@ -51,5 +51,5 @@ def coupling_of(
 def _turn(k: int, phase: Own) -> Link:
     """The link of the end of a phase to its start."""
     problem, manifold = phase.problem, phase.problem.manifold
-    own: Any = manifold.factors[0] if problem.boundary.factor else manifold  # pyright: ignore[reportAttributeAccessIssue]
-    return Link(own, 2 * k, 2 * k + 1, lambda y, given: problem.with_parameters(given).turned(y), phase.state)
+    own: Any = manifold.factors[0] if problem._boundary.factor else manifold  # pyright: ignore[reportAttributeAccessIssue]
+    return Link(own, 2 * k, 2 * k + 1, lambda y, given: problem.with_parameters(given)._periodic_end(y), phase.state)

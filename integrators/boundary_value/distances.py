@@ -7,6 +7,7 @@ import jax
 import numpy as np
 
 from ...manifolds import SE, SO, Manifold, Power, Product, Sphere
+from ...manifolds.product import factor_name
 
 SOLID = 3  # largest n for which a rotation of R^n has one angle
 Distances = tuple[str, np.ndarray, bool]
@@ -20,7 +21,7 @@ def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = ""
     match manifold:
         case Product(factors=factors):
             for i, (factor, x, y) in enumerate(zip(factors, first, second, strict=True)):
-                yield from factor_distances(factor, x, y, f"{name}factor {i}, ")
+                yield from factor_distances(factor, x, y, f"{name}{factor_name(i)}, ")
         case Power(factor=factor):
             for part, distances, is_angle in factor_distances(factor, first, second):
                 yield f"{name}{manifold}{part.removeprefix(str(factor))}", np.max(distances, axis=-1), is_angle

@@ -13,6 +13,7 @@ from jaxtyping import Array
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError, Product
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.product import factor_name
 from ..controls import resting_control
 from ..evaluation import verdict_at
 from ..free import Free, guessed, is_free
@@ -48,7 +49,7 @@ class NodeCondition(eqx.Module):
 
     @property
     def fixed_leaves(self) -> tuple[bool, ...]:
-        """Which arrays of the point are prescribed."""
+        """Whether each array of the point is prescribed."""
         return tuple(part.fixed for part in self.parts for _ in range(part.leaves))
 
     def node(self, reached: Ambient) -> Ambient:
@@ -65,8 +66,7 @@ class NodeCondition(eqx.Module):
 
 
 class Prescribed(NamedTuple):
-    """What is prescribed of an end: its parts, which entries of a flat point, and 1 for each coordinate that is, else
-    0.
+    """The prescription of an end: its parts, its entries of a flat point, and 1 for each prescribed coordinate, else 0.
 
     ``known``: which entries are prescribed, or free and guessed. ``whole``: whether all are prescribed.
     """
@@ -79,7 +79,7 @@ class Prescribed(NamedTuple):
 
     @classmethod
     def of(cls, parts: tuple[Part, ...], known: Sequence[bool]) -> "Prescribed":
-        """What these parts prescribe, of which some are known."""
+        """The prescription of an end by its parts, of which some are known."""
         fixed = [part.fixed for part in parts]
         coordinates = _of_parts(fixed, parts, "dimension").astype(float)
         entries, guessed_too = (_of_parts(marks, parts, "entries") for marks in (fixed, known))
@@ -178,8 +178,8 @@ class EndReader:
         return given.member(k) if isinstance(given, Free) else vec.taken(given, k)
 
     def require_on_manifold(self, start: Any, end: Any, whose: str = "") -> None:
-        """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold; ``whose``: which member's it
-        is, in a batch."""
+        """Raise ``NotOnManifoldError`` if a prescribed part of an end is off its manifold; ``whose`` names the member
+        of a batch."""
         parts = [given for name, at in (("start", start), ("end", end)) for given in self._parts(at, name)]
         _require_membership(
             [(f"{name}{whose}", reader.manifold, point) for name, reader, point in parts if _is_prescribed(point)]
@@ -201,7 +201,7 @@ class EndReader:
         """Names of the parts of a point, readers of them, and what is given, None or a guess where it is free."""
         if self._is_split(given):
             count = len(self.factors)
-            names = [f"factor {i}" for i in range(count)] if self.quantities is None else self.quantities.factors(count)
+            names = map(factor_name, range(count)) if self.quantities is None else self.quantities.factors(count)
             for own, factor, part in zip(names, self.factors, given, strict=True):
                 yield from factor._parts(part, f"{name}, {own}")
         else:
@@ -220,7 +220,7 @@ class EndReader:
         return array.reshape(self.layout.shapes[0]) if array.ndim == 0 and self.layout.size == 1 else array
 
     def _read(self, given: Any, name: str, batched: bool) -> tuple[Prescribed, np.ndarray]:
-        """What is prescribed of an end, and its flat points, with zeros where nothing is known."""
+        """The prescription of an end, and its flat points, with zeros where nothing is known."""
         whole = None if batched else self.layout.held(given, 0)
         if whole is not None:
             if name not in self._of_points:
@@ -233,7 +233,7 @@ class EndReader:
         return self._prescribed_by(found), np.concatenate(rows, axis=1)
 
     def _prescribed_by(self, found: Sequence[tuple[str, "EndReader", Any]]) -> Prescribed:
-        """What parts of an end prescribe of it."""
+        """The prescription of an end by its parts."""
         key = tuple((title, _is_prescribed(point), point is not None) for title, _, point in found)
         if key not in self._prescribed:
             own = ((len(reader.layout.shapes), reader.layout.size, reader.dimension) for _, reader, _ in found)

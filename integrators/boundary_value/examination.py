@@ -1,5 +1,4 @@
-"""What a solution that meets its conditions does not tell by itself: jumps that it passes, controls that nothing
-determines."""
+"""Checks of a solution that its conditions do not show: jumps that it passes, controls that nothing determines."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -36,11 +35,12 @@ class Examination:
         self.problem = problem
         self._traced: dict[Any, Any] = {}
         self._needed: dict[Any, bool] = {}
-        self._limited, self._named = problem.limits.along, bool(problem.limits.every_name)
+        self._limited, self._named = problem._limits.along, bool(problem._limits.every_name)
 
     def __call__(self, solution: Solution, free_horizon: bool, ends: tuple[Prescribed, Prescribed]) -> Solution:
-        """The solution, the same one if there is nothing to say of it; no success where it passes a jump, and no strict
-        minimum where constraints that hold it do not determine their multipliers.
+        """The examined solution, without success if it passes a jump, and the same object if there is nothing to add.
+
+        The solution is no strict minimum where constraints that hold it do not determine their multipliers.
 
         With a free horizon a jump in an explicit time counts too, because the horizon shifts it. There is no success
         either where what is prescribed of the ends violates a constraint of the states, of which the conditions at the
@@ -106,8 +106,8 @@ class Examination:
         return ""
 
     def _qualifications(self, solution: Solution) -> list[Qualification]:
-        """Those of the constraints at the stages and of those at the nodes, of which there are some."""
-        limits = self.problem.limits
+        """The qualifications of the constraints at the stages and at the nodes, if there are such constraints."""
+        limits = self.problem._limits
         kinds = [at_nodes for at_nodes, names in ((False, limits.names), (True, limits.node_names)) if names]
         return [self._once(Qualification, solution.parameters, at_nodes) for at_nodes in kinds]
 
@@ -119,11 +119,11 @@ class Examination:
         return self._needed[key]
 
     def is_silent(self, parameters: Any, free_horizon: bool) -> bool:
-        """Whether it is known that there is nothing to say of such a solution."""
+        """Whether an earlier examination showed that such a solution needs no examination."""
         return not self._named and self._needed.get((structure_of(parameters), free_horizon)) is False
 
     def _examiners(self, free_horizon: bool, parameters: Any) -> tuple[Jumps, TrueDerivatives]:
-        """What looks for jumps and for derivatives that tell nothing of their functions; true where there may be
+        """The searches for jumps, and for derivatives that tell nothing of their functions; true where there may be
         some."""
         timed = free_horizon and self.problem.time_dependent
         return self._once(Jumps, parameters, timed), self._once(TrueDerivatives, parameters)
@@ -157,7 +157,7 @@ class Examination:
     def _flat(self, solution: Solution) -> np.ndarray:
         """At which stages the Hamiltonian, with the constraints, does not depend on an entry of the control, ``(N s,
         m)``."""
-        limits, controls = self.problem.limits, self.problem.controls
+        limits, controls = self.problem._limits, self.problem.controls
         count = len(solution.stage_times)
         if not (limits.along and isinstance(controls, Euclidean)):
             return np.zeros((count, 0), bool)
@@ -177,7 +177,7 @@ class Examination:
 
 
 def _fixed(ends: tuple[Prescribed, Prescribed]) -> np.ndarray:
-    """Which coordinates of both ends are prescribed, shape ``(2, n)``."""
+    """Whether each coordinate of both ends is prescribed, shape ``(2, n)``."""
     return np.stack([end.coordinates for end in ends]) > 0
 
 
@@ -187,8 +187,10 @@ def _failed(solution: Solution, words: str) -> Solution:
 
 
 def _without_minimum(solution: Solution) -> Solution:
-    """The solution, which is not claimed to be a strict minimum: the inertia of its KKT matrix shows that only where
-    its multipliers exist and are the only ones."""
+    """The solution without the claim of a strict minimum.
+
+    The inertia of its KKT matrix shows a minimum only where its multipliers exist and are unique.
+    """
     checks = solution.checks
     checks = replace(checks, strict_minimum=False) if isinstance(checks, RegularChecks) else checks
     return replace(solution, checks=checks)

@@ -75,7 +75,7 @@ class Formulated:
 
     @property
     def solvers(self) -> list[Any]:
-        """Those that are made."""
+        """The solvers that are made."""
         return [solver for _, solver in self._made.values()]
 
     def of(self, horizon: Any, parameters: Any) -> tuple[Formulation, Any]:
@@ -83,7 +83,7 @@ class Formulated:
         kind = Kind.of(horizon, parameters)
         if kind not in self._made:
             example = self.reader.problem.with_parameters(all_guessed(parameters)).at_time(0.0)
-            example.require_values()
+            example._require_values()
             formulation = Formulation(self.reader.problem, self.reader.method, kind, self.at_guess)
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]
@@ -93,8 +93,8 @@ class Formulated:
         return self._from_elsewhere(request, self._settled(request, self._solved(request)))
 
     def _from_elsewhere(self, request: Request, first: Solution) -> Solution:
-        """The solution; where it is none and the horizon is free, that of the nearest other magnitude from which there
-        is one."""
+        """The solution, or without success and with a free horizon, the solution from the nearest other magnitude that
+        has one."""
         horizon = request.given.horizon
         if not is_free(horizon) or _is_final(first):
             return first
@@ -110,10 +110,10 @@ class Formulated:
         return self._renewed(first, statistics=effort, result=self._result(horizon, first))
 
     def _result(self, horizon: Free, solution: Solution) -> str:
-        """The result of one without success, with a sentence where the horizon has become far shorter than guessed, and
-        one in place of its advice where it has become far longer and is to be longer still.
+        """The result of a solution without success, with a sentence on a horizon far from its guess.
 
-        The cost changes by ``-H`` with the horizon.
+        A horizon far shorter than guessed adds a sentence. A horizon that is far longer, and is to be longer still,
+        replaces the advice. The cost changes by ``-H`` with the horizon.
         """
         if HELD * horizon.lower < solution.horizon <= guessed(horizon) / LONG:
             return solution.result + SHRUNK.format(guessed(horizon), solution.horizon, solution.cost)
@@ -189,7 +189,7 @@ class Formulated:
 
     def _solved(self, request: Request) -> Solution:
         formulation, solver, own = self.formulated(request)
-        return self._kept(formulation, solver, solver.found(own), request.given.parameters)
+        return self._kept(formulation, solver, solver._found(own), request.given.parameters)
 
     def formulated(self, request: Request, begins: float | None = None) -> tuple[Formulation, Any, Request]:
         """The formulation of a single trajectory, its solver, and what is asked of that.
@@ -205,7 +205,7 @@ class Formulated:
         if isinstance(request.guess, Solution) and guess is not None:
             guess = self._with_covectors(formulation, guess, request.guess, horizon)
         own = Given(start, end, horizon, formulation.parameters(given.horizon, given.parameters))
-        return formulation, solver, request.again(solver.reader, own, guess)
+        return formulation, solver, request.again(solver._reader, own, guess)
 
     def solve_many(self, request: Request) -> Solutions:
         """The extremals of a batch."""
@@ -219,7 +219,7 @@ class Formulated:
         start = formulation.start(request.given.start, constants)
         end = formulation.end(request.given.end, request.horizons[:, None])
         own = Given(start, end, request.horizons, stacked)
-        found = solver.all_found(request.again(solver.reader, own, None if request.guesses is None else guesses))
+        found = solver._all_found(request.again(solver._reader, own, None if request.guesses is None else guesses))
         solutions, stopped = list[Solution](), False
         for member, one in zip(members, found, strict=True):
             solution = self._kept(formulation, solver, one, member.given.parameters)

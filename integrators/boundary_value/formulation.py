@@ -13,6 +13,7 @@ from jaxtyping import Array
 from ...manifolds import Euclidean, Product
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
+from ...manifolds.product import factor_name
 from ...retractions import Addition, DiscretizationMap, Gauss, ProductRetraction, Retraction, Theta
 from ..boundary_conditions import BoundaryConditions
 from ..constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER, Inequalities
@@ -27,11 +28,11 @@ from .solution import Solution
 
 OFF, ROUNDED = 1e-2, 1e-8  # of a bound's size: a guess is no nearer to it; the same where its multiplier is known
 BOUNDS = {HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER}
-OWN = "factor 0, "  # how the names of the factors of Q begin in the product with the added states
+OWN = f"{factor_name(0)}, "  # how the names of the factors of Q begin in the product with the added states
 
 
 class Kind(NamedTuple):
-    """What is free, and which of that is bounded: what decides the functions of a formulation."""
+    """The free and the bounded quantities, which decide the functions of a formulation."""
 
     horizon: bool
     horizon_bounds: tuple[bool, bool]
@@ -43,7 +44,7 @@ class Kind(NamedTuple):
 
     @classmethod
     def of(cls, horizon: Any, parameters: Any) -> "Kind":
-        """What is free in a horizon and in parameters."""
+        """The free and the bounded quantities of a horizon and of parameters."""
         leaves, structure = jax.tree.flatten(parameters, is_leaf=is_free)
         sides = np.isfinite(_rows(leaves, "lower")), np.isfinite(_rows(leaves, "upper"))
         free = tuple(place for place, leaf in enumerate(leaves) if is_free(leaf))
@@ -59,7 +60,7 @@ class Kind(NamedTuple):
         return sum(prod(self.shapes[place]) for place in self.free)
 
     def parameters(self, entries: Any, fixed: Any) -> Any:
-        """The parameters from the entries of the free ones in a row, and those that are not free."""
+        """The parameters, from the entries of the free parameters in a row and the fixed parameters."""
         remaining, begin, leaves = iter(fixed), 0, []
         for place, shape in enumerate(self.shapes):
             if place in self.free:
@@ -110,7 +111,7 @@ class Formulation:
         functions |= {"terminal_cost": (self._final, 1), "initial_cost": (self._first, 1)}
         changes: Any = {name: self._of_state(*f) for name, f in functions.items() if getattr(problem, name) is not None}
         changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
-        self.problem = problem.replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
+        self.problem = problem._replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
 
     def start(self, start: Any, constants: np.ndarray, begins: float | None = None) -> tuple:
         """The start with the guesses of the constants, and the clock at zero, or free and guessed."""
@@ -133,13 +134,14 @@ class Formulation:
         return inside(first, lower, upper, share)
 
     def _in_log(self, horizon: Any, name: str) -> np.ndarray:
-        """The guess, or a bound, of a free horizon as that of the constant that stands for it."""
+        """The guess, or a bound, of a free horizon as a value of the constant, the logarithm of the horizon over its
+        guess."""
         free, none = is_free(horizon), name == "lower" and is_free(horizon) and horizon.lower <= 0
         own = -np.inf if none else np.log(getattr(horizon, name) / horizon.guess) if free else 0.0
         return np.full(int(free), self.at_guess + own)
 
     def parameters(self, horizon: Any, parameters: Any) -> Any:
-        """The parameters of the formulation: those that are not free, and the bounds; None if there are none."""
+        """The parameters of the formulation, fixed parameters and bounds, or None without any."""
         if not self.takes:
             return None
         leaves = jax.tree.leaves(parameters, is_leaf=is_free)
@@ -202,8 +204,8 @@ class Formulation:
         )
 
     def _multipliers(self, found: Solution, rate: float) -> dict[str, np.ndarray]:
-        """The multipliers in the time of the problem; those of the bounds of ``s`` as those of the bounds of ``T``."""
-        between = self.own.boundary.names
+        """The multipliers in the time of the problem, with the bounds of ``s`` as bounds of ``T``."""
+        between = self.own._boundary.names
         own = {name: values / (1.0 if name in between else rate) for name, values in found.multipliers.items()}
         times = {name: own[name] / (rate * found.horizon) for name in (HORIZON_LOWER, HORIZON_UPPER) if name in own}
         return {**own, **times}
@@ -214,7 +216,7 @@ class Formulation:
         names = "hamiltonian", "hamiltonian_spread", "hamiltonian_size"
         own: Any = {name: float(getattr(checks, name) / rate) for name in names}
         named: Any = {name: _named(getattr(checks, name)) for name in ("momentum_spreads", "conserved")}
-        violations = {name.removeprefix("factor 0: "): value for name, value in checks.violations.items()}
+        violations = {name.removeprefix(f"{factor_name(0)}: "): value for name, value in checks.violations.items()}
         return replace(checks, violations=violations, **own, **named)
 
     def sensitivity(self, found: Sensitivity) -> Sensitivity:
@@ -267,7 +269,7 @@ class Formulation:
 
     def _boundary(self) -> BoundaryConditions:
         """The conditions of both ends."""
-        own = self.own.boundary
+        own = self.own._boundary
         functions = tuple(self._of_state(self._between(place), 2) for place in range(len(own.names)))
         turn = None if own.turn is None else self._of_state(self._turned, 1)
         return BoundaryConditions(own.names, functions, turn, factor=True, closed=own.closed)
@@ -275,17 +277,17 @@ class Formulation:
     def _between(self, place: int) -> Callable[[tuple, tuple, Any], Any]:
         def between(first: tuple, last: tuple, given: Any) -> Any:
             (q, *_), (end, bound, _) = self._at(first, given), self._at(last, given)
-            return bound.boundary.functions[place](q, end)
+            return bound._boundary.functions[place](q, end)
 
         return between
 
     def _turned(self, y: tuple, given: Any) -> Ambient:
         q, bound, _ = self._at(y, given)
-        return bound.turned(q)
+        return bound._periodic_end(q)
 
     def _limits(self) -> Inequalities:
         """The inequalities of the problem, and the bounds of the horizon and of the parameters at the first point."""
-        own, kind, names = self.own.limits, self.kind, list[str]()
+        own, kind, names = self.own._limits, self.kind, list[str]()
         functions = [self._of_state(self._limit(place), 2) for place in range(len(own.names))]
         begin = 0
         for name, bounded, sign in zip((HORIZON_LOWER, HORIZON_UPPER), kind.horizon_bounds, (1, -1), strict=True):
@@ -306,14 +308,14 @@ class Formulation:
     def _node_limit(self, place: int) -> Callable[[tuple, Any], Any]:
         def limit(y: tuple, given: Any) -> Any:
             q, bound, _ = self._at(y, given)
-            return bound.limits.node_functions[place](q)
+            return bound._limits.node_functions[place](q)
 
         return limit
 
     def _limit(self, place: int) -> Callable[[tuple, Ambient, Any], Any]:
         def limit(y: tuple, u: Ambient, given: Any) -> Any:
             q, bound, _ = self._at(y, given)
-            return bound.limits.functions[place](q, u)
+            return bound._limits.functions[place](q, u)
 
         return limit
 
@@ -332,7 +334,7 @@ class Formulation:
 
 
 def _named(values: dict[str, Any]) -> dict[str, Any]:
-    """Values of the factors of Q, without those of the added states, under the names that they have there."""
+    """Values of the factors of Q, without the added states, under the names of the factors in Q."""
     return {name.removeprefix(OWN): value for name, value in values.items() if name.startswith(OWN)}
 
 

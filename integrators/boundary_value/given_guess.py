@@ -68,7 +68,7 @@ class GuessReader:
             _Part(name, own[of][0], length, own[of][1])
             for name, (of, length) in zip(Guess._fields[: len(places)], places, strict=True)
         ]
-        limits, added = problem.limits, (HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER)
+        limits, added = problem._limits, (HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER)
         self._names = {*(name for name, side in limits.bounded.items() if side), *limits.names, *added}
         self._node_names = set(limits.node_names)
         self._stages, self._nodes = at_stages, at_nodes
@@ -114,8 +114,8 @@ class GuessReader:
         return Guess(*parts, *both)
 
     def require_on_manifold(self, flat: FlatGuess, violations: np.ndarray) -> None:
-        """Raise if states are off the manifold; ``violations``: one for each of ``states_to_check``, no less than it
-        has."""
+        """Raise if states are off the manifold, by at least ``violations``, a number for each of
+        ``states_to_check``."""
         begin, size, manifold = 0, self._parts[0].layout.size, self._parts[0].manifold
         for name in ("states", "nodes"):
             rows = getattr(flat, name)

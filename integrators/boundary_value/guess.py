@@ -14,6 +14,7 @@ from ..controls import resting_control
 from ..layout import Layout
 from ..problem import OptimalControlProblem
 from ..records import shapes
+from ..requirements import require_treated
 from ..text import brief
 from .arguments import ALONG, BETWEEN, Method, check_problem, fractions_of
 from .end_points import EndReader
@@ -218,7 +219,7 @@ def rolled_out(
 ) -> Guess:
     """The guess that controls lead to."""
     check_problem(problem, method)
-    problem.require_treated("Guess.from_controls", *ALONG, *BETWEEN)
+    require_treated(problem, "Guess.from_controls", *ALONG, *BETWEEN)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
     begin = EndReader.of(problem).point(start)
@@ -240,7 +241,7 @@ def rolled_out(
 
 
 def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
-    """Times of the stages in fractions of the horizon, from those of the steps."""
+    """Times of the stages in fractions of the horizon, from the lengths of the steps."""
     inside = np.array(method.nodes) if isinstance(method, Gauss) else np.array([float(method.theta)])
     starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
     return (starts[:, None] + inside * fractions[:, None]).ravel()

@@ -29,16 +29,18 @@ def equation_words(phases: Sequence[Own]) -> list[str]:
 
 
 def qualified(joint: JointConditions, found: Any, names: Sequence[str]) -> Any:
-    """What was found, with a note where equations between the ends depend on each other: there the inertia of the KKT
-    matrix, which is singular, shows no minimum."""
+    """The found extremal, with a note if equations between the ends depend on each other.
+
+    The inertia of the KKT matrix, which is then singular, shows no minimum.
+    """
     notes = [_dependent_words(joint, found, k, names) for k in range(len(found.claimed))]
     determined = np.array([not words for words in notes])
     return found._replace(notes=notes, strict_minimum=found.strict_minimum & determined)
 
 
 def _dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
-    """What is said where equations between the ends depend on each other at those that a member reached; else
-    nothing."""
+    """Words on equations between the ends that depend on each other at the ends that a member reached; otherwise
+    empty."""
     rows = found.assembled.coupled.jacobian[k][:, joint.free]
     power = HALF if found.claimed[k] else HALF / 2  # on the way to ends where they depend on each other they nearly do
     if not np.all(np.isfinite(rows)) or len(independent := independent_rows(_scaled(rows), power)) == len(rows):
@@ -91,7 +93,7 @@ def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]
 
 
 def _samples(joint: JointConditions, guess: Any) -> list[list[np.ndarray]]:
-    """The ends of the guess of the first member, and random ones where these are free."""
+    """The ends of the guess of the first member, and random ends where these are free."""
     found = [end[:1] for phase, part in zip(joint.phases, guess.parts, strict=True) for end in phase.reached(part)]
     samples = [found]
     for key in jax.random.split(jax.random.key(0), SAMPLES):
@@ -105,7 +107,7 @@ def _samples(joint: JointConditions, guess: Any) -> list[list[np.ndarray]]:
 
 
 def independent_rows(rows: np.ndarray, power: float = HALF) -> list[int]:
-    """The first rows of a matrix that are independent of those before."""
+    """The first rows of a matrix that are independent of the earlier rows."""
     basis, found = np.zeros((0, rows.shape[1])), list[int]()
     for k, row in enumerate(rows):
         rest = row - basis.T @ (basis @ row)

@@ -19,19 +19,19 @@ Named = dict[str, np.ndarray]
 
 @final
 class InequalityRows:
-    """Those of a problem whose functions take ``parameters`` of some structure.
+    """The rows of the inequalities of a problem whose functions take ``parameters`` of some structure.
 
-    A step has them at r places, each with c rows: at its s stages those at points, and at the last place, which is one
-    more where ``s > 1``, those at nodes: at the end of the step, and behind them at its beginning. The latter are asked
-    for in the first step alone.
+    A step has rows at r places, c at each place. The s stages have the inequalities at points. The last place, which is
+    one more if ``s > 1``, has the inequalities at nodes: at the end of the step, then at its beginning, which only the
+    first step uses.
     """
 
     def __init__(self, problem: OptimalControlProblem, parameters: Any, stages: int) -> None:
         self.problem, self.parameter, self.stages = problem, parameter_layout(parameters), stages
         self.state, bound = Layout.of(problem.manifold), problem.with_parameters(parameters)
-        self.limits, self.sizes, self.node_sizes = problem.limits, bound.inequality_sizes, bound.node_sizes
-        self.own, self.nodes = len(bound.inequality_names), sum(map(count, self.node_sizes.values()))
-        self._any = problem.limits.any
+        self.limits, self.sizes, self.node_sizes = problem._limits, bound._inequality_sizes, bound._node_sizes
+        self.own, self.nodes = len(bound._inequality_names), sum(map(count, self.node_sizes.values()))
+        self._any = problem._limits.any
 
     @property
     def places(self) -> int:
@@ -59,18 +59,18 @@ class InequalityRows:
         holds[0, -1, at_start], holds[-1, -1, at_end] = (
             np.any(self._depends[:, ~known], axis=1) for known in (first, last)
         )
-        if self.problem.boundary.closed:
+        if self.problem._boundary.closed:
             holds[0, -1, at_start] &= self._depends[:, -1] & (self.limits.clock is not None)
         holds[0, -1, at_start] &= not repeated
         return holds
 
     def at_stages(self, values: np.ndarray) -> Named:
-        """What belongs to those at points, of shape ``(B, N, r, c)``, under their names, ``(B, N s, k)``."""
+        """The values of the inequalities at points, of shape ``(B, N, r, c)``, under their names, ``(B, N s, k)``."""
         rows = values[:, :, : self.stages, : self.own]
         return self.limits.by_name(rows.reshape(len(rows), rows.shape[1] * self.stages, self.own), self.sizes)
 
     def at_nodes(self, values: np.ndarray) -> Named:
-        """What belongs to those at nodes, of shape ``(B, N, r, c)``, under their names, ``(B, N + 1, k)``."""
+        """The values of the inequalities at nodes, of shape ``(B, N, r, c)``, under their names, ``(B, N + 1, k)``."""
         rows = values[:, :, -1, self.own :]
         return entries_of(
             np.concatenate([rows[:, :1, self.nodes :], rows[:, :, : self.nodes]], axis=1), self.node_sizes
@@ -99,8 +99,10 @@ class InequalityRows:
 
     @cached_property
     def _depends(self) -> np.ndarray:
-        """Which of those at a node depend on which entries of the state, ``(c, E)``: by all if their functions are not
-        scalar operations."""
+        """Whether each inequality at a node depends on each entry of the state, ``(c, E)``.
+
+        Functions that are not scalar operations depend on all.
+        """
 
         from ...tape import NotTraceableError, Tape
 

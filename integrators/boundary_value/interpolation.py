@@ -52,7 +52,7 @@ class _Step(NamedTuple):
 
 @final
 class Interpolant:
-    """What a method says of an extremal between its nodes.
+    """The interpolation of a method between the nodes of an extremal.
 
     The states of a step are a polynomial of time in the chart of the retraction around the step's centre, for ``s > 1``
     stages of degree ``s``, through both nodes and the points, which is the collocation polynomial; for one stage of
@@ -77,7 +77,7 @@ class Interpolant:
         return Interpolant, (self.retraction, self.controls)
 
     def __eq__(self, other: object) -> bool:
-        """Whether it is of the same retraction and controls."""
+        """Whether the other interpolant has the same retraction and controls."""
         return isinstance(other, Interpolant) and bool(
             eqx.tree_equal((self.retraction, self.controls), (other.retraction, other.controls))
         )
@@ -87,7 +87,8 @@ class Interpolant:
 
     @property
     def text(self) -> str | None:
-        """What a file holds of it; None where that cannot be told in classes of the library and numbers."""
+        """The text of the interpolant in a file; None unless classes of the library and numbers describe the
+        interpolant."""
         return as_text(self.retraction, self.controls)
 
     @classmethod
@@ -212,7 +213,7 @@ class Interpolant:
         return self._on_this_side(steps, centres, (through, momenta)) if np.any(steps.jumps) else momenta
 
     def _on_this_side(self, steps: _Step, centres: np.ndarray, known: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """The momenta at the places of steps, where there is a jump those of the polynomial through the others."""
+        """The momenta at the places of steps, at a jump from the polynomial through the remaining momenta."""
         (through, momenta), found = known, np.array(known[1])
         one = len(through) == 2
         if one:  # the stage has the covector theta p_0 + (1 - theta) p_1
@@ -260,8 +261,7 @@ def _shares(times: np.ndarray) -> np.ndarray:
 
 
 def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Multipliers at some times, linear between those that are known; of what holds at the first point alone, zero
-    elsewhere, they stay there."""
+    """Multipliers at some times, linear between the known times; a multiplier of the first point alone stays there."""
     found = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
     if not np.any(rows[1:]):
         found[0] = rows[0]

@@ -1,4 +1,4 @@
-"""What ``verbose=True`` prints: the table of iterations, and lines on long work before it."""
+"""The prints of ``verbose=True``: the table of iterations, and lines on long work before the table."""
 
 from collections.abc import Callable
 from typing import Any, final

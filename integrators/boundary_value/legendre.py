@@ -21,8 +21,8 @@ SWITCH = 2  # steps: as long as a control may take from bound to bound, where it
 
 
 class Concave(NamedTuple):
-    """At which stages of a trajectory the cost is concave, shape (S,), and along which direction of the controls it is
-    most at the first of them, shape (m,)."""
+    """The stages at which the cost of a trajectory is concave, shape (S,), and the most concave direction at the first,
+    (m,)."""
 
     stages: np.ndarray
     direction: np.ndarray
@@ -59,7 +59,7 @@ def _own_blocks(blocks: Blocks, m: int) -> np.ndarray:
 
 
 def _convex(own: np.ndarray) -> np.ndarray:
-    """Which members have positive definite Hessians at all their points, shape (B,)."""
+    """Whether each member has positive definite Hessians at all its points, shape (B,)."""
     try:
         np.linalg.cholesky(own)
     except np.linalg.LinAlgError:
@@ -92,8 +92,9 @@ def _along(posed: Posed, found: Found, stages: AtStages, held: np.ndarray | None
 
 
 def _way(slopes: np.ndarray, parts: np.ndarray, sizes: np.ndarray, active: np.ndarray) -> np.ndarray | None:
-    """The direction in which ``R`` is most negative at a stage, in units of the controls in which it has the size 1;
-    None if it is so nowhere beyond rounding.
+    """The direction in which ``R`` is most negative at a stage; None unless ``R`` is negative beyond rounding.
+
+    The direction is in units of the controls and has the size 1.
 
     ``parts``: second derivatives of ``<p, X>``, ``F`` and ``nu g``; ``sizes`` of the controls, by which slopes round.
     """

@@ -9,6 +9,7 @@ import numpy as np
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ..evaluation import at_each
+from ..functions import imprecise
 from ..kinks import kinks_near
 from ..problem import OptimalControlProblem
 from ..results import sentence
@@ -19,21 +20,22 @@ NEAR = 0.1  # relative: the cost of what lacks more, or violates inequalities by
 
 
 def explained(problem: OptimalControlProblem, solution: Solution) -> Solution:
-    """The solution, where it has no success with what in a function may be why."""
+    """The solution, with a possible reason in a function if there is no success."""
     if solution.success or solution.statistics.stopped or solution.result.startswith(sentence("concave")):
         return solution
     q, u = vec.taken((solution.stage_states, solution.controls), 0)
     if solution.result.startswith(sentence("not_finite")):
         where = _not_finite(problem, solution)
         return replace(solution, result=f"{solution.result} {where}") if where else solution
-    reason = problem.imprecise(q, u) or kinks_near(problem, solution)
+    functions = {"dynamics": problem.dynamics, "running_cost": problem.running_cost}
+    reason = imprecise(functions, q, u) or kinks_near(problem, solution)
     return (
         replace(solution, result=f"The conditions are not met, and this may be why: {reason}.") if reason else solution
     )
 
 
 def _not_finite(problem: OptimalControlProblem, solution: Solution) -> str:
-    """Which function is not finite, or has no finite derivative, at the first stage where one is not."""
+    """Words on the function that is not finite, or has no finite derivative, at the first stage where there is one."""
     parts = {"dynamics": problem.velocity, "running_cost": problem.cost_rate}
 
     def at_stage(point: tuple[Ambient, Ambient]) -> Any:
@@ -65,7 +67,7 @@ def compiled_longer(solution: Solution, seconds: float) -> Solution:
 
 
 def outcomes(found: Found, tolerance: float) -> tuple[np.ndarray, list[str]]:
-    """Which of the finished iterations have success, and the results of all of them in words."""
+    """Whether each finished iteration has success, and the results of all in words."""
     largest = found.residuals.largest
     finite = np.isfinite(largest) & np.isfinite(found.assembled.cost)
     success = found.claimed & finite

@@ -19,8 +19,7 @@ from .solution import Solution
 
 
 def guessed_phases(phases: Sequence[Any], links: Sequence[Any]) -> list[Any]:
-    """The phases with guesses, where these have none: on the way between what is known of their ends and of those they
-    link."""
+    """The phases with guesses, by default on the way between the known parts of their ends and of linked ends."""
     if all(phase.guess is not None for phase in phases):
         return list(phases)
     read, before = [_Known.of(k, phase) for k, phase in enumerate(phases)], None
@@ -47,7 +46,7 @@ class _Known:
 
     @classmethod
     def of(cls, number: int, phase: Any) -> "_Known":
-        """What a phase says of its ends, by itself or by its guess."""
+        """The known parts of the ends of a phase, from the phase itself or from its guess."""
         reader, layout = EndReader.of(phase.problem), Layout.of(phase.problem.manifold)
         try:
             first, last = reader.ends(phase.start, None, False), reader.ends(None, phase.end, False)
@@ -100,7 +99,7 @@ def _way(number: int, run: Sequence[Any], read: list[_Known], image: np.ndarray 
 
 
 def _between(phase: Any, pairs: list[tuple[np.ndarray, np.ndarray]], times: np.ndarray) -> list[np.ndarray]:
-    """The nodes, those that are not known whole on the way between those that are."""
+    """The nodes, with partly known nodes on the way between known nodes."""
     anchors = [k for k, (_, known) in enumerate(pairs) if np.all(known)]
     start, nodes = Start(phase.problem.manifold, phase.method.retraction), [row for row, _ in pairs]
     for a, b in pairwise(anchors):

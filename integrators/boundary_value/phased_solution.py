@@ -9,12 +9,13 @@ import numpy as np
 from ...manifolds import ConvergenceError
 from ..text import table
 from .interpolation import Sample, checked_times
+from .plotted import Plotted
 from .solution import Solution, Statistics, Status, status_of
 
 
 @final
 @dataclass(frozen=True, eq=False)
-class PhasedSolution:
+class PhasedSolution(Plotted):
     r"""The extremal of P phases that follow one another: a ``Solution`` of each phase, with times that continue.
 
     Attributes
@@ -108,23 +109,6 @@ class PhasedSolution:
         """A print of the figures of the solution."""
         print(self)
 
-    def plot(self, degrees: bool = False) -> Any:
-        """The histories of all phases as Matplotlib axes; see ``retrax.plotting.histories``.
-
-        Parameters
-        ----------
-        degrees : bool
-            Whether angles and their rates are drawn in degrees instead of radians.
-
-        Returns
-        -------
-        ndarray of matplotlib axes
-            One for each array of the state, then one for each array of the controls.
-        """
-        from ...plotting import histories
-
-        return histories(self, degrees=degrees)
-
     def __repr__(self) -> str:
         """The essential numbers."""
         spans = ", ".join(f"{a:.6g}..{b:.6g}" for a, b in zip(self.times, self.times[1:], strict=False))
@@ -142,7 +126,8 @@ class PhasedSolution:
         return self
 
     def _text(self, *, result: bool = True) -> str:
-        """What a user checks, of all phases and of each; first how it ended, unless that is said already."""
+        """The figures that a user checks, of all phases and of each phase, with the result first unless it is printed
+        already."""
         kind = "strict local minimum" if self.strict_minimum else "not shown to be a strict local minimum"
         rows = [
             ("result", self.result),
@@ -159,8 +144,7 @@ class PhasedSolution:
 
 
 def _told(phases: Sequence[Solution], success: bool) -> str:
-    """What is said of all phases alike, and what is said of each of them besides; without success, of those that
-    fail."""
+    """The words on all phases alike, then the words on each phase; without success, on the phases that fail."""
     said = {k: phase.result for k, phase in enumerate(phases) if success or not phase.success}
     first, more = zip(*(f"{words} ".partition(". ")[::2] for words in said.values()), strict=True)
     if len(set(first)) > 1 or len(said) < len(phases):

@@ -63,6 +63,14 @@ class Phase(NamedTuple):
         By default the curve between the known ends.
     parameters : pytree, optional
         As in ``solve``.
+
+    Examples
+    --------
+    >>> line = Euclidean(1)
+    >>> moved = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> outward = Phase(moved, Midpoint(Addition(line)), steps=4, duration=1.0, start=0.0)
+    >>> outward.duration, outward.end
+    (1.0, None)
     """
 
     problem: OptimalControlProblem
@@ -123,6 +131,15 @@ def solve_phases(
     -----
     The costate before a link is :math:`Dg^* p` of the costate after it. With free durations and no explicit time, the
     Hamiltonian is continuous. The time of functions with an explicit time continues from phase to phase.
+
+    Examples
+    --------
+    >>> line = Euclidean(1)
+    >>> moved = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> first, last = (Phase(moved, Midpoint(Addition(line)), steps=4, duration=1.0) for _ in range(2))
+    >>> flown = solve_phases([first._replace(start=0.0), last._replace(end=2.0)])
+    >>> round(flown.cost, 6), [len(phase.t) for phase in flown.phases]
+    (1.0, [5, 5])
     """
     require_concrete("solve_phases", guess)
     options = Options.of(tolerance, max_iterations, callback, verbose)
@@ -138,14 +155,14 @@ def solve_phases(
 
 
 class _Task:
-    """What links phases."""
+    """The links between phases."""
 
     def __init__(self, links: list[Any], constraints: dict[str, Any], horizon: float | None, options: Options) -> None:
         self.links, self.constraints, self.horizon, self.options = links, constraints, horizon, options
         self.made = TracedPhases(options)
 
     def settled(self, phases: Sequence[Phase]) -> PhasedSolution:
-        """The extremal, from durations of another magnitude where there is none from those that are guessed."""
+        """The extremal, from durations of another magnitude if there is none from the guessed durations."""
         first = self._told(phases, self._in_own_units(phases))
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
         if not free or _is_final(first):
@@ -257,7 +274,7 @@ def _is_final(solution: PhasedSolution) -> bool:
 
 
 def _named(phases: Sequence[int]) -> str:
-    """What these phases are called."""
+    """The names of these phases."""
     return " and ".join(f"phase {k}" for k in phases)
 
 

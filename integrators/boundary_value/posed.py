@@ -86,7 +86,7 @@ class Posing:
     def _traced(self, parameters: Any) -> Traced:
         """The same, traced anew."""
         example = self.problem.with_parameters(parameters)
-        example.require_values()
+        example._require_values()
         given = self.problem, parameters, self.evaluator
         if isinstance(self.method, Gauss) and self.method.stages > 1:
             steps: Any = Collocation(self.problem, self.method, *given[1:])
@@ -97,7 +97,7 @@ class Posing:
             first_use.begin()
         rows = InequalityRows(self.problem, parameters, len(self.stages))
         own = Own(self.problem, parameters)
-        coupling = coupling_of([own], self.evaluator) if self.problem.boundary.any else None
+        coupling = coupling_of([own], self.evaluator) if self.problem._boundary.any else None
         functions = steps, Nodes(*given), Diagnosis(*given)
         return Traced(*functions, rows, own, coupling, self.evaluator)
 
@@ -110,7 +110,8 @@ class Posing:
         )
 
     def posed(self, request: Request, repeated: bool = False) -> Posed:
-        """The conditions and guesses of a request; ``repeated``: its first node has its constraints elsewhere."""
+        """The conditions and guesses of a request; ``repeated`` if the constraints of its first node belong to another
+        phase."""
         traced, ends = self.of(request), request.ends
         rows = for_all(ends.start, len(request)), for_all(ends.end, len(request))
         first, last = ends.prescribed
@@ -128,7 +129,7 @@ class Posing:
     @cached_property
     def _inside(self) -> np.ndarray:
         """The control at rest, or inside the bounds if it is not."""
-        return self.control.rows(within_bounds(self.problem.limits, resting_control(self.problem.controls)), 0)
+        return self.control.rows(within_bounds(self.problem._limits, resting_control(self.problem.controls)), 0)
 
     def _finite(self, conditions: Conditions, guess: Iterate) -> Iterate:
         """The guess, with controls inside the bounds where all are at rest and the functions are not finite there."""

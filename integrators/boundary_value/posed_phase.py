@@ -47,7 +47,7 @@ class PhaseEnds(NamedTuple):
 
 @final
 class _Inner:
-    """What a phase is solved with, in the states that it is posed in."""
+    """The means to solve a phase, in the states of its formulation."""
 
     def __init__(
         self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator
@@ -55,15 +55,15 @@ class _Inner:
         self.problem, self.posing = problem, Posing(problem, method, fractions, evaluator)
         self.interpolant = Interpolant(method.retraction, problem.controls)
         mesh = Mesh(fractions, self.posing.stages, self.interpolant)
-        self.reader = RequestReader(problem, method, mesh, evaluator)
+        self._reader = RequestReader(problem, method, mesh, evaluator)
         self.recording = Recording(problem, self.posing.stages, self.interpolant)
         self.examination = Examination(problem)
         # Zero: durations come from afar, where one that is one at its guess would pass through zero.
-        self.formulated = Formulated(self.reader, lambda own: self._of(own, fractions, evaluator), 0.0)
+        self.formulated = Formulated(self._reader, lambda own: self._of(own, fractions, evaluator), 0.0)
 
     @staticmethod
     def _of(formulation: Formulation, fractions: np.ndarray, evaluator: Evaluator) -> "_Inner":
-        """What a formulation is solved with."""
+        """The means to solve a formulation."""
         inner = _Inner(formulation.problem, formulation.method, fractions, evaluator)
         inner.recording.formulation = formulation
         return inner
@@ -89,7 +89,7 @@ class PosedPhase(NamedTuple):
         return y if self.formulation is None else y[0]
 
     def ends(self, first: Any, last: Any) -> PhaseEnds:
-        """What a boundary constraint sees."""
+        """The arguments of a boundary constraint."""
         rate = 1.0 if self.formulation is None else self.formulation.rate(first)
         return PhaseEnds(self.state(first), self.state(last), rate * self.own.known.horizon)
 
@@ -106,16 +106,16 @@ class PosedPhase(NamedTuple):
         return solution
 
     def checked(self, solution: Solution, free: bool) -> Solution:
-        """The solution with what its conditions do not tell; ``free``: whether times are, of any phase."""
+        """The solution after the checks that its conditions do not show; ``free`` if times of any phase are free."""
         solution = solution if self.formulation is not None else explained(self.own.problem, solution)
         return self.outer.examination(solution, free, self.request.ends.prescribed)
 
 
 @final
 class TracedPhases:
-    """Makes the equations of phases; those with the same problem, method and steps are traced once.
+    """Makes the equations of phases, and traces phases with the same problem, method and steps once.
 
-    What is asked of a phase is checked the first time, and not again for other guesses.
+    The request of a phase is checked the first time, and not again for other guesses.
     """
 
     def __init__(self, options: Options) -> None:
@@ -125,7 +125,7 @@ class TracedPhases:
         self._vanishing: dict[int, tuple[Any, Vanishing]] = {}
 
     def inner(self, phase: Any) -> _Inner:
-        """What a phase is solved with."""
+        """The means to solve a phase."""
         fractions = fractions_of(phase.steps)
         key = id(phase.problem), id(phase.method), fractions.tobytes()
         if key not in self._made:  # with the phase, so that nothing else comes to have its number
@@ -133,23 +133,25 @@ class TracedPhases:
         return self._made[key][1]
 
     def vanishing(self, phase: Any) -> Vanishing:
-        """What tells whether the duration of a phase tends to zero."""
+        """The test whether the duration of a phase tends to zero."""
         key = id(phase.problem)
         if key not in self._vanishing:
             self._vanishing[key] = phase, Vanishing(phase.problem, all_guessed(phase.parameters))
         return self._vanishing[key][1]
 
     def request(self, number: int, phase: Any) -> Request:
-        """What is asked of a phase."""
-        reader, given = self.inner(phase).reader, Given(phase.start, phase.end, phase.duration, phase.parameters)
+        """The request of a phase."""
+        reader, given = self.inner(phase)._reader, Given(phase.start, phase.end, phase.duration, phase.parameters)
         if number in self._asked:
             return self._asked[number].again(reader, given, phase.guess)
         return self._asked.setdefault(number, Request.of(reader, given, phase.guess, self.options))
 
 
 def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases, repeated: bool) -> PosedPhase:
-    """The equations of a phase that is guessed to begin at a time; ``repeated``: its first node is the last one of a
-    phase with the same constraints."""
+    """The equations of a phase that begins at a guessed time.
+
+    ``repeated``: its first node is the last one of a phase with the same constraints.
+    """
     problem, outer = phase.problem, phases.inner(phase)
     inner, formulation = outer, None
     try:
@@ -162,7 +164,7 @@ def posed_phase(number: int, phase: Any, begins: float, phases: TracedPhases, re
         first, control = ends if guess is None else vec.taken((guess.states, guess.controls), 0)
         inspection = inspected(bound, first, control)
         inspection.require_sound()
-        regular = inspection.is_regular or bound.limits.along
+        regular = inspection.is_regular or bound._limits.along
     except NAMED as error:
         raise type(error)(f"phase {number}: {error}") from error
     if not regular:

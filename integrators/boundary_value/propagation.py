@@ -21,6 +21,7 @@ from ..evaluated import Evaluator
 from ..evaluator import Automatic
 from ..layout import Layout, parameter_layout
 from ..problem import OptimalControlProblem
+from ..requirements import require_treated
 from .arguments import ALONG, BETWEEN, check_parameters
 from .distances import factor_distances
 from .engine.chart import lagrange
@@ -110,14 +111,15 @@ def discretization_error(
     if not isinstance(retraction, Retraction):
         got = type(retraction).__name__
         raise InvalidInputError(f"discretization_error takes a retraction, got {got}; try method.retraction")
-    problem.require_treated("discretization_error", *ALONG, *BETWEEN)
+    require_treated(problem, "discretization_error", *ALONG, *BETWEEN)
     check_parameters(problem, parameters)
     found = solution.times, solution.states, solution.stage_times, solution.controls
     return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)
 
 
 class _Given(NamedTuple):
-    """A discrete solution: N steps from N + 1 states, with s stages each; flat points, and coordinates of controls."""
+    """A discrete solution of N steps from N + 1 states, with s stages each, as flat points and coordinates of
+    controls."""
 
     begins: np.ndarray  # (N,): times
     steps: np.ndarray  # (N,)
@@ -165,7 +167,8 @@ class Propagator:
     def discretization_error(
         self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any = None
     ) -> DiscretizationError:
-        """Distances of the N + 1 ``states`` at ``times`` from those to which the controls lead from the first of them.
+        """Distances of the N + 1 ``states`` at ``times`` from the states to which the controls lead from the first
+        state.
 
         ``controls`` belong to the N s ``stage_times``, s in each step. Raises ``DomainError`` if the controls of a step
         are not in one chart of the control manifold.
@@ -238,7 +241,7 @@ class Propagator:
         return DiscretizationError(distances, dict.fromkeys(start, np.inf))
 
     def _allowed(self, given: _Given, error: dict[str, np.ndarray]) -> dict[str, float]:
-        """What the integrator may add to the error of each factor: a part of it, or the rounding of the states."""
+        """The error that the integrator may add to each factor: a part of the error, or the rounding of the states."""
         # Of the points themselves, in the unit of each.
         size = self._distances(given.states, np.zeros_like(given.states))
         return {name: max(RELATIVE * np.max(error[name]), UNRESOLVED * np.max(size[name])) for name in error}
@@ -289,7 +292,7 @@ class Propagator:
 
     def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, time: Array, parameters: Array) -> tuple[Array]:
         bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
-        u = self.problem.steer(self.control.point(base), offset)
+        u = self.problem._steer(self.control.point(base), offset)
         (q,), push = jax.linearize(lambda c: self._chart_of(x, c), c)
         (columns,) = jax.vmap(push)(jnp.eye(c.size))
         velocity = self.state.flat(bound.velocity(self.state.point(q), u))
@@ -338,8 +341,10 @@ class _AtOnce:
         return np.maximum.reduceat(np.max(np.abs(coordinates), axis=0), self.starts)
 
     def _move(self, parts: int) -> np.ndarray:
-        """Newton's move of the coordinates; that of the first state is zero. NaN where the states are too far for
-        it."""
+        """Newton's move of the coordinates, zero for the first state, and NaN for states that are too far.
+
+        NaN where the states are too far for it.
+        """
         given, count = self.given, len(self.given.steps)
         n, aside = len(given.scales), EPS**HALF * given.scales
         ways = np.zeros((1, n)) if self.derivatives is not None else np.concatenate([np.zeros((1, n)), np.diag(aside)])

@@ -92,10 +92,10 @@ class Qualification:
 
     def _names(self, parameters: Any) -> tuple[str, ...]:
         bound = self.problem.with_parameters(parameters).at_time(0.0)
-        return entry_words(bound.node_sizes) if self.at_nodes else bound.inequality_names
+        return entry_words(bound._node_sizes) if self.at_nodes else bound._inequality_names
 
     def at_ends(self, solution: Solution, fixed: np.ndarray) -> tuple[tuple[str, ...], np.ndarray]:
-        """Names of the inequalities, and by how much both ends violate those that depend on nothing free there, ``(2,
+        """Names of the inequalities, and by how much both ends violate inequalities that depend on nothing free, ``(2,
         k)``.
 
         ``fixed``: which coordinates of both ends are prescribed, shape ``(2, n)``; the controls are free.
@@ -114,14 +114,15 @@ class Qualification:
         return self._names(solution.parameters), over
 
     def _nearer(self, values: np.ndarray) -> np.ndarray:
-        """Which inequalities may hold the trajectory: of two bounds of a control, which are apart, the nearer one.
+        """Whether each inequality may hold the trajectory: of two bounds of a control, which are apart, only the nearer
+        bound.
 
         Where the iteration has ended without success both may have large multipliers.
         """
         nearer = np.ones(values.shape, bool)
         if self.at_nodes:
             return nearer
-        lower, upper = (list(side) for side in self.problem.limits.bounded.values())
+        lower, upper = (list(side) for side in self.problem._limits.bounded.values())
         for i, control in enumerate(lower):
             if control in upper:
                 j = len(lower) + upper.index(control)
@@ -136,10 +137,9 @@ class Qualification:
         held_by: tuple[np.ndarray, np.ndarray, tuple[str, ...]],
         units: np.ndarray,
     ) -> str:
-        """A sentence on inequalities that hold a place together with derivatives that depend on each other, or on those
-        of the equations of that end."""
+        """A sentence on active inequalities whose derivatives depend on each other, or on the equations of that end."""
         active, rows, names = held_by
-        ends = self._of_ends(solution, units) if self.at_nodes and self.problem.boundary.functions else {}
+        ends = self._of_ends(solution, units) if self.at_nodes and self.problem._boundary.functions else {}
         for k in np.flatnonzero(np.any(active, axis=1)):
             held = np.flatnonzero(active[k])
             equations, more = ends.get(int(k), ((), rows[k, :0]))
@@ -162,12 +162,14 @@ class Qualification:
         return ""
 
     def _of_ends(self, solution: Solution, units: np.ndarray) -> dict[int, tuple[list[str], np.ndarray]]:
-        """Of the first and of the last node the equations that nothing but its state enters: their names, and their
-        derivatives by its coordinates in units, of length one, shape ``(k, n + m)``."""
+        """The equations of the first and the last node that only its state enters, by names and derivatives.
+
+        The derivatives are by its coordinates in units, of length one, shape ``(k, n + m)``.
+        """
         nodes, times, given = self.state.rows(solution.states, 1), solution.times[-1:, None], self._given(solution)
         sizes, *both = (a[0] for a in self._between(nodes[:1], nodes[-1:], times, given))
         names = [
-            boundary_words(n) for n, k in zip(self.problem.boundary.names, sizes, strict=True) for _ in range(int(k))
+            boundary_words(n) for n, k in zip(self.problem._boundary.names, sizes, strict=True) for _ in range(int(k))
         ]
         found, none = dict[int, tuple[list[str], np.ndarray]](), np.zeros((len(names), self.problem.controls.dimension))
         for place, own, other in ((0, *both), (len(solution.times) - 1, *both[::-1])):
@@ -178,9 +180,12 @@ class Qualification:
         return found
 
     def _multipliers(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-        """Those of the inequalities in their order, shape ``(N s, k)``, and which are among the largest, as many as the
-        places at which the inequality is active: what a barrier leaves at the others holds nothing."""
-        limits, own, checks = self.problem.limits, solution.stage_multipliers, solution.checks
+        """The multipliers of the inequalities in order, shape ``(N s, k)``, and whether each is among the largest.
+
+        As many are among the largest as there are places at which the inequality is active: the remainder of a barrier
+        elsewhere holds nothing.
+        """
+        limits, own, checks = self.problem._limits, solution.stage_multipliers, solution.checks
         active = checks.active if isinstance(checks, RegularChecks) else {}
         none = np.zeros((len(solution.times if self.at_nodes else solution.stage_times), 0))  # of one without entries
         if self.at_nodes:
@@ -203,8 +208,8 @@ class Qualification:
         return values(rest), jax.jacfwd(values)(rest)
 
     def _near(self, x: Array, control: Array, time: Array, parameters: Array) -> tuple[Any, Array, Any]:
-        """The inequalities as a function of coordinates of state and control, those of the point, and the step in the
-        ambient space that coordinates are, flat."""
+        """The inequalities as a function of coordinates of state and control, the coordinates of the point, and the
+        flat ambient step."""
         problem = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
         q, u, n = self.state.point(x), self.control.point(control), problem.manifold.dimension
         frame, directions = problem.manifold.basis(q), problem.controls.basis(u)
@@ -231,10 +236,10 @@ class Qualification:
 
         def values(*moves: Array) -> Array:
             near = (vec.add(q, vec.combine(frame, d)) for q, frame, d in zip(ends, frames, moves, strict=True))
-            return problem.boundary.values(*near)
+            return problem._boundary.values(*near)
 
         rest = jnp.zeros(n), jnp.zeros(n)
-        sizes = jnp.array([value.size for value in problem.boundary.each(*ends)], float)
+        sizes = jnp.array([value.size for value in problem._boundary.each(*ends)], float)
         return sizes, *jax.jacfwd(values, (0, 1))(*rest)
 
     @cached_property
@@ -268,8 +273,10 @@ def _is_nearly_met(solution: Solution) -> bool:
 
 
 def _is_flat(values: np.ndarray, lengths: np.ndarray, bends: np.ndarray) -> np.ndarray:
-    """Where the derivatives of inequalities are next to nothing beside what they change by over the extent of the
-    trajectory, as that of a square that is flat on one side, or by the way back to where a violated one holds, shape
-    ``(N s, k)``."""
+    """Whether the derivatives of inequalities nearly vanish beside their changes, shape ``(N s, k)``.
+
+    The changes are over the extent of the trajectory, as for a square that is flat on one side, or on the way back to a
+    violated inequality.
+    """
     bends = np.abs(bends)
     return (lengths < FLAT_BEND * bends) | (values * bends > BEYOND * lengths**2)

@@ -1,4 +1,4 @@
-"""Entries of a prescribed end that no control moves, or none without moving others."""
+"""Entries of a prescribed end that no control moves, or that controls move only together."""
 
 import numpy as np
 
@@ -33,8 +33,7 @@ def unmoved_words(conditions: Conditions, assembled: Assembled, k: int, names: l
 
 
 def _moved(conditions: Conditions, assembled: Assembled, k: int) -> np.ndarray:
-    """The derivatives of the prescribed coordinates of an end with respect to the controls and the free start, all in
-    units: a row for each coordinate."""
+    """The derivatives of the prescribed coordinates of an end by the controls and the free start, in units, by rows."""
     blocks, units, n = assembled.blocks, conditions.measured, assembled.gap.shape[2]
     own = units.unknowns[k] / units.nodes[k][:, None]
     moved = np.diag(1.0 - conditions.fixed[k, 0])

@@ -34,7 +34,7 @@ class Recording:
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
-        self.quantities, self._constrained = problem.quantities, problem.limits.of_points_along
+        self.quantities, self._constrained = problem.quantities, problem._limits.of_points_along
         self.formulation: Any = None  # that the problem is of another one, whose names and times users know
         self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
 
@@ -92,7 +92,7 @@ class Recording:
         trajectories: dict[str, Any],
         tolerance: float,
     ) -> tuple[np.ndarray, list[str]]:
-        """Which members have success, and the results of all of them in words."""
+        """Whether each member has success, and the results of all in words."""
         success, results = outcomes(found, tolerance)
         notes = found.notes or [""] * len(results)
         stuck = [sentence(name) for name in STUCK]
@@ -105,7 +105,7 @@ class Recording:
         return success, results
 
     def _unmoved(self, posed: Posed, found: Found, k: int) -> str:
-        """What is said where part of the end follows from the rest, by the names that its user knows."""
+        """Words on a part of the end that follows from the rest, by the names of the user."""
         if posed.conditions.joint:
             return ""
         own = self.quantities if self.formulation is None else self.formulation.own.quantities
@@ -124,7 +124,7 @@ class Recording:
     def _trajectories(
         self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray
     ) -> dict[str, Any]:
-        """Times, states, costates and controls of a batch, of which those at the stages are given together."""
+        """Times, states, costates and controls of a batch, with a common array for the values at the stages."""
         times = np.zeros((len(nodes), nodes.shape[1]))
         steps.cumsum(axis=1, out=times[:, 1:])
         between = times[:, :-1, None] + steps[:, :, None] * self.stages
@@ -147,7 +147,7 @@ def _without_symmetries(diagnostics: Diagnostics, active: list[dict[str, int]]) 
 
 
 def _known(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
-    """What the iteration knows of the checks of each member."""
+    """The checks of each member that the iteration computes."""
     residuals = found.residuals
     values = {
         "defect": residuals.gap,

@@ -81,13 +81,13 @@ class Refinement:
             self.request = replace(self.request, options=options._replace(callback=self._told))
 
     def _told(self, iteration: Iteration) -> bool:
-        """What the callback returns, of which the meshes that would follow know too."""
+        """Whether the callback stops the iteration, which then holds for all later meshes."""
         self._stopped |= stops(self._callback(iteration))
         return self._stopped
 
     def solve(self) -> Solution:
         """The solution on the last mesh, with what its conditions do not tell."""
-        return self.solver.examined(self._solved(), self.request)
+        return self.solver._examined(self._solved(), self.request)
 
     def _solved(self) -> Solution:
         solution = self._first()
@@ -126,8 +126,7 @@ class Refinement:
         return self._recorded(best, "" if self.error(best) <= self.accuracy else why)
 
     def _first(self) -> Solution:
-        """The solution to begin with: on the mesh that is given or, where there is none, a strict minimum on a coarser
-        one, or on a finer one."""
+        """The first solution, on the given mesh or, without success, a strict minimum on a coarser or a finer mesh."""
         first, fractions = self._counted(self.solver, self.request), self.solver.fractions
         if first.success or self._stopped or isinstance(self.request.guess, Guess):  # which belongs to its mesh
             return first
@@ -158,13 +157,13 @@ class Refinement:
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
         request = replace(self.request, options=self.request.options._replace(tolerance=self._tolerance))
-        return self._counted(solver, request.again(solver.reader, given, guess))
+        return self._counted(solver, request.again(solver._reader, given, guess))
 
     def _counted(self, solver: Solver, request: Request) -> Solution:
-        """The solution, with its effort added to that of all; none follows one that was stopped."""
+        """The solution, with its effort added to the total; raises after a stop of an earlier solution."""
         if self._stopped:
             raise _StoppedError
-        solution = solver.found(request)
+        solution = solver._found(request)
         iterations, compiling, running = self._effort
         spent = solution.statistics
         self._stopped |= spent.stopped
@@ -207,8 +206,11 @@ class Refinement:
     def _divided(
         self, found: _Found, lengths: np.ndarray, parts: np.ndarray
     ) -> tuple[Solution, SwitchingStructure | None, np.ndarray | None]:
-        """The solution in steps of these lengths, in arcs as before if these last and lead to one; else without arcs,
-        which are then seen anew."""
+        """The solution in steps of these lengths, in the same arcs if these last and lead to a solution; otherwise
+        without arcs.
+
+        Arcs are then detected anew.
+        """
         solution = found.solution
         if found.structure is not None and found.arcs is not None:
             arcs = np.repeat(found.arcs, parts)
@@ -235,7 +237,7 @@ class Refinement:
 
     def _switched(self, found: _Found) -> _Found:
         """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
-        if not any(self.problem.limits.bounded.values()):
+        if not any(self.problem._limits.bounded.values()):
             return found
         structure, known = switching_structure(self.problem, found.solution), found.structure
         if known is not None and np.array_equal(known.sides, structure.sides):
@@ -339,7 +341,7 @@ class Refinement:
 
 
 def _unit(solution: Solution) -> float:
-    """That of the cost over time."""
+    """The unit of the cost over time."""
     return abs(solution.cost) / solution.horizon or 1.0
 
 

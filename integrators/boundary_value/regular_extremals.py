@@ -26,8 +26,10 @@ def extremals(posed: Any, options: Options) -> Found:
 
 
 def _found(posed: Any, conditions: Any, guess: Any, options: Options) -> Found:
-    """What Newton's method finds, by parts of the batch unless somebody watches all of it, or XLA, which has threads of
-    its own, would compile for each size of a part."""
+    """The result of Newton's method, by parts of the batch if nothing needs the whole batch.
+
+    A callback watches all of it, and XLA, which has threads of its own, would compile for each size of a part.
+    """
     if options.callback is not None or posed.traced.evaluator.name != "tape":
         return newton(conditions, guess, *options)
     steps, shape = posed.traced.steps, posed.conditions.data.steps.shape
@@ -35,7 +37,7 @@ def _found(posed: Any, conditions: Any, guess: Any, options: Options) -> Found:
 
 
 def phase_of(found: Found, k: int, phases: Sequence[Own]) -> Found:
-    """What was found of a phase, with the multipliers of its boundary constraints by their names."""
+    """The result for a phase, with the multipliers of its boundary constraints by their names."""
     joint: Any = found
     begin, boundary = sum(sum(phase.sizes.values()) for phase in phases[:k]), {}
     for name, size in phases[k].sizes.items():

@@ -10,7 +10,7 @@ from ...manifolds import InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ..control_use import unread_controls
 from ..controls import resting_control, within_bounds
-from ..costs import require_cost
+from ..costs import is_steep, require_cost
 from ..inspection import inspected, probes
 from ..problem import OptimalControlProblem
 from ..results import callers
@@ -48,11 +48,11 @@ class Regularity:
             inspection = inspected(problem, known, control)
             inspection.require_sound()
             # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.
-            regular = inspection.is_regular or problem.limits.along
+            regular = inspection.is_regular or problem._limits.along
             if not regular and self.refusal:
                 raise InvalidInputError(self.refusal)
             require_cost(problem, (known, inspection.u, inspection.directions), last.point, last.fixed_leaves)
-            excluded = None if problem.abnormal or problem.is_steep_at(last.fixed_leaves) else False
+            excluded = None if problem.abnormal or is_steep(problem, last.fixed_leaves) else False
             if not regular:
                 say(request.options.callback, CLASSIFYING)
                 _warn_of_unread(problem)
@@ -60,8 +60,10 @@ class Regularity:
         return self._classes[key][1]
 
     def has_to_be_shown(self, request: Request) -> bool:
-        """Whether the problem was regular with other parameters before, and nobody says what it is with these: then a
-        solution can show that it is regular again."""
+        """Whether a solution can show that the problem is regular, as with earlier parameters.
+
+        Nobody gave a classification or an integrator for the present parameters.
+        """
         if not (request.classification is None and request.integrator is None):
             return False
         values, found = self._classes.get(self._key(request), (None, None))
@@ -70,7 +72,7 @@ class Regularity:
     def is_shown(self, request: Request, solution: Solution) -> bool:
         """Whether the solution is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities it need
         not be."""
-        if self._posing.problem.limits.along:
+        if self._posing.problem._limits.along:
             return self._shown(request)
         if not (solution.success and solution.checks.strict_minimum):
             return False
@@ -93,7 +95,7 @@ class Regularity:
         """
         if not self.has_to_be_shown(request):  # a look at the functions takes as long as a hundred solves
             self._require_regular(request, 0)
-        if self._posing.problem.limits.along or not request.rows.size:
+        if self._posing.problem._limits.along or not request.rows.size:
             return
         _, left = np.unique(request.rows, axis=0, return_index=True)
         states = np.broadcast_to(request.ends.start, (len(request), self._posing.state.size))
@@ -126,9 +128,9 @@ class Regularity:
     def _probes(self) -> tuple[np.ndarray, np.ndarray]:
         """Flat controls around the resting one, and covectors, random and the same at every call."""
         problem = self._posing.problem
-        rest = within_bounds(problem.limits, resting_control(problem.controls))
+        rest = within_bounds(problem._limits, resting_control(problem.controls))
         moves, covectors = probes(problem, rest)
-        controls = np.stack([self._posing.control.rows(problem.steer(rest, move), 0) for move in moves])
+        controls = np.stack([self._posing.control.rows(problem._steer(rest, move), 0) for move in moves])
         return controls, self._posing.state.rows(covectors, 1)
 
     def _key(self, request: Request) -> Any:
@@ -137,7 +139,7 @@ class Regularity:
 
 def _warn_of_unread(problem: OptimalControlProblem) -> None:
     """Warn of controls that no function reads: each makes a problem singular."""
-    unread = unread_controls(problem.require_values(), problem.quantities)
+    unread = unread_controls(problem._require_values(), problem.quantities)
     if unread:
         warnings.warn(
             f"no function of the problem reads {', '.join(unread)}, which makes the problem singular; try fewer "

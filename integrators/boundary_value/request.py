@@ -1,4 +1,4 @@
-"""What a solver is asked for: checked and completed once, in flat arrays, for all that computes with it."""
+"""The request to a solver: arguments checked and completed once, in flat arrays, for all computations."""
 
 import time
 import warnings
@@ -47,11 +47,12 @@ from .resampling import Mesh, resampled
 from .solution import Solution
 
 ROUNDED = 5e-6  # violation of its equations by a point whose entries have six digits
+RESTORING = 2  # Newton steps, which converge quadratically, from there to the rounding of double precision
 
 
 @final
 class RequestReader:
-    """What requests to a solver are read with: its problem and method, checked before, and its mesh."""
+    """The reader of requests to a solver, with the checked problem, the method and the mesh."""
 
     def __init__(self, problem: OptimalControlProblem, method: Method, mesh: Mesh, evaluator: Evaluator) -> None:
         self.problem, self.method, self.mesh, self.ends = problem, method, mesh, EndReader.of(problem)
@@ -80,7 +81,7 @@ class RequestReader:
         return self.guesses.flat(given) if any(guess is not None for guess in given) else None
 
     def parameters(self, given: Any, axes: int, count: int) -> tuple[Any, np.ndarray]:
-        """The structure of the parameters of a member, and those of all in rows."""
+        """The structure of the parameters of a member, and the parameters of all members in rows."""
         structure = structure_of(given, axes)
         if structure not in self._parameters:
             self._parameters[structure] = parameter_layout(given, axes)
@@ -104,12 +105,12 @@ class RequestReader:
 @final
 @dataclass(frozen=True, eq=False)
 class Request:
-    """What ``solve`` or ``solve_many`` is asked for, checked and completed: B trajectories, of ``solve`` one.
+    """The arguments of ``solve`` or ``solve_many``, checked and completed, for B trajectories, one for ``solve``.
 
     ``given`` and ``guess`` are as they came, ``known`` has the guesses of the horizon and of parameters that are free.
-    ``ends``: where nothing is known of them, those of the guess, or anything. ``structure`` is that of the parameters
-    of one member, which are ``rows`` of shape (B, P). ``classification``: None where the problem is regular, or not
-    looked at.
+    ``ends``: unknown ends are the ends of the guess, or arbitrary. ``structure``: structure of the parameters of one
+    member, which are ``rows`` of shape (B, P). ``classification``: None for a regular problem, and before a
+    classification.
     """
 
     reader: RequestReader
@@ -177,7 +178,7 @@ class Request:
         axes: int = 0,
         count: int = 1,
     ) -> "Request":
-        """What is asked for in flat arrays; raises where ends or guesses are no points of the manifold."""
+        """The request in flat arrays; raises if ends or guesses are no points of the manifold."""
         began = time.perf_counter()
         guesses = reader.flat_guess(guess if axes and _are_several(guess) else [guess])
         ends = reader.ends.ends(given.start, given.end, bool(axes))
@@ -212,21 +213,23 @@ class Request:
                 reader.ends.require_on_manifold(own.start, own.end, f", member {k}" if len(self) > 1 else "")
         if np.any(near & (beside > default_tolerance())):
             _warn_of_rounding(reader.problem.manifold, np.max(beside[near]))
-            points[near] = reader.restored(points[near])
         off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
         if not off.any():
             return self
-        points[off] = reader.restored(points[off])  # no trajectory ends beside its manifold
+        for _ in range(RESTORING):  # no trajectory ends beside its manifold
+            points[off] = reader.restored(points[off])
         return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
 
     def again(self, reader: RequestReader, given: Given, guess: Any) -> "Request":
-        """What follows from this request for another problem, mesh or guess: nothing of the rest is checked again."""
+        """The request with another problem, mesh or guess, of which only these are checked again."""
         known = _known(reader.problem, given)
         return self._read(reader, given, known, guess, self.options, self.integrator, self.axes, len(self))
 
     def classified(self, c: Classification | None) -> "Request":
-        """The request with the classification of its problem if that is singular, without if it is regular; raises
-        where it is not to be solved like this."""
+        """The request with the classification of a singular problem, without one for a regular problem.
+
+        Raises where it is not to be solved like this.
+        """
         if c is None or c.regular:
             check_regular(self.integrator)
             return self if self.classification is None else replace(self, classification=None)
@@ -243,11 +246,11 @@ class Request:
 
     @cached_property
     def each(self) -> tuple[Given, ...]:
-        """What is given for each member."""
+        """The data of each member."""
         return tuple(_member(self.reader.ends, self.given, k) for k in range(len(self))) if self.axes else (self.given,)
 
     def member(self, k: int) -> "Request":
-        """What ``solve`` is asked for by a member, without its guess."""
+        """The request of one member, without its guess."""
         known, rows = _known(self.reader.problem, self.each[k]), self.rows[k : k + 1]
         ends = self.ends._replace(start=_row(self.ends.start, k)[None], end=_row(self.ends.end, k)[None])
         own: Any = {"known": known, "ends": ends, "horizons": self.horizons[k : k + 1], "rows": rows}
@@ -310,7 +313,7 @@ def _warn_of_rounding(manifold: Manifold, violation: float) -> None:
 
 
 def _known(problem: OptimalControlProblem, given: Given) -> Given:
-    """What is given with the guesses of what is free; the same one where nothing needs more states."""
+    """The data with the guesses of free quantities, and the same object if nothing needs more states."""
     if not is_formulated(problem, given.horizon, given.parameters):
         return given
     return given._replace(horizon=guessed(given.horizon), parameters=all_guessed(given.parameters))
@@ -364,7 +367,7 @@ def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
 
 
 def _member(ends: EndReader, given: Given, k: int) -> Given:
-    """What is given for member ``k`` of a batch."""
+    """The data of member ``k`` of a batch."""
 
     def one(leaf: Any) -> Any:
         if is_free(leaf):

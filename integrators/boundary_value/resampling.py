@@ -12,8 +12,7 @@ from .solution import Solution
 
 
 class Mesh(NamedTuple):
-    """Where a method has its unknowns: lengths of the steps, and places of the stages in each, as fractions; and its
-    charts."""
+    """The mesh of a method: lengths of the steps, places of the stages in each step as fractions, and the charts."""
 
     fractions: np.ndarray  # (N,)
     stages: np.ndarray  # (s,)
@@ -26,7 +25,7 @@ class Mesh(NamedTuple):
 
 
 def resampled(solution: Solution, mesh: Mesh) -> Guess:
-    """The solution at the nodes and stages of a mesh, whose horizon is that of the solution.
+    """The solution at the nodes and stages of a mesh, over the horizon of the solution.
 
     Raises ``InvalidInputError`` if it is of other manifolds, and ``DomainError`` where a step does not fit into one
     chart.

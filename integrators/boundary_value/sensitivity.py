@@ -107,7 +107,7 @@ def require_isolated(found: Derivatives, solution: Solution) -> None:
 
 
 def _name_of(column: int, found: Derivatives, solution: Solution) -> str:
-    """What the derivatives in a column are by."""
+    """The name of the variable of the derivatives in a column."""
     first = found.cost.shape[1] - sum(np.size(leaf) for leaf in jax.tree.leaves(solution.parameters))
     if column >= first - 1:
         return "its parameters" if column >= first else "its horizon"

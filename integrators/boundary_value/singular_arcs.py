@@ -114,11 +114,11 @@ def find_singular_arcs(problem: OptimalControlProblem, solution: Solution) -> li
 
 def _interior(problem: OptimalControlProblem, solution: Solution, stages: np.ndarray, singular: np.ndarray) -> bool:
     """Whether controls lie between their bounds at these stages, and no constraint holds the trajectory there."""
-    lower, upper = (np.array(side)[singular] for side in (problem.limits.lower, problem.limits.upper))
+    lower, upper = (np.array(side)[singular] for side in (problem._limits.lower, problem._limits.upper))
     u = _controls(solution, stages, singular)
     if np.any(np.minimum(u - lower, upper - u) < CONTROL_AT_BOUND * _room(problem, u, singular)):
         return False
-    return not np.any(solution.held_by(problem.limits.every_name)[stages])
+    return not np.any(solution.held_by(problem._limits.every_name)[stages])
 
 
 def _controls(solution: Solution, stages: np.ndarray, entries: np.ndarray) -> np.ndarray:
@@ -128,14 +128,14 @@ def _controls(solution: Solution, stages: np.ndarray, entries: np.ndarray) -> np
 
 def _room(problem: OptimalControlProblem, u: np.ndarray, entries: np.ndarray) -> np.ndarray:
     """Between the bounds of entries of the control; where it is infinite their size."""
-    room = np.array(problem.limits.upper)[entries] - np.array(problem.limits.lower)[entries]
+    room = np.array(problem._limits.upper)[entries] - np.array(problem._limits.lower)[entries]
     size = np.max(np.abs(u), axis=0, initial=np.finfo(float).tiny)
     return np.where(np.isfinite(room), room, size)
 
 
 def _without_bounds(problem: OptimalControlProblem, sides: np.ndarray) -> OptimalControlProblem:
     """The problem in the controls that are not at a bound; its ends and their costs play no part along an arc."""
-    lower, upper = (np.array(side) for side in (problem.limits.lower, problem.limits.upper))
+    lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
     held, free = np.where(sides < 0, lower, np.where(sides > 0, upper, 0.0)), np.flatnonzero(sides == 0)
     shape = problem.controls.shape if isinstance(problem.controls, Euclidean) else held.shape
 

@@ -17,6 +17,7 @@ from ..records import Along, RecordFile, Values, not_finite, shapes, write_prote
 from .checks import RegularChecks, SingularArc, SingularChecks, Statistics
 from .guess import Guess
 from .interpolation import Interpolant, Sample
+from .plotted import Plotted
 
 VERSION = 7  # of the file
 NAMED_ELSEWHERE = {
@@ -31,7 +32,7 @@ IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Solution(Plotted):
     r"""A discrete extremal with costates, multipliers and checks, in read-only NumPy arrays over nodes or stages.
 
     Attributes
@@ -78,6 +79,16 @@ class Solution:
     :math:`\langle p, X \rangle - F - \nu g` is stationary in the controls, with :math:`\nu g = 0`. For boundary
     constraints, :math:`p(T) = -d(\Phi + \mu b)` in the last state and :math:`p(0) = d(\Phi_0 + \mu b)` in the first
     one; the cost changes by :math:`\mu e` if ``b = 0`` becomes ``b = -e``.
+
+    Examples
+    --------
+    >>> line = Euclidean(1)
+    >>> moved = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> found = solve(moved, 0.0, 1.0, 2.0, method=Midpoint(Addition(line)), steps=4)
+    >>> found.success, found.status, round(found.cost, 6)
+    (True, 'minimum', 0.25)
+    >>> found.q.shape, found.u.shape, found.t[-1].item()
+    ((5, 1), (4, 1), 2.0)
     """
 
     times: Annotated[np.ndarray, Along("nodes", ndim=1)]
@@ -108,8 +119,11 @@ class Solution:
 
     @property
     def status(self) -> Status:
-        """``"minimum"`` of a strict local minimum of the discrete problem, ``"stationary"`` where the conditions of
-        first order hold and a minimum is not shown, ``"failed"`` without success."""
+        """The status: ``"minimum"``, ``"stationary"`` or ``"failed"``.
+
+        A ``"minimum"`` is a strict local minimum of the discrete problem. A ``"stationary"`` solution satisfies the
+        conditions of first order without a proof of a minimum. ``"failed"`` means no success.
+        """
         return status_of(self.success, self.checks.strict_minimum)
 
     @property
@@ -281,18 +295,6 @@ class Solution:
         from ...interop import to_pandas
 
         return to_pandas(self, at)
-
-    def plot(self, degrees: bool = False) -> Any:
-        """The histories of states and controls as Matplotlib axes; see ``retrax.plotting.histories``.
-
-        Parameters
-        ----------
-        degrees : bool
-            Whether angles and their rates are drawn in degrees instead of radians.
-        """
-        from ...plotting import histories
-
-        return histories(self, degrees=degrees)
 
     def to_html(
         self,

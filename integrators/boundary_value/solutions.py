@@ -11,6 +11,7 @@ import numpy as np
 
 from ...manifolds.numerics import ambient as vec
 from .batch_file import save_batch
+from .plotted import Plotted
 from .solution import Solution
 
 LISTED = "result", "checks", "statistics", "singular", "interpolant", "quantities"  # fields that are lists
@@ -18,7 +19,7 @@ SAME_EXTREMAL = 1e-6  # relative distance within which two extremals are one
 
 
 @final
-class Solutions(Sequence[Solution]):
+class Solutions(Plotted, Sequence[Solution]):
     """The solutions of a batch: a sequence of ``Solution``, and their fields with one more leading axis.
 
     ``solutions.controls`` has shape ``(B, N s, m)``; ``solutions.cost``, ``solutions.success`` and ``solutions.status``
@@ -98,23 +99,6 @@ class Solutions(Sequence[Solution]):
             The file; ``InvalidInputError`` as for ``Solution.save``.
         """
         save_batch(self, path)
-
-    def plot(self, degrees: bool = False) -> Any:
-        """The histories of all members as Matplotlib axes; see ``retrax.plotting.histories``.
-
-        Parameters
-        ----------
-        degrees : bool
-            Whether angles and their rates are drawn in degrees instead of radians.
-
-        Returns
-        -------
-        ndarray of matplotlib axes
-            One for each array of the state, then one for each array of the controls.
-        """
-        from ...plotting import histories
-
-        return histories(self, degrees=degrees)
 
     @property
     def status(self) -> np.ndarray:

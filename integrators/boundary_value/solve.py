@@ -121,9 +121,9 @@ def solve(
         Given(start, end, horizon, parameters),
     )
     options = Options.of(tolerance, max_iterations, callback, verbose)
-    request = Request.of(solver.reader, given, guess, options, classification, integrator)
+    request = Request.of(solver._reader, given, guess, options, classification, integrator)
     found = (
-        solver.solved(request) if accuracy is None else Refinement(solver, request, accuracy, tolerance is None).solve()
+        solver._solve(request) if accuracy is None else Refinement(solver, request, accuracy, tolerance is None).solve()
     )
     return found.require_success() if throw else found
 

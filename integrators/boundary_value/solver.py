@@ -17,6 +17,7 @@ from ..free import Free, is_free
 from ..functions import require_concrete
 from ..options import known_options
 from ..problem import OptimalControlProblem
+from ..requirements import require_treated
 from ..singular import Classification, SingularIntegrator
 from ..text import brief
 from ..unchanged import Unchanged
@@ -46,7 +47,7 @@ HELD = ", or give what changes as parameters"
 
 
 class _Kept(NamedTuple):
-    """The KKT system of a solution, one place of those of a batch."""
+    """The KKT system of a solution, which is one place of a batch."""
 
     posed: Posed
     found: Found
@@ -71,6 +72,14 @@ class Solver:
     -----
     A ``Solver`` freezes the values that your functions use when you build it: after a change, a new trace raises
     ``InvalidInputError``. Pass values that change between solves as ``parameters``.
+
+    Examples
+    --------
+    >>> line = Euclidean(1)
+    >>> moved = OptimalControlProblem(line, lambda q, u, mass: u / mass, lambda q, u, mass: u @ u / 2, controls=1)
+    >>> solver = Solver(moved, Midpoint(Addition(line)), steps=4)
+    >>> [round(solver.solve(0.0, 1.0, 2.0, parameters=mass).cost, 6) for mass in (1.0, 2.0)]
+    [0.25, 1.0]
     """
 
     @known_options
@@ -84,14 +93,14 @@ class Solver:
         self._posing = Posing(problem, method, self.fractions, self._evaluator)
         interpolant = Interpolant(method.retraction, problem.controls)
         mesh = Mesh(self.fractions, self._posing.stages, interpolant)
-        self.reader = RequestReader(problem, method, mesh, self._evaluator)
+        self._reader = RequestReader(problem, method, mesh, self._evaluator)
         self._recording = Recording(problem, self._posing.stages, interpolant)
-        self._formulated = Formulated(self.reader, self._inner)
+        self._formulated = Formulated(self._reader, self._inner)
         self._regularity, self._examination = Regularity(self._posing), Examination(problem)
         self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
         # Of a solver that is made where functions are read, whoever made it looks after that.
-        self._unchanged = None if is_reading() else Unchanged("Solver", problem.digest, HELD)
+        self._unchanged = None if is_reading() else Unchanged("Solver", problem._digest, HELD)
         if self._unchanged is not None and not problem.takes_parameters:
             with self._unchanged.required(None):
                 self._read()
@@ -120,8 +129,8 @@ class Solver:
         other = copy(self)
         other.fractions = fractions_of(steps)
         other._posing = self._posing.on(other.fractions)
-        other.reader = self.reader.on(self.reader.mesh._replace(fractions=other.fractions))
-        other._formulated = self._formulated.on(other.reader, other._inner, steps)
+        other._reader = self._reader.on(self._reader.mesh._replace(fractions=other.fractions))
+        other._formulated = self._formulated.on(other._reader, other._inner, steps)
         other._regularity = self._regularity.on(other._posing)
         return other
 
@@ -206,33 +215,21 @@ class Solver:
         require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = Given(start, end, horizon, parameters)
-        request = Request.of(self.reader, given, guess, options, classification, integrator)
+        request = Request.of(self._reader, given, guess, options, classification, integrator)
         with self._required(request.parameters_of(0)):
-            solution = self.solved(request)
+            solution = self._solve(request)
         return solution.require_success() if throw else solution
 
     def _required(self, parameters: Any) -> AbstractContextManager[Any]:
         """A time in which what is traced is what the solver has traced before."""
         return one_reading() if self._unchanged is None else self._unchanged.required(parameters)
 
-    def solved(self, request: Request) -> Solution:
-        """The extremal of a request, examined.
+    def _solve(self, request: Request) -> Solution:
+        """The extremal of a request, examined."""
+        return self._examined(self._found(request), request)
 
-        Parameters
-        ----------
-        request : Request
-            The checked arguments.
-        """
-        return self.examined(self.found(request), request)
-
-    def found(self, request: Request) -> Solution:
-        """The extremal of a request, with only the first-order conditions evaluated.
-
-        Parameters
-        ----------
-        request : Request
-            The checked arguments.
-        """
+    def _found(self, request: Request) -> Solution:
+        """The extremal of a request, with only the first-order conditions evaluated."""
         if request.formulated:
             return self._formulated.solve(request)
         regularity = self._regularity
@@ -246,14 +243,8 @@ class Solver:
                 solution = self._solved(request)[0]
         return solution if solution.success else explained(request.problem, solution)
 
-    def examined(self, solution: Solution, request: Request) -> Solution:
-        """The solution with the results of all checks.
-
-        Parameters
-        ----------
-        solution, request : Solution, Request
-            The result of ``found``, and the checked arguments.
-        """
+    def _examined(self, solution: Solution, request: Request) -> Solution:
+        """The solution with the results of all checks."""
         free_horizon = is_free(request.given.horizon)
         if self._examination.is_silent(solution.parameters, free_horizon):
             return solution
@@ -293,18 +284,12 @@ class Solver:
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = Given(starts, ends, horizons, parameters)
-        request = Request.of_many(self.reader, given, guesses, options)
+        request = Request.of_many(self._reader, given, guesses, options)
         with self._required(request.parameters_of(0)):
-            return self._all_examined(self.all_found(request), request)
+            return self._all_examined(self._all_found(request), request)
 
-    def all_found(self, request: Request) -> Solutions:
-        """The extremals of a batch, with only the first-order conditions evaluated.
-
-        Parameters
-        ----------
-        request : Request
-            The checked arguments.
-        """
+    def _all_found(self, request: Request) -> Solutions:
+        """The extremals of a batch, with only the first-order conditions evaluated."""
         if request.formulated:
             return self._formulated.solve_many(request)
         self._regularity.require_regular(request)
@@ -314,7 +299,7 @@ class Solver:
         """The solutions of a batch with what their conditions do not tell."""
         if not self._examination.needed(solutions[0].parameters, is_free(request.given.horizon)):
             return solutions
-        examined = [self.examined(solution, request) for solution in solutions]
+        examined = [self._examined(solution, request) for solution in solutions]
         same = all(one is other for one, other in zip(examined, solutions, strict=True))
         return solutions if same else Solutions.of(examined)
 
@@ -328,7 +313,7 @@ class Solver:
             ``ConvergenceError`` if its KKT system is singular: the extremal is one of a family, or its ends are
             conjugate.
         """
-        self.problem.require_treated("sensitivity", *ALONG)
+        require_treated(self.problem, "sensitivity", *ALONG)
         formulated = self._formulated.sensitivity(solution)
         if formulated is not None:
             return formulated

@@ -62,7 +62,7 @@ class Jumps:
         return words or (self._at_ends(retraction, solution, fixed) if any(self.of_ends) else "")
 
     def _traced(self, function: Looked, retraction: Retraction, given: Given) -> Crossings:
-        """What looks for jumps of a function; the same for solutions with one retraction."""
+        """The search for jumps of a function, the same object for solutions with one retraction."""
         known = self._crossings.get(function)
         if known is None or known.retraction is not retraction:
             known = self._crossings[function] = Crossings(function, self.problem, retraction, given)
@@ -94,7 +94,7 @@ class Jumps:
         return self._words(jump, self._name(jump, solution), self.of_states, where) if jump else ""
 
     def _name(self, jump: Jump, solution: Solution) -> str:
-        """That of the function that jumps."""
+        """The name of the function that jumps."""
         return rate_names(self.problem.with_parameters(solution.parameters))[jump.entry]
 
     def _on(
@@ -123,7 +123,7 @@ class Jumps:
         return largest(crossings.jumps(located, sizes[1]))
 
     def _beside(self, retraction: Retraction, solution: Solution) -> str:
-        """Words on a jump in the controls, from those of some stages."""
+        """Words on a jump in the controls, searched from the controls of some stages."""
         count, given = len(solution.stage_times), (solution.parameters, None)
         stages = np.unique(np.linspace(0, count - 1, min(count, STAGES)).round().astype(int))
         crossings, reach = self._traced(rates, retraction, given), 1.0
@@ -197,8 +197,7 @@ class Jumps:
         return Lines.through(states, controls, times, np.zeros((len(times), n)), np.zeros((len(times), m)))
 
     def _sizes(self, values: np.ndarray) -> np.ndarray:
-        """Of each entry of the functions the size along the trajectory; of small ones that which is rounding in their
-        array."""
+        """The size of each entry of the functions along the trajectory, at least the rounding in its array."""
         sizes = np.max(np.abs(np.where(np.isfinite(values), values, 0.0)), axis=(0, 1), initial=0.0)
         for place in self.state.places:
             least = HIDDEN / JUMP * tolerance(values, 1.0) * np.max(sizes[place], initial=0.0)
@@ -207,13 +206,13 @@ class Jumps:
 
 
 def _at_start(problem: OptimalControlProblem, q: Ambient, _: Ambient, last: Ambient) -> Array:
-    """What is asked of the start, with the last state as it is."""
-    return jnp.concatenate([jnp.reshape(problem.first_cost(q), (1,)), problem.boundary.values(q, last)])
+    """The conditions on the start, with the last state as it is."""
+    return jnp.concatenate([jnp.reshape(problem.first_cost(q), (1,)), problem._boundary.values(q, last)])
 
 
 def _at_end(problem: OptimalControlProblem, q: Ambient, _: Ambient, first: Ambient) -> Array:
-    """What is asked of the end, with the first state as it is."""
-    return jnp.concatenate([jnp.reshape(problem.final_cost(q), (1,)), problem.boundary.values(first, q)])
+    """The conditions on the end, with the first state as it is."""
+    return jnp.concatenate([jnp.reshape(problem.final_cost(q), (1,)), problem._boundary.values(first, q)])
 
 
 def _joined(words: Any) -> str:

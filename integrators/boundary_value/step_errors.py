@@ -127,8 +127,8 @@ class Estimator:
         return np.max(np.where(gaps > 0, gaps / np.where(spreads > 0, spreads, 1.0), 0.0), axis=1, initial=0.0)
 
     def _sizes(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-        """Spreads of the entries of the states, which of points in no flat space share that of their leaf; and sizes
-        of the leaves."""
+        """Spreads of the entries of the states, one spread for a leaf that is in no flat space, and sizes of the
+        leaves."""
         layout, manifold = self.propagator.state, self.problem.manifold
         rows = layout.rows(solution.states, 1)
         spreads, sizes = np.ptp(rows, axis=0), np.max(np.abs(rows), axis=0)
@@ -171,9 +171,11 @@ class Estimator:
     def _inequalities(
         self, solution: Solution, parameters: Any
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """The largest excess of each step over each inequality, relative; which are free of the controls, and which are
-        curved in them; and in their units."""
-        if not self.problem.limits.any or solution.interpolant is None:
+        """The largest excess of each step over each inequality, relative, and the excess by names in units.
+
+        Flags mark the inequalities that are free of the controls, and those that are curved in them.
+        """
+        if not self.problem._limits.any or solution.interpolant is None:
             return np.zeros((solution.steps, 0)), np.zeros(0, bool), np.zeros(0, bool), {}
         stages = len(solution.stage_times) // solution.steps
         found = solution.interpolant.within(solution, np.linspace(0.0, 1.0, POINTS * stages + 1), costates=False)
@@ -183,7 +185,7 @@ class Estimator:
         values, by_state, by_control, twice = self._limits.at(2, q, u, found.times[..., None], given[None, None])
         excess = np.where(np.isfinite(values), np.maximum(values, 0.0), np.inf)
         bound = self.problem.with_parameters(parameters).at_time(0.0)
-        violations = self.problem.limits.by_name(np.max(excess, axis=1), bound.inequality_sizes | bound.node_sizes)
+        violations = self.problem._limits.by_name(np.max(excess, axis=1), bound._inequality_sizes | bound._node_sizes)
         state, room = self._sizes(solution)[0], np.max(np.abs(u), axis=(0, 1), initial=0.0)
         changes = np.max(by_state * state, axis=3), np.max(by_control * room, axis=3, initial=0.0)
         size, change = np.max(np.abs(values), axis=(0, 1)), np.max(changes, axis=(0, 1, 2))
@@ -200,8 +202,8 @@ class Estimator:
         return Automatic().values(self._limits_of, *sizes)
 
     def _limits_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array, Array, Array, Array]:
-        """The inequalities, those at nodes last, and the sizes of their derivatives by the states and the controls, and
-        twice by these."""
+        """The inequalities, with the nodes last, and the sizes of their first and second derivatives by states and
+        controls."""
         bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
         state, control = self.propagator.state, self.propagator.control
 

@@ -89,11 +89,11 @@ def switching_structure(problem: OptimalControlProblem, solution: Solution) -> S
     """
     if not isinstance(solution, Solution):
         raise InvalidInputError(f"switching_structure takes a Solution, got {brief(solution)}; try what solve returns")
-    if not any(problem.limits.bounded.values()):
+    if not any(problem._limits.bounded.values()):
         raise InvalidInputError(
             f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"
         )
-    lower, upper = (np.array(side) for side in (problem.limits.lower, problem.limits.upper))
+    lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
     u = np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
     room = upper - lower
     spread = np.ptp(u, axis=0)
@@ -120,7 +120,7 @@ def _between(solution: Solution, before: int, after: int) -> float:
 
 
 def _runs(sides: np.ndarray, u: np.ndarray, stages: int) -> list[_Run]:
-    """The runs of one entry: those at bounds begin and end by jumps, or at the ends."""
+    """The runs of one entry; a run at a bound begins and ends by a jump, or at an end."""
     cuts = [0, *(np.flatnonzero(np.diff(sides)) + 1), len(sides)]
     every = [_Run(int(a), int(b), int(sides[a])) for a, b in pairwise(cuts)]
     runs = _merged([run for run in every if run.end - run.begin > stages] or every[:1])

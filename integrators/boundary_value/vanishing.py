@@ -40,7 +40,7 @@ class Vanishing:
         self._at_speeds: Evaluated = Automatic().values(self._at_speeds_of, *sizes)
 
     def __call__(self, solution: Solution, tolerance: float) -> bool:
-        """Whether it does; not where an inequality holds the trajectory, and perhaps its speed."""
+        """Whether the horizon tends to zero; never if an inequality holds the trajectory, and perhaps its speed."""
         held = any(getattr(solution.checks, "active", {}).values())
         if held or not isinstance(self.problem.controls, Euclidean) or not solution.checks.defect <= CLOSE:
             return False

@@ -17,6 +17,7 @@ from ..controls import resting_control
 from ..extremal_controls import find_control
 from ..functions import real_number
 from ..problem import OptimalControlProblem
+from ..requirements import require_treated
 from ..stages.hamiltonian import Hamiltonian
 
 Multipliers = Float[Array, " m"]
@@ -84,7 +85,7 @@ class DiracSystem(eqx.Module):
             raise InvalidInputError(
                 f"controlled takes an OptimalControlProblem, got {problem!r}; or give DiracSystem an H(q, p)"
             )
-        problem.require_treated("DiracSystem.controlled", "an initial cost")
+        require_treated(problem, "DiracSystem.controlled", "an initial cost")
         return cls(problem.manifold, _ExtremalHamiltonian(problem), forms, rates)
 
     def __check_init__(self) -> None:
@@ -96,7 +97,7 @@ class DiracSystem(eqx.Module):
                 of = "(q, p)" if name == "hamiltonian" else "q"
                 raise InvalidInputError(f"{name} must be a function of {of}, got {value!r}")
 
-    def digest(self) -> bytes | None:
+    def _digest(self) -> bytes | None:
         """A digest of the results of the functions, with the values that they use now; None if there is none."""
         ambient = self.manifold.ambient
         return digest(lambda q, p: (self.hamiltonian(q, p), self.constraint(q, p)), ambient, ambient)

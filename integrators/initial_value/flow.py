@@ -50,8 +50,8 @@ class Flow:
 
     def _digest(self) -> bytes | None:
         """A digest of what the functions of the system compute now."""
-        if hasattr(self.system, "digest"):
-            return self.system.digest()
+        if hasattr(self.system, "_digest"):
+            return self.system._digest()
         ambient = self.integrator.manifold.ambient
         return digest(self.system, ambient, ambient)
 

@@ -23,6 +23,7 @@ from ..functions import real_number
 from ..options import require_arguments
 from ..probing import FAILURES
 from ..problem import OptimalControlProblem
+from ..requirements import require_same_manifold, require_treated
 from ..stages import ControlStage, GaussStage, HamiltonianStage, Stage
 from ..stages.gauss import GaussUnknowns
 from ..stages.hamiltonian import Hamiltonian
@@ -200,7 +201,7 @@ class VariationalIntegrator(Integrator):
 
     @property
     def discretization(self) -> DiscretizationMap | Gauss:
-        """What discretizes Q: the Gauss method itself, or the map that is lifted."""
+        """The discretization of Q: the Gauss method itself, or the map that is lifted."""
         return self.method if isinstance(self.method, Gauss) else self.method.discretization
 
     @property
@@ -313,8 +314,8 @@ class PresymplecticIntegrator(VariationalIntegrator):
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         if not isinstance(system, OptimalControlProblem):
             raise InvalidInputError(f"PresymplecticIntegrator integrates an OptimalControlProblem, got {system!r}")
-        system.require_treated("PresymplecticIntegrator", "an initial cost")
-        system.check_discretization(self.discretization)
+        require_treated(system, "PresymplecticIntegrator", "an initial cost")
+        require_same_manifold(system, self.discretization)
         u = extremal_control(system, q, p)
         system.check(q, u)
         singular = pivotal_values(np.asarray(_control_curvature(system, q, p, u)))
@@ -329,4 +330,4 @@ class PresymplecticIntegrator(VariationalIntegrator):
 @compiled
 def _control_curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient, u: Ambient) -> Array:
     """``d2H/du2``, shape (m, m)."""
-    return jax.hessian(lambda c: problem.hamiltonian(q, p, problem.steer(u, c)))(jnp.zeros(problem.controls.dimension))
+    return jax.hessian(lambda c: problem.hamiltonian(q, p, problem._steer(u, c)))(jnp.zeros(problem.controls.dimension))

@@ -53,7 +53,7 @@ def _sweep(a: np.ndarray, i: int, k: int) -> None:
 
 @kernel_part()
 def multiply(a: np.ndarray, v: np.ndarray, places: tuple) -> None:
-    """Newton's steps in units of the unknowns; ``places``: first rows of the residual, of the steps, of the units."""
+    """Newton's steps in units of the unknowns. ``places``: first rows of the residual, of the steps, of the units."""
     missed, step, sizes = places
     n, lanes = a.shape[0], v.shape[1]
     for i in range(n):

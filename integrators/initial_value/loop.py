@@ -14,7 +14,7 @@ from .pieces import Steps
 
 
 class Carry(NamedTuple):
-    """What goes from step to step; ``failed_step`` is -1, or the step at which all the rest stopped."""
+    """The values that go from step to step; ``failed_step`` is -1, or the step after which no step runs."""
 
     q: Ambient
     p: Ambient
@@ -23,7 +23,7 @@ class Carry(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """States and stage controls that are kept, along the leading axis of every array, without those of the start."""
+    """The kept states and stage controls, along the leading axis of every array, without the start."""
 
     q: Ambient
     p: Ambient
@@ -31,7 +31,7 @@ class Nodes(NamedTuple):
 
 
 def begin(system: Any, integrator: Integrator, start: tuple[Ambient, Ambient]) -> Carry:
-    """What the first step starts from."""
+    """The values before the first step."""
     q0, p0 = start[0], integrator.manifold.projection(*start)
     return Carry(q0, p0, integrator.begin(system, q0, p0), jnp.array(-1))
 
@@ -46,7 +46,7 @@ def advance(system: Any, integrator: Integrator, step_size: Array, carry: Carry,
 
 
 def node(integrator: Integrator, carry: Carry) -> Nodes:
-    """What is kept of a step."""
+    """The kept values of a step."""
     return Nodes(carry.q, carry.p, integrator.control(carry.unknowns))
 
 

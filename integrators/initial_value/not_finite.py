@@ -21,8 +21,9 @@ LATER = f"try a smaller step size if the motion should not come there, or {SMOOT
 def not_finite_words(
     system: Any, integrator: Integrator, nodes: tuple[Ambient, Ambient], controls: Any, failed: int
 ) -> tuple[str, str]:
-    """Words on a Hamiltonian that is not finite, or has no finite derivatives, at the start of a trajectory, and at its
-    last node, where step ``failed`` begins; empty where it is, and has.
+    """Words on a Hamiltonian without finite values or derivatives at the start or at the last node; otherwise empty.
+
+    Step ``failed`` begins at the last node.
 
     Derivatives at the start count if no step was solved: the motion may leave a place where there are none.
     """
@@ -51,7 +52,7 @@ def not_finite_words(
 
 
 def _words(value: np.ndarray, slopes: np.ndarray, point: tuple[Ambient, Ambient, Any], where: str) -> str:
-    """What is not finite at a point, if anything is."""
+    """Words on values that are not finite at a point, empty if all are finite."""
     q, p, _ = point
     if not np.isfinite(value):
         return f"the Hamiltonian is not finite {where}, at q = {q}, p = {p}: its value is {value:.3g}"

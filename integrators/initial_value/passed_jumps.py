@@ -49,7 +49,7 @@ class Passed(NamedTuple):
     steps: list[str]
 
     def fact(self, where: str) -> str:
-        """What it is and where."""
+        """Words on the jump and its place."""
         q = ", ".join(np.array2string(np.asarray(leaf), precision=6) for leaf in jax.tree.leaves(self.state))
         return (
             f"the Hamiltonian jumps by {self.change:.3g} {where} q = {q}: it computes {' and '.join(self.steps)} from "
@@ -108,7 +108,7 @@ class Energy(NamedTuple):
         return found[0]
 
     def _jumps(self, segments: Segments, where: np.ndarray, sizes: np.ndarray, steps: list[str]) -> list[Passed]:
-        """Those of the segments with these indices."""
+        """The jumps on the segments with these indices."""
         own, found = vec.taken(segments, where), list[Passed]()
         zoom, states, by_clocks = in_chunks(partial(_closer, *self), *own)
         for k, i in enumerate(where):
@@ -149,8 +149,7 @@ def _along(
 def _ends(
     function: Callable[..., Any], system: Any, retraction: Retraction, *segments: Any
 ) -> tuple[Array, Array, Array]:
-    """Values and slopes at both ends, and the size of the terms there: that of the values says nothing, for terms may
-    cancel."""
+    """Values and slopes at both ends, and the size of the terms of the values there, because terms may cancel."""
 
     def one(*segment: Any) -> tuple[Array, Array, Array]:
         value, state = _along(function, system, retraction, *segment)
@@ -187,7 +186,7 @@ def _closer(
 
 
 def _clocked(hamiltonian: Callable[[Ambient, Ambient, Any], Array], before: Any, after: Any, control: Any) -> Ambient:
-    """The point before, with those coordinates of the one after whose rates ``dH/dp`` depend on nothing."""
+    """The point before, with the later values of the coordinates whose rates ``dH/dp`` are constant."""
     (q, back), (later, _) = (ravel_pytree(z[0]) for z in (before, after))
     if jnp.iscomplexobj(q):
         return before[0]

@@ -23,20 +23,21 @@ class Steps(ABC):
 
     @abstractmethod
     def kept(self) -> Any:
-        """What is kept of the present state, a pytree of NumPy arrays."""
+        """The kept values of the present state, a pytree of NumPy arrays."""
 
     @abstractmethod
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[Any, np.ndarray, float]:
-        """Go on by ``count`` steps, or as many as are solved, after ``done`` others, ``phase`` of which begin a block.
+        """Run ``count`` more steps, or until a step fails, after ``done`` steps, of which ``phase`` begin a block.
 
-        What is kept of the last state of each block of ``every`` steps, rows along the leading axis of every array: at
-        least those that the piece reached, ``size`` at most. For every trajectory -1 or the step at which it stopped.
-        And the seconds of the steps themselves.
+        Returns the kept values of the last state of each block of ``every`` steps, in rows along the leading axis of
+        every array: at least the rows that the piece reached, at most ``size``. Returns also, for every trajectory, -1
+        or the step at which the trajectory stopped, and the seconds of the steps themselves.
         """
 
 
 class Outcome(NamedTuple):
-    """What a run came to: the nodes that were kept, the start first; the failed steps or -1; what interrupted it."""
+    """The result of a run: the kept nodes, the start first, the failed steps or -1, and the cause of an
+    interruption."""
 
     nodes: Any
     failed_step: np.ndarray

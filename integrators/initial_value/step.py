@@ -30,7 +30,7 @@ def restored(manifold: Manifold, new: StepResult) -> StepResult:
 
 
 class Chart(NamedTuple):
-    """What the equations of a step are written in: a prediction of the unknowns and frames there, from ``(q0, p0)``."""
+    """The chart of the equations of a step: a prediction of the unknowns and frames there, from ``(q0, p0)``."""
 
     guess: Any
     frame: Any  # of the stage's unknowns

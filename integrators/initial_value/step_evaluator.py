@@ -1,4 +1,4 @@
-"""What computes the steps outside JAX's transformations: the tape where it can, else XLA."""
+"""The choice between the tape and XLA for steps outside JAX's transformations."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -59,7 +59,7 @@ def _traced(system: Any, integrator: Integrator) -> "TracedSteps | str":
 
 
 def _obstacle(system: Any, integrator: Integrator) -> str:
-    """Why the steps of an integrator are not those of programs, whatever the functions of the system; else nothing."""
+    """The reason why the steps of an integrator cannot be programs for any system; otherwise empty."""
     if working_precision() != np.dtype(float):
         return "JAX is in single precision, the tape in double"
     single = integrator.substeps()[0]

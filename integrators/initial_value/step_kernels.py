@@ -179,9 +179,10 @@ def _renew(
 
 @kernel_part()
 def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool:
-    """Choose the lanes that go on: all good ones if ``fresh``, else those not converged yet; whether there are any.
+    """Choose the lanes that go on, all good lanes if ``fresh``, else the lanes that have not converged; whether there
+    are any.
 
-    They begin at the prediction: all of them if ``restart`` is 2, those that were led away if it is 1.
+    A lane begins at the prediction if ``restart`` is 2, or if ``restart`` is 1 and the lane was led away.
     """
     m, some = places[COUNT], False
     for j in range(v.shape[1]):
@@ -200,7 +201,7 @@ def _begin(places: np.ndarray, v: np.ndarray, fresh: bool, restart: int) -> bool
 
 @kernel_part()
 def _extrapolate(places: np.ndarray, v: np.ndarray, differences: np.ndarray) -> None:
-    """Correct the prediction as those of the steps before were wrong, by the order whose first neglected difference is
+    """Correct the prediction by the errors of earlier predictions, of the order whose first neglected difference is
     least."""
     for j in range(v.shape[1]):
         order, least = 0, np.inf
@@ -235,9 +236,11 @@ def _solve_step(
     block: int,
     k: int,
 ) -> None:
-    """Solve the equations of a step in all good lanes: with Jacobians of a step before, that of small steps, new ones.
+    """Solve the equations of a step in all good lanes, with old Jacobians, with Jacobians of small steps, then with new
+    Jacobians.
 
-    The first are tried only for speed; the others, in this order, are the iteration of ``numerics.chord_newton``.
+    Old Jacobians are tried only for speed. The remaining two, in this order, are the iteration of
+    ``numerics.chord_newton``.
     """
     inverses, spent, differences, small, _ = known
     inverse, fresh, renewed, no = inverses[block, k], True, 0, False
@@ -315,7 +318,7 @@ def _advance(
     numbers: tuple,
     block: int,
 ) -> None:
-    """Steps of a block of lanes, of which those that fail stay where they are."""
+    """Advance a block of lanes by steps; a lane whose step fails stays at its node."""
     begun, count, phase, every = numbers
     lanes, total, states, rows = v.shape[1], carry.shape[1], places[STATES], carry.shape[0]
     first = block * lanes

@@ -77,7 +77,7 @@ class InRows(NamedTuple):
         return cls(replace(program, values=values, inputs=len(used)), read[used], written)
 
     def at(self, first: int, last: int) -> Program:
-        """The program where its rows stand behind those of others, so many that are read, and written."""
+        """The program with its rows moved behind ``first`` rows that are read and ``last`` rows that are written."""
         p = self.program
         values, registers = p.values.copy(), p.registers.copy()
         for word, whole, table, operand, begin in (
@@ -160,7 +160,8 @@ class _Memory:
 
 
 def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Ambient, substeps: int) -> StepPrograms:
-    """The programs of the steps of an integrator with a stage; ``y``, ``q``, ``p``: examples of unknowns and a state.
+    """The programs of the steps of an integrator with a stage, from examples ``y``, ``q``, ``p`` of unknowns and a
+    state.
 
     Raises ``NotTraceableError`` where the equations cannot be written as scalar instructions.
     """

@@ -113,7 +113,7 @@ _ENDS = ("successful", "step_not_solved", "jump", "interrupted")
 
 
 def _disagreement(values: dict[str, Any]) -> str:
-    """What is wrong with the result of a trajectory, or with its numbers, all of which are finite."""
+    """Words on a wrong result of a trajectory, or on wrong numbers, all of which are finite."""
     result, failed = values["result"], values["failed_step"]
     if result not in _ENDS:
         return f"the result is {brief(result)}, expected one of {', '.join(_ENDS)}"
@@ -221,8 +221,11 @@ def integrate(
 
 
 def _examined(system: Any, integrator: Integrator, trajectory: Trajectory, every: int) -> tuple[Trajectory, str]:
-    """The trajectory, with another result if it passes a jump, and words on that, or on a Hamiltonian that is not
-    finite where a step was not solved; raises where that is the start."""
+    """The trajectory, with another result if the trajectory passes a jump, and words on the failure.
+
+    The words are on a jump, or on a Hamiltonian that is not finite where a step was not solved. Raises if that is the
+    start.
+    """
     batch, found = without_jumps(system, integrator, vec.taken(trajectory, None), every)
     if found:
         return jax.tree.map(jnp.asarray, vec.taken(batch, 0)), found[0].words()

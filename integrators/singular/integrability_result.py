@@ -1,4 +1,4 @@
-"""What a numeric and a symbolic classification have in common."""
+"""The common part of numeric and symbolic classifications."""
 
 from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, Protocol, Self, TypeVar
@@ -23,7 +23,7 @@ class Piece(Protocol):
 
 
 class Signature(NamedTuple):
-    """What characterises a stratum of ``P^k`` at a level."""
+    """The codimension, the free controls and the rank of a stratum of ``P^k`` at a level."""
 
     codimension: int
     free_controls: int
@@ -35,7 +35,7 @@ P = TypeVar("P", bound=Piece)
 
 @dataclass(frozen=True, eq=False)
 class IntegrabilityResult(Generic[P]):
-    """What the integrability algorithm found.
+    """The result of the integrability algorithm.
 
     ``strata`` are the pieces of ``P_f``, largest dimension first, none if it is empty; the properties speak of the
     first.

@@ -9,12 +9,12 @@ ORDINALS = ("primary", "secondary", "tertiary", "quaternary")
 
 
 def ordinal(level: int) -> str:
-    """What equations that appear at a level are called."""
+    """The name of equations that appear at a level."""
     return ORDINALS[level] if level < len(ORDINALS) else f"level-{level}"
 
 
 def problem_words(problem: OptimalControlProblem) -> str:
-    """Which extremals of which problem."""
+    """Words on the kind of extremals and on the problem."""
     kind = "abnormal (p_0 = 0)" if problem.abnormal else "normal (p_0 = 1)"
     return f"{kind} extremals on T*Q, Q = {problem.manifold}, controls in {problem.controls}"
 
@@ -25,7 +25,7 @@ def family_words(family: bool) -> str:
 
 
 def level_words(codimension: int, free_controls: int, form_rank: int) -> str:
-    """What characterises a stratum of ``P^k``."""
+    """Words on the codimension, free controls and rank of a stratum of ``P^k``."""
     return f"codimension {codimension}, free controls {free_controls}, rank of omega {form_rank}"
 
 
@@ -67,12 +67,12 @@ def _is_vector(controls: Manifold) -> bool:
 
 
 def unmet_words(level: int) -> str:
-    """That ``P_f`` is empty."""
+    """Words for an empty ``P_f``."""
     return f"empty: the conditions up to level {level} contradict each other at every point tried"
 
 
 def approached_words(residual: float) -> str:
-    """That no point was found, though not for a contradiction."""
+    """Words for a search that found no point and no contradiction."""
     return (
         f"no point found: its conditions are approached (residual {residual:.0e}) and not reached, perhaps at infinity "
         "or at the edge of the domain of the problem's functions, or for lack of precision; not shown to be empty; try "
@@ -81,7 +81,7 @@ def approached_words(residual: float) -> str:
 
 
 def sparse_words(missing: int, tried: int) -> str:
-    """That pieces may be missing."""
+    """Words on pieces that may be missing."""
     return (
         f"{missing} of {tried} points, which were not found, or where equations are irregular or ranks are not "
         "decided: pieces of P_f may be missing; try more starts, or near=(q, p) where one is expected"
@@ -109,5 +109,5 @@ WITH_IT = "; extremals with p = 0, which is excluded, were not looked for"
 
 
 def strata_words(count: int) -> str:
-    """That ``P_f`` has several pieces."""
+    """Words for a ``P_f`` with several pieces."""
     return f"{count}: P_f is not one manifold; largest dimension first, choose(i) takes one"

@@ -137,7 +137,7 @@ class Stage(eqx.Module):
 
 
 def positive(size: Array) -> Array:
-    """``size`` where it can be measured by: a costate far below one may be the rounding of zero."""
+    """The ``size``, raised to a bound above rounding, because a costate far below one may be the rounding of zero."""
     return jnp.maximum(size, tolerance(size, SMALLEST_SIZE))
 
 
@@ -156,8 +156,8 @@ def first_sizes(*sizes: Array) -> Array:
 def phase_sizes(
     manifold: Manifold, energy: Callable[[Ambient, Ambient], Array], h: ArrayLike, x: Ambient, v: Ambient, p: Ambient
 ) -> tuple[Array, Array]:
-    """Sizes of the coordinates of a position ``x`` and of a covector ``p`` there, array by array; ``v``: the motion in
-    a step.
+    """Sizes of the coordinates of a position ``x`` and of a covector ``p`` there, array by array, for the motion ``v``
+    in a step.
 
     Of an array of zeros those of the motion in a step, or of what the force adds in one to the covector; at rest those
     of the motion that begins in a step.

@@ -1,4 +1,4 @@
-"""What a matrix group leaves fixed, found from its Lie algebra, and the equations that say so.
+"""Tensors that a matrix group leaves fixed, found from its Lie algebra, and the equations of the group.
 
 A connected group of matrices that is cut out by the tensors it fixes is found here from those of lowest degree: vectors
 ``b`` and covectors ``c``, Hermitian forms ``x^H J x = J`` and ``x K x^H = K``, and the volume ``det x = 1``. That

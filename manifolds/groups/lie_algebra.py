@@ -106,7 +106,10 @@ class LieAlgebra:
 
     @cached_property
     def invariants(self) -> Invariants:
-        """What the algebra leaves fixed. Raises ``InvalidInputError`` where a larger algebra leaves the same fixed."""
+        """The tensors that the algebra leaves fixed.
+
+        Raises ``InvalidInputError`` where a larger algebra leaves the same fixed.
+        """
         found = find_invariants(self.basis)
         dimension = invariant_dimension(found, self.basis.shape[1], np.iscomplexobj(self.basis))
         if dimension > len(self.basis):

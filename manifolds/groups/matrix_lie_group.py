@@ -23,7 +23,7 @@ Coordinates = Float[Array, " d"]
 
 
 class MatrixLieGroup(HomogeneousSpace):
-    r"""A connected Lie group of real or complex matrices: a base class; points have shape ``(n, n)``.
+    r"""A base class of connected Lie groups of real or complex matrices, with points of shape ``(n, n)``.
 
     Notes
     -----

@@ -84,7 +84,7 @@ def gradient(function: Callable[[Ambient], Array], x: Ambient) -> Ambient:
 def pullback(
     function: Callable[..., Ambient], *points: Ambient
 ) -> tuple[Ambient, Callable[[Ambient], tuple[Ambient, ...]]]:
-    """Value of ``function``, and the map of covectors there to those at the arguments: ``<pull(p), d> = <p, Df d>``."""
+    """Value of ``function``, and the pullback of covectors, ``<pull(p), d> = <p, Df d>``."""
     value, pull = jax.vjp(function, *points)
     return value, lambda p: conjugate(pull(conjugate(p)))
 
@@ -198,7 +198,7 @@ def flatten_frame(frame: Frame) -> Float[Array, "k N"]:
 
 
 def orthonormalise(frame: Frame) -> Frame:
-    """Orthonormal frame of the same span, that of Gram and Schmidt: a smooth function of the frame."""
+    """Orthonormal frame of the same span by the rule of Gram and Schmidt, a smooth function of the frame."""
     r = jnp.linalg.qr(flatten_frame(frame).T, mode="r")
     # The signs that LAPACK gives to the rows jump where an entry that may be zero by structure changes its sign.
     mixing = jnp.linalg.inv(jnp.where(jnp.diagonal(r) < 0, -1.0, 1.0)[:, None] * r)

@@ -8,8 +8,7 @@ T = TypeVar("T")
 
 
 class _AbstractAttribute:
-    """What stands for an attribute in the class that asks for it, and is not seen from a subclass with a field of that
-    name."""
+    """A placeholder of an attribute that a class requires, which a field of that name in a subclass hides."""
 
     __isabstractmethod__ = True
 

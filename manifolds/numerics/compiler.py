@@ -1,4 +1,4 @@
-"""What XLA is asked for by function, so that it compiles in less time."""
+"""Options of XLA for single functions, which shorten compilation."""
 
 from functools import cache
 
@@ -8,7 +8,7 @@ Option = str | bool
 
 
 def known_options(wishes: dict[str, Option]) -> dict[str, Option]:
-    """The options that this XLA knows, of those that are wished for; none of them where it compiles for no CPU.
+    """The requested options that this XLA knows, none of them on other devices than the CPU.
 
     Nothing global is set: they are given with each function.
     """

@@ -18,7 +18,7 @@ def central_nodes(reach: int) -> Float[np.ndarray, " nodes"]:
 
 @cache
 def _weights(order: int, reach: int) -> Float[np.ndarray, " nodes"]:
-    """Weights of the values at ``central_nodes(reach)``; those farther out than an order needs are zero."""
+    """Weights of the values at ``central_nodes(reach)``, zero at nodes farther out than the order needs."""
     m = order // 2
     ahead = [
         (-1) ** (k + 1) * factorial(m) ** 2 / (k * factorial(m - k) * factorial(m + k)) if k <= m else 0.0

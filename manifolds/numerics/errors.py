@@ -59,7 +59,7 @@ class ConvergenceError(RetraxError, RuntimeError):
 
 
 def shapes_of(function: Callable[..., Any], what: str, *arguments: Any) -> Any:
-    """Shapes of the values of a user's ``function``, called ``what``, from those of its arguments.
+    """Shapes of the values of a user's ``function``, called ``what``, from the shapes of its arguments.
 
     Raises ``InvalidInputError`` where JAX cannot trace it, as one that is written with NumPy.
     """

@@ -39,8 +39,7 @@ def polar_factor(a: Frame) -> Frame:
 
 
 def made_orthonormal(y: Frame) -> Frame:
-    """A frame that is orthonormal to half of its digits, after a step of Newton and Schulz to all of them; NaN for
-    others.
+    """A nearly orthonormal frame after a step of Newton and Schulz, NaN unless half of its digits were right.
 
     Functions of a large matrix with small eigenvalues, as of a rotation in a plane, lose as many digits as it has.
     """
@@ -95,10 +94,10 @@ def _eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
 
 
 def null_frame(rows: Float[Array, "m n"]) -> Float[Array, "n-m n"]:
-    """Orthonormal rows that span the null space of independent rows: fixed ones, projected, and made orthonormal again.
+    """Orthonormal rows that span the null space of independent rows.
 
-    Their derivatives are right everywhere; those of LAPACK's reflections are NaN where a row is a multiple of a unit
-    vector.
+    The rows come from a fixed basis, projected and made orthonormal again. Their derivatives are right everywhere; the
+    derivatives of LAPACK's reflections are NaN where a row is a multiple of a unit vector.
     """
     fixed = jax.lax.stop_gradient(jnp.linalg.qr(rows.T, mode="complete")[0].T[rows.shape[0] :])
     carried = fixed - (fixed @ rows.T) @ solve_small(rows @ rows.T, rows)
@@ -106,7 +105,8 @@ def null_frame(rows: Float[Array, "m n"]) -> Float[Array, "n-m n"]:
 
 
 def adapted_frame(projector: Matrix, rank: int) -> Matrix:
-    """Orthogonal matrix whose first ``rank`` columns span the image of an orthogonal projector, the others its kernel.
+    """Orthogonal matrix whose first ``rank`` columns span the image of an orthogonal projector, and the last columns
+    its kernel.
 
     Columns of the projector, and of that on the kernel, made orthonormal; which ones is frozen, they move with it.
     """
@@ -127,7 +127,7 @@ def _spanned(projector: Matrix, rank: int) -> Frame:
 
 
 def _pivots(projector: Matrix, rank: int) -> Float[Array, "p n"]:
-    """The unit vectors of which elimination finds the images the farthest from the span of those before."""
+    """The unit vectors whose images elimination finds farthest from the span of the earlier images."""
     names = jnp.arange(projector.shape[0])
 
     def eliminate(a: Matrix, _: None) -> tuple[Matrix, Array]:

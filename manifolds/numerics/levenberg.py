@@ -20,8 +20,11 @@ STEPS = 60
 
 @final
 class Damping(NamedTuple):
-    """How steps are damped: from ``first`` on it falls by a factor after a step that is taken, from ``least`` or below
-    to zero, and grows by a factor after one that is not, from zero to ``least``; beyond ``largest`` a method ends."""
+    """The rule for the damping of steps.
+
+    Damping falls by a factor after an accepted step, from ``least`` or below to zero. It grows by a factor after a
+    rejected step, from zero to ``least``; beyond ``largest`` a method ends.
+    """
 
     grows: float
     falls: float

@@ -92,8 +92,7 @@ def exponential(a: Matrix) -> Matrix:
 
 @jax.custom_jvp
 def sym_exp(a: Matrix) -> Matrix:
-    """Exponential of the symmetric part of a matrix, by eigenvalues; its derivatives are those of the Pade
-    approximant."""
+    """Exponential of the symmetric part of a matrix by eigenvalues, with the derivatives of the Pade approximant."""
     values, vectors = jnp.linalg.eigh(a)
     return (vectors * jnp.exp(values)) @ vectors.T
 

@@ -1,6 +1,7 @@
-"""Tolerances that have one meaning in several files, from the tightest on; those of one algorithm stand beside it.
+"""Tolerances with one meaning in several files, from the tightest on.
 
-They are relative to what a number is made of, and most are multiples or powers of eps, which is 2e-16.
+A tolerance of a single algorithm stands beside the algorithm. Tolerances are relative to the terms of a number. Most
+are multiples or powers of eps, which is 2e-16.
 """
 
 from typing import Any
@@ -25,5 +26,6 @@ def tolerance(x: Any, power: float) -> float:
 
 
 def rounding_of(x: Any) -> float:
-    """What sums and products of a few terms lose, relative to the largest of them, in the precision of an array."""
+    """The rounding error of sums and products of a few terms, relative to the largest term, in the precision of an
+    array."""
     return ROUNDING * tolerance(x, 1.0)

@@ -1,4 +1,4 @@
-"""Lagrangian submanifolds of presymplectic manifolds, and the two constructions of new ones from maps.
+"""Lagrangian submanifolds of presymplectic manifolds, and two constructions of Lagrangian submanifolds from maps.
 
 Definitions and propositions: Barbero-Linan, Martin de Diego, "Presymplectic integrators for optimal control problems
 via retraction maps", appendix.
@@ -286,7 +286,7 @@ def _require_function(function: object) -> None:
 
 @eqx.filter_jit
 def _linear_data(submanifold: Immersion, y: Ambient) -> tuple[Array, Array, Array]:
-    """Matrix of the form at ``i(y)``; coordinates of the submanifold's tangent vectors, one row each; their normal
+    """Matrix of the form at ``i(y)``, coordinates of the submanifold's tangent vectors by rows, and their normal
     part."""
     x, space = submanifold(y), submanifold.target
     basis, tangents = space.manifold.basis(x), submanifold.tangents(y)

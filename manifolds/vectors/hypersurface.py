@@ -1,4 +1,4 @@
-"""What the manifolds of vectors with one dimension less share."""
+"""The base class of manifolds of vectors with one dimension less."""
 
 import equinox as eqx
 import jax

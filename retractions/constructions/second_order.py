@@ -15,8 +15,10 @@ from ..retraction import Retraction, is_reached, nan_unless
 
 
 def metric_on(manifold: Manifold, metric: Metric | None) -> Metric:
-    """``metric``, by default that of the ambient space. Raises ``InvalidInputError`` for a metric of another
-    manifold."""
+    """The ``metric``, by default the metric of the ambient space.
+
+    Raises ``InvalidInputError`` for a metric of another manifold.
+    """
     if metric is None:
         return EmbeddedMetric(manifold)
     if not isinstance(metric, Metric) or not same_manifold(metric.manifold, manifold):

@@ -82,11 +82,10 @@ class GroupRetraction(Retraction):
 
 
 def on_group(group: MatrixLieGroup, g: Matrix) -> Matrix:
-    """``g`` where it satisfies the group's equations to half of the digits, NaN elsewhere: on SL(n) far out, where det
-    is lost.
+    """The matrix ``g`` if ``g`` satisfies the group's equations to half of the digits, otherwise NaN.
 
-    Elements of the groups of rotations and of rigid motions, whose functions keep to them by their form, are left as
-    they are.
+    NaN occurs on SL(n) far out, where det is lost. Elements of the groups of rotations and of rigid motions, whose
+    functions keep to the group by their form, are left as they are.
     """
     return g if isinstance(group, SO | SE | U | SU) else nan_unless(is_on_group(group, g), g)
 

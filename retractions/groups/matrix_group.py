@@ -24,7 +24,8 @@ INSIDE = 1 / 16
 
 
 class _MatrixFunctions(NamedTuple):
-    """Functions between the algebra and the group; ``injective``: where the logarithm inverts the exponential."""
+    """Functions between the algebra and the group, with the test ``injective`` that the logarithm inverts the
+    exponential."""
 
     exponential: Callable[[Matrix], Matrix] = general.exponential
     logarithm: Callable[[Matrix], Matrix] = general.logarithm

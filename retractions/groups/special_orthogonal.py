@@ -17,7 +17,7 @@ from .group_map import GroupRetraction, SymmetricGroupRetraction
 
 
 class _SymmetricRotation(SymmetricGroupRetraction):
-    """Those with ``g(-Omega) = g(Omega)'``."""
+    """Functions of rotations with ``g(-Omega) = g(Omega)'``."""
 
     manifold: SO
 

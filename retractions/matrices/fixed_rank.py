@@ -62,14 +62,14 @@ class FixedRankProjection(Retraction):
         return apart & self._inclined(x, x + v) & comes_back(self, x, v)
 
     def _inclined(self, x: Array, a: Array) -> Bool[Array, ""]:
-        """Whether the leading columns, and rows, of ``a`` make angles below pi/2 with those of ``x``."""
+        """Whether the leading columns and rows of ``a`` make angles below pi/2 with the columns and rows of ``x``."""
         pairs = zip(self.manifold.projectors(x), self.manifold.projectors(a), strict=True)
         cosines = [jnp.linalg.svd(_carrier(here, there), compute_uv=False)[-1] for here, there in pairs]
         return jnp.minimum(*cosines) > _rounding(jnp.ones((), x.dtype))
 
 
 def _carrier(here: Array, there: Array) -> Array:
-    """Linear map that takes the image of the projector ``there`` to that of ``here``, and kernel to kernel.
+    """Linear map that takes image and kernel of the projector ``there`` to image and kernel of ``here``.
 
     Its singular values are the cosines of the angles between them.
     """
@@ -84,7 +84,7 @@ def _of_rank(r: int, y: Array) -> Array:
 
 
 def _rounding(size: Array) -> Array:
-    """What is zero up to rounding, of a matrix of this size."""
+    """The bound below which a number is zero up to rounding, for a matrix of this size."""
     return EDGE * jnp.finfo(size.dtype).eps * size
 
 

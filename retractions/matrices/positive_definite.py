@@ -31,7 +31,7 @@ def _spread_is_known(logarithm: Array) -> Bool[Array, ""]:
 
 
 def _in_cone(y: Array) -> Array:
-    """``y`` where it is positive definite by more than its rounding, NaN elsewhere."""
+    """The matrix ``y`` if its eigenvalues exceed the rounding of ``y``, otherwise NaN."""
     fixed = jax.lax.stop_gradient(y)
     rounding = EDGE * jnp.finfo(y.dtype).eps * jnp.trace(fixed)
     factor = jnp.linalg.cholesky(fixed - rounding * jnp.eye(y.shape[0], dtype=y.dtype))

@@ -41,8 +41,10 @@ class Channel(NamedTuple):
 
     @property
     def labels(self) -> list[str]:
-        """The names of the entries, with their units where these differ; x, y, z where three have places only, and
-        one unit, and none for a place that is the only one."""
+        """The names of the entries, with their units if these differ.
+
+        Three entries without names and with one unit are x, y, z; a single entry has an empty name.
+        """
         if self.entries == ("0",):
             return [""]
         if self.entries == ("0", "1", "2") and len(set(self.units)) == 1:
@@ -110,8 +112,8 @@ def view(record: Any, problem: About = None) -> View:
 
 
 def _is_held(times: np.ndarray, stages: np.ndarray) -> bool:
-    """Whether a trajectory has one control from each node to the next; one behind the middle may be that of the last of
-    several steps."""
+    """Whether a trajectory has one control from each node to the next, with its stage before or at the middle of a
+    step."""
     return stages.size == len(times) - 1 and bool(np.all(stages.ravel() - times[:-1] <= (0.5 + SAME) * np.diff(times)))
 
 
@@ -125,7 +127,7 @@ def _nothing(quantities: Quantities) -> list[np.ndarray]:
 
 
 def _quantities(given: Any, states: list[np.ndarray], controls: list[np.ndarray]) -> Quantities:
-    """The quantities that are known, those of a problem or a manifold, or those of arrays of which nothing is known."""
+    """The known quantities, of a problem or of a manifold, or unnamed quantities."""
     unnamed = Quantities.unnamed([a.shape[1:] for a in states], [a.shape[1:] for a in controls])
     if isinstance(given, Manifold):
         return replace(unnamed, states=Quantities.of(given, Euclidean(1), None, None).states)
@@ -162,7 +164,7 @@ def _channels(quantity: Quantity, values: np.ndarray) -> list[Channel]:
 
 
 def raw(quantity: Quantity, values: np.ndarray) -> Channel:
-    """The entries of an array as they are, those of complex ones as real and imaginary parts."""
+    """The entries of an array as they are, with real and imaginary parts of complex entries."""
     rows: Any = values.reshape(len(values), -1)
     entries = quantity.entries
     if np.iscomplexobj(rows):

@@ -1,4 +1,4 @@
-"""What tells that Newton's method for a small system has converged, in loops of JAX and of tapes."""
+"""The test for the convergence of Newton's method on a small system, in loops of JAX and of tapes."""
 
 MAX_JACOBIANS = 15
 QUADRATIC_POWER = 0.65  # of eps: a step, in the unknowns' sizes, from which on one that hardly shrinks is rounding

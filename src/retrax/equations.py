@@ -1,4 +1,4 @@
-"""What equations of JAX's programs say: what they call, and how loops part their inputs, in every version of JAX."""
+"""Equations of JAX's programs: the programs that they call, and the inputs of loops, in every version of JAX."""
 
 from collections.abc import Iterator
 from typing import Any, TypeVar
@@ -19,7 +19,7 @@ T = TypeVar("T")
 
 
 def name_of(equation: Any) -> str:
-    """What an equation computes."""
+    """The name of the operation of an equation."""
     if equation.primitive.name != HIGH:
         return equation.primitive.name
     high = equation.params["_prim"]
@@ -43,7 +43,7 @@ def called(equation: Any) -> Any:
 
 
 def programs(equation: Any) -> Iterator[Any]:
-    """The programs in an equation, closed ones or open ones: that which it calls, or those among its parameters."""
+    """The closed or open programs in an equation: the called program, or the programs among its parameters."""
     own = called(equation)
     params = [*equation.params.values()] if own is None else [own]
     yield from (leaf for leaf in jax.tree.leaves(params, is_leaf=_has_equations) if _has_equations(leaf))
@@ -75,14 +75,16 @@ IN_SCALARS = {"_det_2x2": _det2, "_det_3x3": _det3, "exp_neg_sq": lambda x: jnp.
 
 
 def is_in_scalars(equation: Any) -> bool:
-    """Whether an equation calls one of these functions, whose derivatives are those of its values."""
+    """Whether an equation calls a known function, whose derivatives are the derivatives of its scalar expression."""
     name = equation.primitive.name
     return name in CALLS and _in_scalars(equation.params[CALLS[name]]) is not None
 
 
 def _in_scalars(program: Any) -> Any:
-    """The same as a program of JAX's own, in products, sums and elementary functions, which have the derivatives that
-    JAX states for it; None if it is not one of these."""
+    """The known function as a program of products, sums and elementary functions, with the derivatives that JAX states.
+
+    None for a program that is not known.
+    """
     source = str(getattr(getattr(getattr(program, "jaxpr", program), "debug_info", None), "func_src_info", ""))
     name, _, place = source.partition(" at ")
     if name not in IN_SCALARS or "/jax/_src/" not in place.replace("\\", "/"):
@@ -92,7 +94,7 @@ def _in_scalars(program: Any) -> Any:
 
 
 def scan_parts(params: dict[str, Any], inputs: list[T]) -> tuple[list[T], list[T], list[T]]:
-    """Of the inputs of an equation ``scan``: the constants, what is carried from round to round, and the rows."""
+    """The constants, the carried values and the rows among the inputs of an equation ``scan``."""
     if "ft_in" in params:  # since JAX 0.11
         fixed, carry, rows = map(list, params["ft_in"].update(inputs).unpack())
         return fixed, carry, rows

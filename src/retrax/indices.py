@@ -48,8 +48,10 @@ def _words(within: Equations, what: str, axis: int, index: int, count: int) -> s
 
 
 def _equations(program: Any, inputs: Values, within: Equations) -> Generator[tuple[Equations, Values], None, Values]:
-    """The equations of a program and of those in it, each behind those that call it, with their known inputs; the known
-    outputs are returned."""
+    """The equations of a program and of all programs inside, each behind its caller, with their known inputs.
+
+    The known outputs are returned.
+    """
     jaxpr = _open(program)
     known = dict(zip(jaxpr.constvars, map(_whole, getattr(program, "consts", ())), strict=False))
     known |= dict(zip(jaxpr.invars, inputs, strict=True))
@@ -106,8 +108,7 @@ def _computed(equation: Any, inputs: Values) -> Values:
 
 
 def _indices(equation: Any, inputs: Values) -> list[tuple[int, np.ndarray, int]]:
-    """Of an equation that takes or sets entries by known indices: the axis, the indices, and how many there are to
-    choose from."""
+    """The axis, the indices and the number of choices, for an equation that takes or sets entries by known indices."""
     name, params = equation.primitive.name, equation.params
     if name not in ("dynamic_slice", "dynamic_update_slice", "gather") and not name.startswith("scatter"):
         return []

@@ -31,6 +31,16 @@ def load(path: str | Path) -> Any:
     Notes
     -----
     ``load_solution(path, retraction, controls)`` reads a solution whose retraction is a custom class.
+
+    Examples
+    --------
+    >>> line = Euclidean(1)
+    >>> moved = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> found = solve(moved, 0.0, 1.0, 2.0, method=Midpoint(Addition(line)), steps=4)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     found.save(f"{folder}/moved.npz")
+    ...     load(f"{folder}/moved.npz").cost == found.cost
+    True
     """
     place = Path(path)
     if place.is_dir():

@@ -15,7 +15,7 @@ Advance = Callable[..., None]
 
 @contextmanager
 def progress(what: str, total: int, unit: str, verbose: bool, done: int = 0) -> Iterator[Advance]:
-    """What is to be called with how much more is done, and a remark; it shows nothing unless ``verbose``.
+    """A function that reports progress, called with the number of new items and a remark; silent unless ``verbose``.
 
     Lines are of level INFO, of the logger ``retrax``: ``what``, how many of the ``total`` are done, and how fast.
     """

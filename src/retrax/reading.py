@@ -43,8 +43,10 @@ _context = jax.make_user_context(None)  # a part of the keys of JAX's caches, of
 
 @final
 class Reading:
-    """A time in which the functions of a user do not change; ``known`` is for what was found out during it, ``traces``
-    how many programs were traced."""
+    """A time in which the functions of a user do not change.
+
+    ``known`` holds results that were found during this time, ``traces`` counts the traced programs.
+    """
 
     def __init__(self) -> None:
         self.known: dict[Hashable, Any] = {}
@@ -57,13 +59,14 @@ class Reading:
             return jax.make_jaxpr(lambda *arguments: function(*arguments))(*examples)
 
     def once(self, key: Hashable, find: Callable[[], T]) -> T:
-        """What is found out by ``find``, the first time in this reading."""
+        """The result of ``find``, which runs at the first call in this reading."""
         if key not in self.known:
             self.known[key] = find()
         return self.known[key]
 
     def end(self) -> None:
-        """Release the traces: JAX keeps those of functions that live on, as its own under ``jit``, without bound.
+        """Release the traces, which JAX would keep without bound for functions that live on, as for its own under
+        ``jit``.
 
         There is no public way to. Versions of JAX in which that cache is another one bound it.
         """
@@ -132,7 +135,7 @@ def reads_once(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def traced(function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
-    """The program of a function as it is now, a closed jaxpr; ``examples``: arrays, or their shapes.
+    """The program of a function as it is now, a closed jaxpr, traced with arrays or their shapes as ``examples``.
 
     Raises ``NotDifferentiableError`` where it has derivatives of a function of which JAX knows none.
     """
@@ -156,7 +159,7 @@ def differentiable() -> Iterator[None]:
 
 
 def _undifferentiable(error: Exception) -> str:
-    """What to say of an error of JAX about a function without derivatives; empty for other ones."""
+    """Words on an error of JAX about a function without derivatives; empty for other errors."""
     said = " ".join(str(error).split())
     hint = next((hint for part, hint in WITHOUT.items() if part in said), "")
     if not hint:

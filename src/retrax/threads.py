@@ -76,7 +76,7 @@ def _ranges(count: int, parts: int, unit: int = 1) -> list[range]:
 
 
 def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
-    """What is to be found for a part in a thread of its own, where kernels share nothing with others."""
+    """The future result of a part, computed in a thread of its own with kernels of one thread."""
 
     def alone() -> R:
         with one_thread():
@@ -86,7 +86,7 @@ def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
 
 
 def later(run: Callable[[], None]) -> None:
-    """Do something while others go on, one after the other, and nothing once Python ends; an error is logged."""
+    """Run a function in another thread, one function after the other, and none once Python ends; an error is logged."""
 
     def alone() -> None:
         with _going:

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
+from retrax.integrators.controls import resting_control
+from retrax.integrators.costs import require_cost
+from retrax.integrators.inspection import probes
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Midpoint
 
@@ -18,6 +21,12 @@ REST, AHEAD = np.zeros(2), np.array([1.0, 0.0])
 
 def effort(_: Array, u: Array) -> Array:
     return u @ u / 2
+
+
+def require_costs(problem: OptimalControlProblem, fixed: tuple[bool, ...] = ()) -> None:
+    """Raise unless both costs are numbers, near the rest and at random ends."""
+    u = resting_control(problem.controls)
+    require_cost(problem, (REST, u, probes(problem, u)[0]), REST, fixed)
 
 
 CART = OptimalControlProblem(PLANE, cart, effort, 1)
@@ -113,7 +122,7 @@ def test_a_hamiltonian_of_time_is_refused():
 def test_a_constant_cost_is_told_from_a_weak_one(price):
     def refused(weight: float) -> bool:
         try:
-            OptimalControlProblem(PLANE, cart, Priced(price, jnp.asarray(weight)), 1).require_cost(REST, REST)
+            require_costs(OptimalControlProblem(PLANE, cart, Priced(price, jnp.asarray(weight)), 1))
         except InvalidInputError as error:
             return "every state and control that was tried" in str(error)
         return False
@@ -152,7 +161,7 @@ def test_a_terminal_cost_that_is_a_number_too_is_no_cost():
     def refused(weight: float, *fixed: bool) -> bool:
         given = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, terminal_cost=Last(jnp.asarray(weight)))
         try:
-            given.require_cost(REST, REST, fixed)
+            require_costs(given, fixed)
         except InvalidInputError as error:
             return "the running cost is 1 at every state and control that was tried, and " in str(error)
         return False
@@ -166,8 +175,8 @@ def test_a_terminal_cost_that_is_a_number_too_is_no_cost():
 
 def test_other_costs_that_vanish_somewhere_are_not_constant():
     for cost in (lambda q, u: q @ q, lambda q, u: jnp.maximum(u[0] ** 2 - 50.0, 0.0)):
-        OptimalControlProblem(PLANE, cart, cost, 1).require_cost(REST, REST)
-    OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, abnormal=True).require_cost(REST, REST)
+        require_costs(OptimalControlProblem(PLANE, cart, cost, 1))
+    require_costs(OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, abnormal=True))
 
 
 @pytest.mark.parametrize("growth", [0.0, 1e-3, 0.03, 0.1, 0.3, 1.0, 3.0])

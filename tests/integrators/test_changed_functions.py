@@ -74,11 +74,11 @@ def test_a_step_that_a_jitted_helper_has_later_is_seen():
 def test_a_problem_is_another_one_where_its_functions_compute_another_value(way):
     (product, change), (other, change_other) = held(way, 1.0), held(way, 1.0)
     problem, same = priced(product), priced(other)
-    before = problem.digest()
+    before = problem._digest()
     assert is_same_problem(problem, same)
     change(2.0)
     change_other(2.0)
-    assert problem.digest() != before
+    assert problem._digest() != before
     assert is_same_problem(problem, same)
     assert not is_same_problem(problem, priced(lambda u: 3 * u))
 

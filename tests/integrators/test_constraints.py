@@ -12,6 +12,7 @@ from retrax.integrators.boundary_value.end_points import Part, Prescribed
 from retrax.integrators.boundary_value.inequality_rows import InequalityRows
 from retrax.integrators.dirac import DiracSystem
 from retrax.integrators.problem import is_same_problem
+from retrax.integrators.requirements import require_treated
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, CotangentLift, Midpoint
 from retrax.tape import Tape
@@ -51,7 +52,7 @@ VALUES = [-2.0, -2.5, -2.0, -7.0, -4.5, 0.0625 + 0.25 + 4 - 1, 1.0, -3.0, 0.0]
 
 
 def test_inequalities_are_the_finite_bounds_then_the_constraints_in_order():
-    assert LIMITED.inequality_names == NAMES
+    assert LIMITED._inequality_names == NAMES
     np.testing.assert_array_equal(LIMITED.inequalities(STATE, CONTROL), VALUES)
     np.testing.assert_array_equal(jax.jit(LIMITED.inequalities)(STATE, CONTROL), VALUES)
     tape = Tape.trace(lambda w, u: LIMITED.inequalities((jnp.eye(3), w), u), STATE[1], CONTROL)
@@ -62,7 +63,7 @@ def test_inequalities_are_the_finite_bounds_then_the_constraints_in_order():
 
 
 def test_numbers_of_the_inequalities_come_back_under_their_names():
-    found = LIMITED.limits.by_name(np.arange(18.0).reshape(2, 9), LIMITED.inequality_sizes)
+    found = LIMITED._limits.by_name(np.arange(18.0).reshape(2, 9), LIMITED._inequality_sizes)
     assert list(found) == ["control_bounds lower", "control_bounds upper", "rate", "cone", "any"]
     np.testing.assert_array_equal(found["control_bounds lower"], [[0, 0, 1], [9, 0, 10]])
     np.testing.assert_array_equal(found["cone"], [[6, 7], [15, 16]])
@@ -80,10 +81,10 @@ def test_a_problem_without_inequalities_has_none():
         body(constraints={}),
         body(control_bounds=None, constraints=None),
     ):
-        assert given.inequality_names == ()
+        assert given._inequality_names == ()
         assert given.inequalities(STATE, CONTROL).shape == (0,)
-        assert not given.limits.any
-        given.require_treated("nothing")
+        assert not given._limits.any
+        require_treated(given, "nothing")
     turn = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u, Sphere(2))
     assert turn.inequalities(np.eye(3), np.eye(3)[0]).shape == (0,)
 
@@ -92,7 +93,7 @@ def test_controls_of_any_shape_have_bounds():
     grid = OptimalControlProblem(
         PLANE, lambda q, u: u @ q, lambda q, u: jnp.sum(u**2), Euclidean((2, 2)), control_bounds=(-1, 4)
     )
-    assert grid.inequality_names[1] == "control_bounds lower[0, 1]"
+    assert grid._inequality_names[1] == "control_bounds lower[0, 1]"
     np.testing.assert_array_equal(grid.inequalities(np.ones(2), np.arange(4.0).reshape(2, 2))[4:], [-4, -3, -2, -1])
     assert grid.control_bounds[0].shape == (2, 2)
 
@@ -198,7 +199,7 @@ def test_the_time_comes_after_the_control(names):
 
 
 def test_other_mappings_are_taken_and_bounds_that_are_traced_are_not():
-    assert body(constraints=MappingProxyType({"cone": effort})).inequality_names == ("cone",)
+    assert body(constraints=MappingProxyType({"cone": effort}))._inequality_names == ("cone",)
     with pytest.raises(InvalidInputError, match=r"control_bounds: upper is traced by JAX, .*try constraints="):
         jax.jit(lambda a: body(control_bounds=(-1.0, a)).inequalities(STATE, CONTROL))(1.0)
 
@@ -236,7 +237,7 @@ def test_a_constraint_that_returns_something_else_is_named(constraint, words):
 
 def test_an_initial_cost_that_is_no_number_is_named():
     with pytest.raises(InvalidInputError, match=r"initial_cost must return a scalar, got an array of shape \(3,\)"):
-        body(initial_cost=lambda q: q[1]).require_values()
+        body(initial_cost=lambda q: q[1])._require_values()
 
 
 LEFT_OUT = {

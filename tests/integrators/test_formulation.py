@@ -268,7 +268,7 @@ def test_bounds_are_inequalities_at_the_first_point():
     formulation = Formulation(limited, Midpoint(Addition(LINE)), Kind.of(horizon, given))
     inner = formulation.problem.with_parameters(formulation.parameters(horizon, given))
     names = "control_bounds lower", "far", "horizon lower", "horizon upper", "parameters upper"
-    assert inner.inequality_names == tuple(f"{name}[0]" for name in names)
+    assert inner._inequality_names == tuple(f"{name}[0]" for name in names)
     y = np.ones(1), np.array([0.5, 1 + 0.25])
     expected = [-2 - 4, 1 - 3, np.log(0.5) - 0.25, 0.25 - np.log(4), 0.5 - 0.75]
     np.testing.assert_allclose(inner.inequalities(y, np.full(1, 4.0)), expected)

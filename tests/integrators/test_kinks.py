@@ -10,6 +10,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, solve
 from retrax.integrators.controls import resting_control
+from retrax.integrators.inspection import Inspection
 from retrax.integrators.kinks import kinks_near
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
@@ -41,7 +42,7 @@ def verdict(given: OptimalControlProblem) -> str:
     """``regular``, ``singular`` or, if that is what it is refused for, ``kink``."""
     try:
         given.check(AT, resting_control(given.controls))
-        return "regular" if given.is_regular_at(AT, resting_control(given.controls)) else "singular"
+        return "regular" if Inspection(given, AT, resting_control(given.controls)).is_regular else "singular"
     except InvalidInputError as error:
         named = "has a kink or a jump in the controls", "jumps in the controls"
         return "kink" if any(words in str(error) for words in named) else str(error)
@@ -141,7 +142,7 @@ def test_what_takes_a_problem_names_its_kink():
 def stationarity(given: OptimalControlProblem, solution: Any) -> float:
     """Largest ``|dH/du|`` at the stages, relative to its two parts."""
     at = [jnp.asarray(a) for a in (solution.stage_states, solution.stage_costates, solution.controls)]
-    slopes = jax.vmap(lambda q, p, u: jax.jacrev(lambda u: jnp.stack(given.parts(q, p, u)))(u))(*at)
+    slopes = jax.vmap(lambda q, p, u: jax.jacrev(lambda u: jnp.stack(given._parts(q, p, u)))(u))(*at)
     return float(jnp.max(jnp.abs(slopes[:, 0] - slopes[:, 1])) / jnp.max(jnp.abs(slopes)))
 
 

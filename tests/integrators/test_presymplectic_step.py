@@ -19,6 +19,7 @@ from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, integrate
 from retrax.integrators.extremal_controls import extremal_control
 from retrax.integrators.initial_value.step import lifted_step
+from retrax.integrators.inspection import Inspection
 from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.tolerances import EPS, REGULAR
@@ -185,7 +186,7 @@ def test_solver_and_integrator_call_the_same_problems_singular():
     for share in (0.0, 1e-3, 0.1, 0.3, 0.4, 2.5, 3.0, 10.0, 1e3, 1e6):
         cost = Dependent(jnp.asarray(share * EPS**REGULAR))
         problem = OptimalControlProblem(line, lambda q, u: u[:1] + u[1:], cost, 2)
-        regular = problem.is_regular_at(jnp.ones(1), jnp.zeros(2))
+        regular = Inspection(problem, jnp.ones(1), jnp.zeros(2)).is_regular
         assert regular == (share > 1)
         with nullcontext() if regular else pytest.raises(InvalidInputError, match="the problem is singular here"):
             integrator.check(problem, jnp.ones(1), jnp.zeros(1))

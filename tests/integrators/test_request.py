@@ -74,7 +74,7 @@ def test_phases_are_checked_once_each(checks):
 def test_what_is_not_given_is_completed():
     """A free end is as the other one, a tolerance ``eps^0.7``, free quantities as they are guessed."""
     solver = Solver(QUICK, METHOD, 6)
-    asked = Request.of(solver.reader, Given(REST, None, Free(2.0), None), None, Options.of(None, 100))
+    asked = Request.of(solver._reader, Given(REST, None, Free(2.0), None), None, Options.of(None, 100))
     assert asked.formulated
     np.testing.assert_array_equal(asked.ends.end[0], REST)
     assert asked.horizons.tolist() == [2.0]

@@ -74,7 +74,7 @@ def test_a_loop_takes_four_iterations_a_sample(samples, size):
 QUICK = {"least-time", "turnpike", "zermelo-sphere", "moon-landing"}
 # A singular arc that rounding decides about; a cost that is zero but for rounding.
 UNSURE = {"catalyst-mixing", "aly-chan"}
-NAMES = [own.name for own in problems.all() if own.problem.limits.any and own.name not in UNSURE]
+NAMES = [own.name for own in problems.all() if own.problem._limits.any and own.name not in UNSURE]
 # Where a hundredth of the time has gone, a robot has another minimum, dearer by 1e-5; and these two take fewer
 # iterations without any guess than from the states and controls of the plan, which they still outdo.
 ELSEWHERE, WORSE_GUESSES = {"free-flying-robot"}, {"keep-out-cone", "bryson-denham"}

@@ -2,10 +2,24 @@
 
 from typing import assert_type
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import retrax as rx
 from retrax.integrators import Phase, Solution, solve_phases
+
+
+class Circle(rx.manifolds.LevelSet):
+    def constraint(self, x: jax.Array) -> jax.Array:
+        return x @ x - 1.0
+
+
+class Ellipsoid(rx.manifolds.LevelSet):
+    weights: jax.Array
+
+    def constraint(self, x: jax.Array) -> jax.Array:
+        return x @ (self.weights * x) - 1.0
+
 
 Q = rx.Euclidean(2)
 START, END = np.zeros(2), np.ones(2)
@@ -34,6 +48,7 @@ assert_type(free, Solution)
 assert_type(again, Solution)
 lengths: list[int] = [len(free.states), len(free.u), free.controls.ndim, flown.phases[0].states.ndim]
 error: float = free.checks.error
+shapes: list[tuple[int, ...]] = [Circle(2).shape, Circle((3, 3)).shape, Ellipsoid(3, jnp.ones(3)).shape]
 units: str = free.quantities.time
 product = rx.SO(3) * rx.Euclidean((2, 3))
 attitudes, others = rx.solve(problem, None, END, 1.0).states

@@ -12,7 +12,7 @@ from retrax.tape.graph import Graph
 from retrax.tape.instructions import CODES
 from retrax.tape.machine import run_one
 from retrax.tape.native import native
-from retrax.tape.tape import Leaf
+from retrax.tape.packing import Leaf
 
 POINTS = np.random.default_rng(0).uniform(0.5, 4.0, (2, 70))
 

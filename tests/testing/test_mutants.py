@@ -3,6 +3,7 @@
 ``python -m tests.testing.test_mutants`` writes the tables of the documentation.
 """
 
+import re
 from pathlib import Path
 
 import jax
@@ -29,16 +30,54 @@ SUITES = {
 }
 
 
+# What a fact writes in ASCII, and how a page sets it.
+WORDS = "momentum|hat|vee|Ad|ad|body|spatial|covector|vector|kinetic_energy|chart|frame|both_ways|exp|log|det|Id"
+LATEX = (
+    (r"-> ", r"\\mapsto "),
+    (r"<([^<>]*)>", r"\\langle \1\\rangle"),
+    (r"<([^<>]*)>", r"\\langle \1\\rangle"),  # around the one above
+    (r"sqrt\(eps\)", r"\\sqrt{\\varepsilon}"),
+    (r"\^\(([^)]*)\)|\^(-\d)", r"^{\1\2}"),
+    (r"sum_(\w+)", r"\\sum_{\1}"),
+    (r"\beps\b", r"\\varepsilon"),
+    (r"\b(theta|omega|mu|xi)(?=\b|_)", r"\\\1"),
+    (r"\b([pqz])dot\b", r"\\dot \1"),
+    (r"g_f\(x\)", "g_{f(x)}"),
+    (r"\bpr([12])\*", r"\\mathrm{pr}_\1^*"),
+    (r"\bDR\*", "DR^*"),
+    (r"\bR([12])\b", r"R^\1"),
+    (r"\b([xpq])([01])\b", r"\1_\2"),
+    (rf"(?<!\\)\b({WORDS})\b", lambda word: rf"\operatorname{{{word[0]}}}".replace("_", r"\_")),
+    (r" \. ", r" \\cdot "),
+)
+CODE = "vmap", "reach"
+
+
+def latex(formula: str) -> str:
+    """A formula in ASCII as LaTeX; names of the code as code."""
+    if formula in CODE:
+        return f"`{formula}`"
+    for pattern, replacement in LATEX:
+        formula = re.sub(pattern, replacement, formula)
+    return f"${formula.strip()}$"
+
+
+def as_page(text: str) -> str:
+    """Text with its formulas in LaTeX."""
+    return re.sub(r"(`+)(.+?)\1", lambda found: latex(found[2]), text)
+
+
 def measured_row(name: str) -> str:
     """A mutant and the checks that it fails."""
     check, subject, options = MUTANTS[name]
     failures = check(subject, throw=False, **options).failures
-    return f"| {name} | {', '.join(f'`{outcome.check.name}`' for outcome in failures)} |"
+    return f"| {as_page(name)} | {', '.join(f'`{outcome.check.name}`' for outcome in failures)} |"
 
 
 def fact_rows() -> list[str]:
     """The checks of each suite with the facts they state."""
-    return [f"| {kind} | `{check.name}` | {check.fact} |" for kind, checks in SUITES.items() for check in checks]
+    every = ((kind, check) for kind, checks in SUITES.items() for check in checks)
+    return [f"| {kind} | `{check.name}` | {as_page(check.fact)} |" for kind, check in every]
 
 
 def documented_rows(heading: str) -> list[str]:
@@ -79,7 +118,7 @@ def test_the_table_says_which_checks_catch_a_mutant(name):
 def test_the_tables_have_a_row_for_each_mutant_and_each_check():
     assert [
         row.split(" | ")[0].removeprefix("| ") for row in documented_rows("Which check catches which mutant")
-    ] == list(MUTANTS)
+    ] == list(map(as_page, MUTANTS))
     assert documented_rows("The checks") == fact_rows()
 
 

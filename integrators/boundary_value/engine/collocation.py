@@ -73,7 +73,7 @@ class Collocation:
         e, u, k = self.state.size, self.control.size, self.parameter.size
         self._ends = evaluator.values(self._ends_of, e, n)
         bound = problem.with_parameters(parameters)
-        self.inequalities, self.own = inequalities_of(bound), len(bound.inequality_names)
+        self.inequalities, self.own = inequalities_of(bound), len(bound._inequality_names)
         self.kept = kept_of(bound)
         self.at_nodes = self.inequalities - self.own
         self.places = self.stages + (self.at_nodes > 0)

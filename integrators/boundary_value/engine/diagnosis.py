@@ -127,12 +127,12 @@ class Diagnosis:
     def _part_of(self, k: int, d: Array, *given: Array) -> tuple[Array, Array]:
         """The power ``<p, X>`` or the cost rate at a control moved in its chart."""
         problem, q, u, p = self._bound(*given)
-        return problem.parts(q, p, problem.steer(u, d))[k], jnp.zeros(0)
+        return problem._parts(q, p, problem._steer(u, d))[k], jnp.zeros(0)
 
     def _limit_of(self, d: Array, q: Array, u: Array, pull: Array, parameters: Array) -> tuple[Array, Array]:
         """The inequalities times their multipliers at a control moved in its chart."""
         problem, point, control, _ = self._bound(q, u, q, parameters)
-        return pull @ problem.inequalities(point, problem.steer(control, d)), jnp.zeros(0)
+        return pull @ problem.inequalities(point, problem._steer(control, d)), jnp.zeros(0)
 
     def _at_samples(
         self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], given: np.ndarray

@@ -34,7 +34,7 @@ def room(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> tu
     size = np.maximum(np.abs(slopes), LEAST * _largest(np.abs(slopes)))
     with np.errstate(all="ignore"):
         straight = np.where(slopes == 0, np.inf, np.abs(held.values[..., None]) / size)
-    bounds = sum(map(len, conditions.at_nodes.problem.limits.bounded.values()))  # these are straight
+    bounds = sum(map(len, conditions.at_nodes.problem._limits.bounded.values()))  # these are straight
     left = [k for k in range(bounds, held.values.shape[3]) if np.any(held.asked[..., k])]
     curved = (_curved(conditions, iterate, assembled, k) for k in left)
     ball = np.min([np.full((*slopes.shape[:3], m), np.inf), *curved], axis=0)

@@ -127,7 +127,7 @@ class OneStage:
         given = 1, self.parameter.size
         nodes = (self.state.size,) * 4
         bound = problem.with_parameters(parameters)
-        self.inequalities, self.own = inequalities_of(bound), len(bound.inequality_names)
+        self.inequalities, self.own = inequalities_of(bound), len(bound._inequality_names)
         self.kept = kept_of(bound)
         self._ends = evaluator.values(self._ends_of, *sizes, *given)
         self._row = evaluator.derivatives(self._row_of, self.dimension, *sizes, *nodes, *given, self.inequalities)
@@ -250,12 +250,12 @@ class OneStage:
 
 def inequalities_of(problem: OptimalControlProblem) -> int:
     """How many inequalities a step has: those at a point, and those at nodes, at its end and at its beginning."""
-    return len(problem.inequality_names) + 2 * len(entry_words(problem.node_sizes))
+    return len(problem._inequality_names) + 2 * len(entry_words(problem._node_sizes))
 
 
 def kept_of(problem: OptimalControlProblem) -> np.ndarray:
     """Which inequalities of a step are bounds of what is free: no iterate leaves these."""
-    once = problem.limits.once(problem.inequality_sizes)
+    once = problem._limits.once(problem._inequality_sizes)
     return np.append(once, np.zeros(inequalities_of(problem) - len(once), bool))
 
 

@@ -1,4 +1,4 @@
-"""What a singular extremal claims, evaluated at the states, costates and controls that are returned."""
+"""The conditions of a singular extremal, evaluated at the states, costates and controls that are returned."""
 
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -38,10 +38,10 @@ def stationarity(problem: OptimalControlProblem, points: tuple[Any, Any, Any], c
 
     def at(z: tuple[Ambient, Ambient], u: Ambient) -> tuple[Array, Array]:
         q, p = z
-        velocities = jax.jacfwd(lambda c: problem.velocity(q, problem.steer(u, c)))(zero)
+        velocities = jax.jacfwd(lambda c: problem.velocity(q, problem._steer(u, c)))(zero)
 
         def slope(x: Ambient, c: Array) -> Array:
-            return jax.grad(lambda c: problem.cost_rate(x, problem.steer(u, c)))(c)
+            return jax.grad(lambda c: problem.cost_rate(x, problem._steer(u, c)))(c)
 
         rate, by_state, by_control = slope(q, zero), jax.jacrev(slope)(q, zero), jax.jacfwd(slope, 1)(q, zero)
         power = sum(jnp.tensordot(a, v, a.ndim) for a, v in _pairs(jax.tree.map(jnp.conj, p), velocities)).real

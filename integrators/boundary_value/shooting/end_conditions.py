@@ -30,8 +30,8 @@ RANDOM = 5  # points at which a terminal cost is looked at
 
 @final
 class EndConditions(eqx.Module):
-    """``q`` as prescribed at both ends; where it is free ``p = 0`` at the start and ``p = -dPhi`` at the end: ``2n`` in
-    all.
+    """The ``2n`` conditions at both ends: ``q`` as prescribed, and for free parts ``p = 0`` at the start, ``p = -dPhi``
+    at the end.
 
     Costates are measured in ``unit``, so that no condition depends on the unit of the cost.
     """
@@ -167,8 +167,8 @@ def _nearest(
     mask: Float[Array, " n"],
     terminal: Float[Array, ""],
 ) -> Node:
-    """From each covector: free states, and costates along the others, for which the equations of ``P_f`` are least
-    violated.
+    """The free states, and costates along prescribed coordinates, that violate the equations of ``P_f`` least, from
+    each covector.
 
     Costates along the free coordinates are ``-terminal dPhi``. Equations are measured by their terms, whatever the unit
     of the cost: derivatives by the state times 1 + its entries, and by the costate times its entries, or ``unit`` if

@@ -127,7 +127,8 @@ def _no_gauge(shooting: Shooting, c: Classification, integrator: SingularIntegra
 
 
 def _first_points(shooting: Shooting, c: Classification, request: Request, first: Pair, last: Pair) -> Pair:
-    """Points of ``P_f`` near the guess, or near the curve of the retraction with costates between those at the ends."""
+    """Points of ``P_f`` near the guess, or near the curve of the retraction, with costates between the costates at the
+    ends."""
     at = shooting.length * np.arange(shooting.segments)
     known = request.guess_of(0)
     if known is None:
@@ -177,7 +178,7 @@ class _Outcome(NamedTuple):
 
 
 def _at_stages(shooting: Shooting, nodes: Nodes) -> Any:
-    """The controls at the stages, between those that an integrator gives at the ends of its steps."""
+    """The controls at the stages, between the controls of an integrator at the ends of its steps."""
     integrator, theta = shooting.integrator, shooting.integrator.lift.theta
     if integrator.control_times == theta:
         return nodes.controls
@@ -277,7 +278,7 @@ def _record(
 def _arc(
     request: Request, c: Classification, shooting: Shooting, strategy: str, found: Found, outcome: _Outcome
 ) -> SingularArc:
-    """What is known of the singular arc."""
+    """The record of the singular arc."""
     return SingularArc(
         dimension=c.dimension,
         kernel=c.first_class,

@@ -161,7 +161,8 @@ def _verdict(state: _State, tolerance: float, slope: float, change: float, exhau
 
 @lru_cache
 def _kernels() -> tuple[Callable[..., Any], ...]:
-    """What places points on ``P_f``, what runs the segments from them, and what knows the boundary conditions."""
+    """The kernels that place points on ``P_f``, run the segments from these points, and evaluate the boundary
+    conditions."""
     methods = Shooting.place, Shooting.linearise, EndConditions.at
     return tuple(compiled(lambda *arguments, f=f: f(*arguments)) for f in methods)
 
@@ -203,7 +204,7 @@ def _weights(shooting: Shooting, iterate: Iterate) -> np.ndarray:
 
 
 def _excess(shooting: Shooting, iterate: Iterate) -> np.ndarray:
-    """What the norm of a step is measured from: the gauge controls themselves, but no more than the steps of the
+    """The origin of the norm of a step: the gauge controls themselves, without more weight than the steps of the
     states."""
     gauge = np.asarray(iterate.gauge).reshape(shooting.segments, iterate.gauge[0].size)
     return np.concatenate([np.zeros((shooting.segments, shooting.final.dimension)), gauge], axis=1).reshape(-1)

@@ -23,7 +23,7 @@ NOT_DECIDED = "generalised Legendre-Clebsch condition not decided: "
 
 
 def second_order(problem: OptimalControlProblem, z: Pair, u: Array, order: int = 1) -> str:
-    """What the generalised Legendre-Clebsch condition says at nodes ``z`` of an extremal with controls ``u``, in words.
+    """Words on the generalised Legendre-Clebsch condition at nodes ``z`` of an extremal with controls ``u``.
 
     ``H = H_0 + s . phi`` is to be largest: ``d2H/dw2 < 0`` in the regular controls, ``{phi_a, phi_b} = 0`` [Goh 1966]
     and ``-d/ds (d2/dt2) phi = {phi_a, psi_b}``, ``psi = {phi, H_0}``, negative definite [Kelley, Kopp, Moyer 1967]. It
@@ -58,7 +58,7 @@ def second_order(problem: OptimalControlProblem, z: Pair, u: Array, order: int =
 
 
 def _words(values: np.ndarray, condition: str, scale: float | None = None) -> str:
-    """What eigenvalues that are to be negative say of a condition."""
+    """Words on a condition whose eigenvalues must be negative."""
     worst = float(np.max(values))
     if not np.isfinite(worst):
         return NOT_DECIDED + "the derivatives are not finite"

@@ -45,7 +45,7 @@ class Iterate(NamedTuple):
 
 
 class Nodes(NamedTuple):
-    """What a segment passes through: the nodes after each of its steps, and the controls of the steps."""
+    """The nodes after each step of a segment, and the controls of the steps."""
 
     z: Pair
     controls: Any

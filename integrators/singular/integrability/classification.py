@@ -196,7 +196,7 @@ class Classification(IntegrabilityResult[Stratum]):
         problem : OptimalControlProblem
             The problem.
         """
-        unchanged = self.digest is None or self.digest == problem.digest()
+        unchanged = self.digest is None or self.digest == problem._digest()
         return unchanged and is_same_problem(self.problem, problem)
 
     def require_reliable(self) -> None:
@@ -218,7 +218,8 @@ class Classification(IntegrabilityResult[Stratum]):
 
     @property
     def gauge_components(self) -> tuple[int, ...]:
-        """Components of the control that can be given freely; the others follow from them and the state.
+        """Components of the control that you can choose freely; the remaining components follow from the choice and the
+        state.
 
         They are entries of ``u`` in R^m; on another U coordinates in its chart around ``stratum.feedback.center``.
         """

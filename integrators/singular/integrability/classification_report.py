@@ -15,7 +15,7 @@ SHOWN = 1e-9  # of the size of numbers: smaller ones are shown as zeros
 
 
 def report_text(classification: Classification) -> str:
-    """What a reader of a paper wants to know, a line each."""
+    """The report for readers of papers, a line for each fact."""
     lines = [*_problem(classification), *_morse(classification), *_levels(classification)]
     lines += _empty(classification) if classification.empty else _final(classification)
     return table(lines)

@@ -12,10 +12,12 @@ from ....progress import Advance, progress
 from ....reading import reads_once
 from ....retractions import default_retraction
 from ...controls import resting_control
+from ...costs import is_steep
 from ...functions import require_concrete
 from ...initial_value.passed_jumps import Energy, Segments
 from ...inspection import Inspection
 from ...problem import OptimalControlProblem
+from ...requirements import require_treated
 from ...results import warn_about_precision
 from ..integrability_result import Signature
 from .classification import Classification, MorseTest, Stratum
@@ -137,14 +139,14 @@ def _classify(
     first = random_starts(problem, ORDERS[0], starts, seed, near)
     homogeneous = problem.abnormal or float(np.ptp(first.at.cost_rate)) == 0  # a constant is part of no condition
     if exclude is None:
-        exclude = problem.abnormal or (homogeneous and problem.is_steep_at())
+        exclude = problem.abnormal or (homogeneous and is_steep(problem))
     with progress("classify", len(first.slow), "points", verbose) as advance:
         levels, morse, found = _run(first, exclude and homogeneous, advance)
     kept = [item for item in found if not (exclude and item.trivial)]
     strata = found_strata(kept)
     jump = _jump(problem, first, strata)
     return Classification(
-        problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem.digest(), jump
+        problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem._digest(), jump
     )
 
 
@@ -181,7 +183,7 @@ def _symbolic(
 def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> None:
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"classify takes an OptimalControlProblem, got {problem!r}")
-    problem.require_treated("classify", "an initial cost")
+    require_treated(problem, "classify", "an initial cost")
     if not isinstance(starts, int) or starts < 1:
         raise InvalidInputError(f"starts must be a positive number of random starts, got {starts!r}; try 20")
     if problem.controls.dimension == 0:
@@ -191,7 +193,7 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
         if not verdict:
             raise NotOnManifoldError(f"near must be a state (q, p): {verdict.reason}")
     q = problem.manifold.random_point(jax.random.key(0)) if near is None else near[0]
-    problem.require_values()
+    problem._require_values()
     Inspection(problem, q, resting_control(problem.controls)).require_smooth()
 
 
@@ -212,7 +214,7 @@ def _run(first: Points, unit_costate: bool, advance: Advance) -> tuple[list[Leve
 def _through(
     first: Points, unit_costate: bool, levels: list[Level], advance: Advance
 ) -> tuple[list[Level], MorseTest | None, list[Found]]:
-    """What ``_run`` returns; ``levels`` are added to."""
+    """The result of ``_run`` with ``levels`` extended."""
     points, morse, found = first, None, list[Found]()
     while True:
         level = len(levels)
@@ -241,7 +243,7 @@ def _through(
 
 
 def _histories(points: Points) -> list[list[PointRanks]]:
-    """Ranks at each point of a batch, at all levels up to that of the batch."""
+    """Ranks at each point of a batch, at all levels up to the level of the batch."""
     if not len(points.slow):
         return []
     levels = [point_ranks(points, level) for level in range(points.level + 1)]
@@ -253,7 +255,7 @@ def _signatures(history: list[PointRanks]) -> tuple[Signature, ...]:
 
 
 def _known(points: Points) -> Points:
-    """The points with those noted at which a rank is not clear, or depends on what is smaller than rounding."""
+    """The points, with a mark on points at which a rank is not clear or depends on numbers below rounding."""
     histories, rounded = _histories(points), _histories(points.rounded)
     decided = [all(ranks.decided for ranks in history) for history in histories]
     drowned = [_signatures(a) != _signatures(b) for a, b in zip(histories, rounded, strict=True)]
@@ -272,8 +274,7 @@ def _require_finite(points: Points, level: Level) -> None:
 
 
 def _without_crossings(points: Points, unit_costate: bool) -> Points:
-    """The points with those noted as irregular beside which points of ``P^level`` are so, or have other ranks at some
-    level."""
+    """The points, with a mark on points beside which points of ``P^level`` are irregular or have other ranks."""
     reliable = np.flatnonzero(points.regular)
     own = dict(zip(reliable, map(_signatures, _histories(select(points, reliable))), strict=True))
     if len(set(own.values())) < 2:

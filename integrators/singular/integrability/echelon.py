@@ -52,8 +52,8 @@ class Echelon(NamedTuple):
         return np.where(finite, np.max(np.abs(found), axis=(1, 2), initial=0.0), np.inf)
 
     def null_basis(self, block: slice) -> np.ndarray:
-        """Null vectors of the rows with pivots in a block of columns, one for each column without; zeros for the
-        others."""
+        """Null vectors of the rows with pivots in a block of columns, one for each column without pivot; otherwise
+        zeros."""
         rows = self.rows[:, block]
         basis = np.zeros((*self.matrix.shape[:2], rows.shape[1], rows.shape[1]))
         for b, pivots in enumerate(rows):
@@ -104,7 +104,7 @@ def eliminate(stack: np.ndarray, blocks: tuple[slice, ...], level: np.ndarray) -
 
 
 def _pivot(matrix: np.ndarray, where: np.ndarray, r: np.ndarray, c: np.ndarray) -> None:
-    """Eliminate columns ``c`` with rows ``r`` in those of the batch, in place."""
+    """Eliminate columns ``c`` with rows ``r`` in the chosen members of the batch, in place."""
     row = matrix[where, :, r, :] / matrix[where, :, r, c][..., None]
     matrix[where] -= matrix[where, :, :, c][..., None] * row[:, :, None]
     matrix[where, :, r, :] = row

@@ -86,7 +86,7 @@ class FinalEquations(eqx.Module):
 
     def control(self, z: Pair, gauge: ArrayLike | None = None) -> Ambient:
         """The control at a point of ``P_f``; ``gauge`` gives the free components, shape ``(free controls,)``."""
-        return self.array.problem.steer(self.center, self.eliminate(z, gauge)[: self.jet.shape[-1]])
+        return self.array.problem._steer(self.center, self.eliminate(z, gauge)[: self.jet.shape[-1]])
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Affine hulls of pieces of ``P_f``: linear equations that hold on one piece and not on those that cross it."""
+"""Affine hulls of pieces of ``P_f``: linear equations that hold on one piece and not on the pieces that cross it."""
 
 from typing import TYPE_CHECKING, Self, final
 
@@ -85,7 +85,7 @@ class PieceEquations(eqx.Module):
 
 
 def piece_equations(hull: AffineHull, equations: FinalEquations, points: Points) -> PieceEquations:
-    """The equations of the piece through the one point of a batch, of which ``equations`` are those of ``P_f``."""
+    """The equations of the piece through the one point of a batch, from the ``equations`` of ``P_f``."""
     rows, count = equations.conormals(points), len(hull.normals)
     chosen, beside = list(np.linalg.qr(hull.rows(points).T)[0].T), list[int]()
     rows = rows / np.linalg.norm(rows, axis=1, keepdims=True)

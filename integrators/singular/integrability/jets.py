@@ -29,7 +29,7 @@ UNSUITED = NotImplementedError, KeyError, jax.errors.UnexpectedTracerError, Attr
 
 def control_slope(problem: OptimalControlProblem, z: Pair, center: Ambient, c: Array) -> Float[Array, " m"]:
     """``dH/du`` at ``(z, u)`` in the chart of U around ``center``."""
-    return jax.grad(lambda c: problem.hamiltonian(*z, problem.steer(center, c)))(c)
+    return jax.grad(lambda c: problem.hamiltonian(*z, problem._steer(center, c)))(c)
 
 
 def hamiltonian_field(problem: OptimalControlProblem, z: Pair, u: Ambient) -> Pair:
@@ -59,7 +59,7 @@ class DerivativeArray(eqx.Module):
         @jax.jit
         def field(w: Flat, c: Array) -> Flat:
             z = unravel(w)
-            return ravel_pytree(hamiltonian_field(self.problem, z, self.problem.steer(center, c)))[0]
+            return ravel_pytree(hamiltonian_field(self.problem, z, self.problem._steer(center, c)))[0]
 
         try:
             return _taylor(field, slope, flat, u)
@@ -68,8 +68,8 @@ class DerivativeArray(eqx.Module):
 
 
 def _taylor(field: Callable[..., Flat], slope: Callable[..., Array], w: Flat, u: Jet) -> Jet:
-    """Derivatives of ``slope`` along the solution of ``wdot = field(w, u)``, from those of the solution, one order at a
-    time."""
+    """Derivatives of ``slope`` along the solution of ``wdot = field(w, u)``, from the derivatives of the solution by
+    orders."""
     if len(u) == 1:
         return slope(w, u[0])[None]
     rates, controls = [field(w, u[0])], list(u[1:])

@@ -107,8 +107,8 @@ def point_ranks(points: Points, level: int) -> list[PointRanks]:
 
 
 def summarise(points: Points, ended: list[PointRanks], ranks: list[PointRanks]) -> Level:
-    """The record of a level: ``ranks`` at its points that are reliable, ``ended`` at those where ``P^k`` stopped
-    before."""
+    """The record of a level, from the ``ranks`` at its reliable points and the ranks of points where ``P^k``
+    ``ended``."""
     consistent, before = points.consistent, len(ended)
     return Level(
         index=points.level,

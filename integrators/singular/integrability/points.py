@@ -31,7 +31,7 @@ Numbers = np.ndarray | Array  # what the kernel returns is held as NumPy arrays
 
 
 class Linearised(NamedTuple):
-    """What the kernel returns at one point of the jet space over ``T*Q``."""
+    """The values of the kernel at one point of the jet space over ``T*Q``."""
 
     z: Pair
     control: Ambient
@@ -56,7 +56,7 @@ def _linearise(array: DerivativeArray, z: Pair, center: Ambient, jet: Array) -> 
     moved = jax.tree.map(lambda leaf: jnp.concatenate([leaf, jnp.zeros((jet.size, *leaf.shape[1:]))]), frame)
     value, slopes = jax.vmap(lambda a, b: jax.jvp(function, (z, jet), (a, b)), out_axes=(None, 0))(moved, along)
     slopes = jnp.moveaxis(slopes, 0, -1)
-    base, control = array.problem.manifold.basis(z[0]), array.problem.steer(center, jet[0])
+    base, control = array.problem.manifold.basis(z[0]), array.problem._steer(center, jet[0])
     return Linearised(
         z=z,
         control=control,
@@ -116,7 +116,7 @@ class Points:
 
     @cached_property
     def units(self) -> Units:
-        """Of each point by itself."""
+        """The units of each point by itself."""
         return units_at(self.at, self.sizes)
 
     @cached_property
@@ -126,8 +126,8 @@ class Points:
 
     @cached_property
     def consistent(self) -> np.ndarray:
-        """Which points satisfy every equation up to the level, by its value in units and beside what tiny steps change
-        it by.
+        """Whether each point satisfies every equation up to the level, in units and relative to the effect of tiny
+        steps.
 
         These steps do not leave the domain of the functions.
         """
@@ -166,7 +166,7 @@ class Points:
         )
 
     def known(self) -> np.ndarray:
-        """Which derivatives along the state are not zero, nor rounding, ``(batch, order + 1, m, 2n)``."""
+        """Whether each derivative along the state exceeds rounding, ``(batch, order + 1, m, 2n)``."""
         return significance(self.slopes[0]) > COUNTED
 
     @property
@@ -225,7 +225,7 @@ def relative(at: Linearised, rows: np.ndarray, level: int) -> np.ndarray:
 
 
 def evaluated(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray, lengths: np.ndarray) -> Points:
-    """Starts, with the sizes that the array has there; ``lengths``: sizes of the coordinates of Q."""
+    """The starts with the sizes of the array there, for sizes ``lengths`` of the coordinates of Q."""
     count = len(jets)
     at = moved(array, z, centers, jets)
     unknown = np.zeros(jets.shape[1:], bool)
@@ -259,7 +259,7 @@ def tiny_steps(array: DerivativeArray, centers: Ambient, at: Linearised, units: 
 
 
 def _turned(beside: Linearised, at: Linearised) -> Linearised:
-    """What was found beside points in frames that are nearly those of the points.
+    """Values beside points in frames that are nearly the frames of the points.
 
     Frames may jump between them: no sphere of even dimension has a continuous one.
     """

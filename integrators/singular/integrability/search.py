@@ -42,7 +42,7 @@ def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
 
 
 def _better(which: np.ndarray, again: Points, points: Points) -> Points:
-    """The points with those that came to regular equations at another try."""
+    """The points, replaced by the points of another try that came to regular equations."""
     at = jax.tree.map(lambda a, b: _where(which, a, b), again.at, points.at)
     beside = jax.tree.map(
         lambda a, b: np.stack([_where(which, *pair) for pair in zip(a, b, strict=True)]), again.beside, points.beside
@@ -73,13 +73,12 @@ def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) 
 
 
 def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """The points of ``a`` that are ``which``, the others of ``b``."""
+    """The points of ``a`` where ``which`` is true, and of ``b`` elsewhere."""
     return np.where(which.reshape(-1, *[1] * (a.ndim - 1)), a, b)
 
 
 def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
-    """Consistent points at a random short distance from those of a batch: where pieces cross they lie on one of
-    these."""
+    """Consistent points at a random short distance from a batch, where pieces that cross lie apart."""
     count, reach = len(points.slow), points.at.velocity.shape[1] + (level + 1) * points.at.jet.shape[-1]
     d = BESIDE * points.units.both * np.random.default_rng(0).standard_normal(points.units.both.shape)
     d[:, reach:] = 0.0  # derivatives of the control that do not enter
@@ -88,7 +87,7 @@ def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
 
 
 class _Search(NamedTuple):
-    """Which equations are solved, and whether none is given a smaller unit than at the starts."""
+    """The selection of equations that are solved, with units that are not smaller than at the starts."""
 
     points: Points
     level: int

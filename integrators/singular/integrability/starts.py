@@ -85,7 +85,7 @@ def _draw() -> Callable[..., Drawn]:
         (q, p), steps = jax.lax.map(lambda at: _state(problem, at[0], at[1], near, lengths), (keys, apart))
         centers, first = jax.lax.map(lambda key: _control(problem, jax.random.split(key)[1]), keys)
         first = _priced(problem, q, centers, _balance(problem, q, centers, first)) * first
-        controls = jax.vmap(problem.steer)(centers, first)
+        controls = jax.vmap(problem._steer)(centers, first)
         cost, rate, changes, finite = jax.lax.map(lambda at: _survey(problem, at[0], at[1], lengths), (q, controls))
         action = _middle(cost) / _middle(rate)
         action = jnp.where((action > 0) & jnp.isfinite(action), action, 1.0)
@@ -121,8 +121,10 @@ def _with_costate(
     action: Array,
     lengths: Array,
 ) -> Pair:
-    """The state with a costate of this action: random, or that of ``near`` and, but at ``near`` itself, a random part
-    of it."""
+    """The state with a costate of this action, random, or the costate of ``near`` with a random part.
+
+    At ``near`` itself there is no random part.
+    """
     frame = problem.manifold.basis(q)
     if near is None:
         return q, vec.combine(frame, vec.components(frame, p) * action / lengths)
@@ -178,20 +180,19 @@ def _ratio(a: Array, b: Array) -> Array:
 
 
 def _middle(sizes: Array) -> Array:
-    """The median of the finite ones; the largest where that is zero."""
+    """The median of the finite sizes, or their largest if the median is zero."""
     known = jnp.where(jnp.isfinite(sizes), sizes, jnp.nan)
     median = jnp.nanmedian(known)
     return jnp.where(median > 0, median, jnp.nanmax(known))
 
 
 def _balance(problem: OptimalControlProblem, q: Ambient, centers: Ambient, first: Array) -> Array:
-    """Typical size of the velocity at the centers over that of its change by these controls; one where either is
-    zero."""
+    """The ratio of typical sizes of the velocity and of its change by these controls, one if either is zero."""
 
     def sizes(at: tuple[Ambient, Ambient, Array]) -> tuple[Array, Array]:
         q, center, c = at
         still = problem.velocity(q, center)
-        return vec.size(still), vec.size(vec.subtract(problem.velocity(q, problem.steer(center, c)), still))
+        return vec.size(still), vec.size(vec.subtract(problem.velocity(q, problem._steer(center, c)), still))
 
     drift, change = (jnp.mean(a) for a in jax.lax.map(sizes, (q, centers, first)))
     least = default_tolerance() * jnp.maximum(drift, change)
@@ -204,7 +205,7 @@ def _priced(problem: OptimalControlProblem, q: Ambient, centers: Ambient, sizes:
 
     def costs(at: tuple[Ambient, Ambient]) -> tuple[Array, Array]:
         q, center = at
-        cost = jax.hessian(lambda c: problem.cost_rate(q, problem.steer(center, c)))
+        cost = jax.hessian(lambda c: problem.cost_rate(q, problem._steer(center, c)))
         return jnp.abs(problem.cost_rate(q, center)), jnp.abs(
             jnp.diagonal(cost(jnp.zeros(problem.controls.dimension)))
         ) / 2

@@ -119,7 +119,7 @@ def _stratum(members: list[Found]) -> Stratum:
 
 
 def _stops(history: list[PointRanks]) -> tuple[int, int]:
-    """Levels from which on all ranks, and the codimension, are those of the last."""
+    """Levels from which on all ranks, and the codimension, equal the last values."""
     last = history[-1].signature
     k_f = next(k for k, r in enumerate(history) if r.signature == last)
     return k_f, next(k for k, r in enumerate(history) if r.signature.codimension == last.codimension)

@@ -30,7 +30,7 @@ class Sizes:
 
     @property
     def state(self) -> np.ndarray:
-        """Of the coordinates of ``T*Q``, ``(2n,)``."""
+        """The sizes of the coordinates of ``T*Q``, ``(2n,)``."""
         return np.concatenate([self.lengths, self.action / self.lengths])
 
 
@@ -48,12 +48,12 @@ class Units:
 
     @property
     def both(self) -> np.ndarray:
-        """Of state and jet, raveled."""
+        """The units of state and jet, raveled."""
         return np.concatenate([self.state, self.jet.reshape(len(self.jet), -1)], axis=1)
 
 
 def typical(sizes: np.ndarray) -> np.ndarray:
-    """Medians over the finite ones of a batch, which one point near a pole does not move; largest ones where those are
+    """Medians over the finite sizes of a batch, which one point near a pole does not move; largest sizes if these are
     zero."""
     known = np.where(np.isfinite(sizes), sizes, np.nan)
     known = np.where(np.isnan(known).all(axis=0), 0.0, known)
@@ -74,8 +74,7 @@ def sizes_at_starts(at: "Linearised", lengths: np.ndarray, vanishing: np.ndarray
 
 
 def units_at(at: "Linearised", sizes: Sizes) -> Units:
-    """What each equation is made of at each point: the sum of its partial derivatives, each times the size of its
-    variable.
+    """The unit of each equation at each point: the sum of its partial derivatives, each times the size of its variable.
 
     A value is then the distance, relative to such sizes, at which the equation holds. Variables far larger than at the
     starts have the size that they have. Of a row that is rounding everywhere, ``D_t F = <dF, field>``, the terms of
@@ -97,7 +96,7 @@ def units_at(at: "Linearised", sizes: Sizes) -> Units:
 
 
 def own_sizes(at: "Linearised") -> np.ndarray:
-    """What each equation is made of by the values that the variables have at the point, ``(batch, order + 1, m)``."""
+    """The size of each equation from the values of the variables at the point, ``(batch, order + 1, m)``."""
     with np.errstate(all="ignore"):
         return np.nan_to_num(_weighed(at, np.abs(np.concatenate([at.position, at.costate], axis=1)), np.abs(at.jet)))
 

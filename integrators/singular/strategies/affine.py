@@ -14,6 +14,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
 from ...extremal_controls import find_control
 from ...problem import OptimalControlProblem
+from ...requirements import require_treated
 from .leaves import Constraints, Point, ambient_field, bracket, bracket_size
 
 AFFINE_POWER = 1.8  # of the default tolerance: second derivatives of H that are rounding
@@ -21,7 +22,7 @@ NEARER = (1.0, 0.1, 0.01, 0.0)  # how far from a point functions are looked at: 
 
 
 class Brackets(NamedTuple):
-    """Poisson brackets of functions with others, and the sizes of the terms that they are sums of."""
+    """Poisson brackets of functions, and the sizes of the terms of their sums."""
 
     values: Float[Array, "m m"]
     sizes: Float[Array, "m m"]
@@ -29,7 +30,7 @@ class Brackets(NamedTuple):
 
 @final
 class ControlAffineSplitting(eqx.Module):
-    """A problem whose Pontryagin Hamiltonian is affine in the controls ``s = u[singular]`` and regular in the others,
+    """A problem whose Pontryagin Hamiltonian is affine in ``s = u[singular]`` and regular in the remaining controls
     ``w``.
 
     ``H_0(q, p)`` is ``H`` at ``s = 0`` and the extremal ``w(q, p)``; ``phi = dH/ds`` are the primary constraints, and
@@ -49,7 +50,7 @@ class ControlAffineSplitting(eqx.Module):
         return merge_controls(w, s, self.singular)
 
     def regular_problem(self) -> OptimalControlProblem:
-        """The problem with ``s = 0``, in the controls ``w``: its extremals are those of ``H_0``."""
+        """The problem with ``s = 0`` in the controls ``w``, whose extremals are the extremals of ``H_0``."""
         full = self.problem
         rest = jnp.zeros(len(self.singular))
         return OptimalControlProblem(
@@ -76,7 +77,7 @@ class ControlAffineSplitting(eqx.Module):
         return self.regular_problem().hamiltonian(q, p, self.regular_controls(q, p))
 
     def secondary(self, q: Ambient, p: Ambient, near: Array | None = None) -> Float[Array, " m"]:
-        """``psi = {phi, H_0}``: the rate of the primary constraints along the motion; ``near`` as for
+        """The rate ``psi = {phi, H_0}`` of the primary constraints along the motion; ``near`` as for
         ``regular_controls``."""
         regular, w = self.regular_problem(), self.regular_controls(q, p, near)
         motion = ambient_field(lambda q, p: regular.hamiltonian(q, p, w), (q, p))
@@ -100,7 +101,7 @@ def brackets(f: Point, g: Point) -> Brackets:
 
 
 def merge_controls(w: Float[Array, " r"], s: Float[Array, " m"], singular: tuple[int, ...]) -> Float[Array, " r+m"]:
-    """The controls ``u`` with ``u[singular] = s`` and the others ``w``, in their order."""
+    """The controls ``u`` with ``u[singular] = s`` and the remaining entries ``w``, in their order."""
     places, others = np.asarray(singular, int), regular_places(w.size + s.size, singular)
     return jnp.zeros(w.size + s.size, jnp.result_type(w, s)).at[others].set(w).at[places].set(s)
 
@@ -146,7 +147,7 @@ def check_splitting(problem: OptimalControlProblem, singular: tuple[int, ...]) -
     """Raise if ``singular`` does not name controls of a Euclidean control space."""
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"expected an OptimalControlProblem, got {problem!r}")
-    problem.require_treated("a splitting of the controls", "an initial cost")
+    require_treated(problem, "a splitting of the controls", "an initial cost")
     count = problem.controls.dimension
     named = all(isinstance(i, int) and 0 <= i < count for i in singular)
     if not (isinstance(problem.controls, Euclidean) and singular and named and len(set(singular)) == len(singular)):

@@ -16,6 +16,7 @@ from ...compilation import compiled
 from ...controls import resting_control
 from ...extremal_controls import find_control
 from ...problem import OptimalControlProblem
+from ...requirements import require_treated
 from .affine import affine_tolerance, first_finite, relative_curvature
 from .leaves import Point, ambient_field
 from .reduction import SAMPLES, GohReduction, Near, states_near
@@ -94,14 +95,13 @@ class ReductionChain(eqx.Module):
 def reduce_until_regular(
     problem: OptimalControlProblem, singular: tuple[int, ...] | None = None, near: Near | None = None
 ) -> ReductionChain:
-    """Goh's reduction by the controls ``singular``, then by those in which the reduced Hamiltonian is affine, until
-    none is.
+    """Goh's reduction by the controls ``singular``, repeated until the reduced Hamiltonian is affine in no control.
 
-    By default the first ones, too, are those in which the Hamiltonian is affine. ``near``: a state and a control around
+    By default ``singular`` are the controls in which the Hamiltonian is affine. ``near``: a state and a control around
     which the problem's functions are looked at, by default random ones. Raises ``InvalidInputError`` where there are no
     such controls, or a reduction does not apply.
     """
-    problem.require_treated("reduce_until_regular", "an initial cost")
+    require_treated(problem, "reduce_until_regular", "an initial cost")
     affine, reductions = affine_controls(problem, near) if singular is None else singular, list[GohReduction]()
     if not affine:
         raise InvalidInputError("there is nothing to reduce: the Hamiltonian has a second derivative in every control")

@@ -90,7 +90,8 @@ class DirectIntegrator(DynamicsIntegrator):
 
 
 class _Trial(NamedTuple):
-    """Steps of one length from a point of ``P_f``: the largest departure of those solved, and whether all were.
+    """Steps of one length from a point of ``P_f``, with the largest departure of the solved steps, and whether all were
+    solved.
 
     ``departed``: at how many lengths, this one and those before, they left ``P_f`` (roots of steps that are too long
     may be spurious, so one says nothing).
@@ -151,7 +152,7 @@ def _steps(
 def _stepped(
     dynamics: FinalDynamics, lift: CotangentLift, h: ArrayLike, begin: Pair, previous: Memory
 ) -> tuple[Pair, Array, Memory, Array]:
-    """The end of a step, moved to ``P_f``, from which it departed by so much; what is left to the next; whether it is
+    """The end of a step, moved to ``P_f``, its departure, the memory for the next step, and whether the step is
     solved."""
     new = dynamics.step(lift, h, *begin, previous)
     end = new.q, new.p

@@ -14,6 +14,7 @@ from ....manifolds.numerics.root import find_root
 from ....retractions import CotangentLift
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem, is_same_problem
+from ...requirements import require_same_manifold
 from ...stages import HamiltonianStage
 from ..integrability import Classification, FinalEquations
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
@@ -22,7 +23,7 @@ Pair = tuple[Ambient, Ambient]
 
 
 class Memory(NamedTuple):
-    """What a step leaves to the next: the unknowns of its control, the control, and the time at its end."""
+    """The memory of a step for the next step: the unknowns of its control, the control, and the time at its end."""
 
     unknowns: Array
     control: Ambient
@@ -57,8 +58,8 @@ class FinalDynamics(eqx.Module):
         return self.equations.array.problem
 
     def on(self, system: OptimalControlProblem) -> Self:
-        """The same dynamics with the data of ``system``, which may be traced where those of the classified problem are
-        not."""
+        """The same dynamics with the data of ``system``, which may be traced, unlike the data of the classified
+        problem."""
 
         def problems(dynamics: Any) -> list[OptimalControlProblem]:
             final = dynamics.manifold if isinstance(self.manifold, Submanifold) else None
@@ -71,7 +72,7 @@ class FinalDynamics(eqx.Module):
         """Raise if ``system`` is another problem, or ``z`` is not on ``P_f``."""
         if not is_same_problem(system, self.problem):
             raise InvalidInputError("the integrator was made for another problem; classify the one to be integrated")
-        self.problem.check_discretization(lift.discretization)
+        require_same_manifold(self.problem, lift.discretization)
         verdict = self.manifold.contains(z)
         if not verdict:
             raise NotOnManifoldError(
@@ -80,7 +81,7 @@ class FinalDynamics(eqx.Module):
             )
 
     def begin(self) -> Memory:
-        """What the first step is predicted from: the control at the point of the stratum."""
+        """The prediction for the first step: the control at the point of the stratum."""
         jet, pivots = self.equations.jet.reshape(-1), self.equations.pivots
         unknowns = jet[jnp.asarray(pivots.eliminated, int)]
         if self._minimal:
@@ -129,11 +130,11 @@ class FinalDynamics(eqx.Module):
         return self.gauge is None and bool(self.equations.pivots.free)
 
     def _steer(self, jet: Array) -> Ambient:
-        return self.problem.steer(self.equations.center, jet[: self.problem.controls.dimension])
+        return self.problem._steer(self.equations.center, jet[: self.problem.controls.dimension])
 
     def _jet(self, t: Array, z: Pair, unknowns: Array) -> Array:
-        """The raveled control and its derivatives: the eliminated entries, then the free ones, from the unknowns or the
-        gauge."""
+        """The raveled control and its derivatives, the eliminated entries from the unknowns, the free entries from
+        these or the gauge."""
         pivots, count = self.equations.pivots, len(self.equations.pivots.eliminated)
         jet = self.equations.jet.reshape(-1).at[jnp.asarray(pivots.eliminated, int)].set(unknowns[:count])
         if not pivots.free:
@@ -142,7 +143,7 @@ class FinalDynamics(eqx.Module):
         return jet.at[jnp.asarray(pivots.free)].set(free)
 
     def _determined(self, z: Pair, jet: Array, unknowns: Array) -> Array:
-        """The equations solved for the control; with them those of the least norm, its multipliers the last
+        """The equations solved for the control, with the conditions of least norm, whose multipliers are the last
         unknowns."""
         pivots, solved = self.equations.pivots, jnp.asarray(self.equations.pivots.solved, int)
         if not self._minimal:
@@ -169,7 +170,7 @@ class FinalDynamics(eqx.Module):
 
 
 class DynamicsIntegrator(SingularIntegrator):
-    """A method for the problem that its ``dynamics`` are those of, from points of ``P_f``."""
+    """A method for the problem of its ``dynamics``, from points of ``P_f``."""
 
     lift: CotangentLift
     dynamics: FinalDynamics

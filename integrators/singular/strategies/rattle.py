@@ -21,6 +21,7 @@ from ...controls import resting_control
 from ...extremal_controls import extremal_control
 from ...initial_value.step import StepEquations, StepResult, restored
 from ...problem import OptimalControlProblem
+from ...requirements import require_same_manifold
 from ...stages import ControlStage
 from ...stages.stage import positive
 from ...text import many
@@ -90,7 +91,7 @@ class RattleIntegrator(SingularIntegrator):
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         super().check(system, q, p)
         check_splitting(system, self.singular)
-        system.check_discretization(self.lift.discretization)
+        require_same_manifold(system, self.lift.discretization)
         facts = _facts(ControlAffineSplitting(system, self.singular), (q, p), resting_control(system.controls))
         if facts.missed():
             raise NotOnManifoldError(f"start is not on the constraint manifold: {facts.missed()}")
@@ -214,7 +215,7 @@ class _Facts(NamedTuple):
 
 
 def _finite(found: list[Any], what: str) -> list[Any]:
-    """Those at points where all is finite. Raises ``NotApplicableError`` if there are none."""
+    """The values at points where all is finite. Raises ``NotApplicableError`` if there are none."""
     finite = [one for one in found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(one))]
     if not finite:
         raise NotApplicableError(f"the {what} are finite at none of {many(len(found), 'point')} of P_f")

@@ -15,6 +15,7 @@ from ...extremal_controls import find_control
 from ...initial_value.integrator import PresymplecticIntegrator
 from ...initial_value.step import StepResult
 from ...problem import OptimalControlProblem, is_same_problem
+from ...requirements import require_same_manifold
 from ..integrability import Classification
 from .chain import ExtremalPoint, ReductionChain, reduce_until_regular
 from .leaves import Point
@@ -50,8 +51,8 @@ class ReducedIntegrator(SingularIntegrator):
             raise InvalidInputError(
                 f"ReducedIntegrator takes a chain of reductions, got {self.chain!r}; try reduce_until_regular(problem)"
             )
-        self.chain.problem.check_discretization(self.lift.discretization)
-        self.chain.reduced.check_discretization(self.regular.discretization)
+        require_same_manifold(self.chain.problem, self.lift.discretization)
+        require_same_manifold(self.chain.reduced, self.regular.discretization)
 
     @property
     def regular(self) -> PresymplecticIntegrator:

@@ -92,7 +92,7 @@ class GohReduction(eqx.Module):
 
     @property
     def manifold(self) -> Manifold:
-        """``Q_r``: the other factors of Q, then what remains of the Euclidean ones as one factor."""
+        """The manifold ``Q_r``: the unreduced factors of Q, then the rest of the Euclidean factors as one factor."""
         flat = Euclidean(self.complement.shape[1])
         return Product(*self.part.others, flat) if self.part.others else flat
 

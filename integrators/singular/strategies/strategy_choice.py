@@ -10,6 +10,7 @@ from ....manifolds import InvalidInputError
 from ....reading import reads_once
 from ....retractions import CotangentLift, DiscretizationMap
 from ...functions import require_concrete
+from ...requirements import require_same_manifold
 from ...text import clauses
 from ..integrability import Classification
 from ..words import chart_words, component_words
@@ -100,7 +101,7 @@ def singular_integrator(
             f"got {discretization!r}; try Midpoint(default_retraction(manifold))"
         )
     require_concrete("singular_integrator", classification, discretization, gauge)
-    classification.problem.check_discretization(discretization)
+    require_same_manifold(classification.problem, discretization)
     classification.require_reliable()
     if gauge is not None:
         _check_gauge(classification, gauge)
@@ -119,7 +120,7 @@ def singular_integrator(
 def _first(
     names: list[str], classification: Classification, lift: CotangentLift, gauge: Gauge | None
 ) -> tuple[tuple[SingularIntegrator, Choice] | None, dict[str, str]]:
-    """The first of these strategies that applies, if one does, and why those before it do not."""
+    """The first of these strategies that applies, if any, and the reasons against the strategies before."""
     refusals = dict[str, str]()
     for name in names:
         try:

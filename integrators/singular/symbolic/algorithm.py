@@ -60,7 +60,7 @@ class SymbolicStratum:
 
     @property
     def solution(self) -> dict[Expression, Expression]:
-        """The determined coordinates and controls, by those that are free."""
+        """The determined coordinates and controls as functions of the free coordinates and controls."""
         return _inserted(self.history)
 
     @property
@@ -192,7 +192,7 @@ class SymbolicStratum:
 
 @lru_cache(maxsize=1024)  # pieces share the beginnings of their histories
 def _inserted(history: History) -> dict[Expression, Expression]:
-    """What was found, each with all that was found later inserted."""
+    """The solved expressions, each with all later solutions inserted."""
     if not history:
         return {}
     *_, (symbol, value, _) = history
@@ -270,8 +270,7 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
 
 
 def _factored(expression: Expression, piece: SymbolicStratum) -> tuple[int, Expression, list[Expression]]:
-    """Of an expression on a piece: the number of terms, its numerator, and the irreducible factors of it that may
-    vanish."""
+    """The number of terms of an expression on a piece, its numerator, and the irreducible factors that may vanish."""
     reduced = piece.reduce(expression)
     field = field_of(reduced)
     numerator = field.fraction(reduced)[0]

@@ -7,6 +7,7 @@ import numpy as np
 import sympy
 
 from ....manifolds import Euclidean, InvalidInputError
+from ...costs import is_steep
 from ...problem import OptimalControlProblem
 from ...text import Line, table
 from .. import words
@@ -20,7 +21,7 @@ LONGEST = 300  # characters of an expression that is printed
 
 @dataclass(frozen=True, eq=False)
 class SymbolicClassification(IntegrabilityResult[SymbolicStratum]):
-    """What the integrability algorithm finds in exact algebra.
+    """The result of the integrability algorithm in exact algebra.
 
     ``strata``: the pieces of ``P_f`` in closed form, largest dimension first; ``excluded``: how many were left out
     because ``p = 0`` on them. ``ranks``: of ``D(dH/du)`` and of ``d2H/du2`` almost everywhere where ``dH/du = 0``.
@@ -146,7 +147,7 @@ def classify_symbolically(problem: OptimalControlProblem, exclude_zero_costate: 
     cost = normal_form(hamiltonian - sum(a * sympy.diff(hamiltonian, a) for a in phase.p))
     exclude = exclude_zero_costate
     if exclude is None:
-        exclude = problem.abnormal or (not cost.free_symbols and problem.is_steep_at())
+        exclude = problem.abnormal or (not cost.free_symbols and is_steep(problem))
     pieces, ended = strata(phase)
     if not pieces and ended.unsolved:
         raise InvalidInputError(
@@ -174,7 +175,7 @@ def _symbols(letter: str, space: Euclidean) -> np.ndarray:
 
 
 def _distinct(pieces: list[SymbolicStratum]) -> list[SymbolicStratum]:
-    """The pieces that are inside no other one, the first of those that are the same."""
+    """The pieces that are inside no other piece, without repetitions."""
     pieces = list({frozenset(piece.solution.items()): piece for piece in reversed(pieces)}.values())[::-1]
     return [
         a

@@ -133,7 +133,7 @@ def _apply(equation: Any, values: list[Any]) -> list[Any]:
 
 
 def _product(a: np.ndarray, b: np.ndarray, contracted: Any, batched: Any) -> np.ndarray:
-    """Sums of products over contracted axes, for each index of the batched ones, which come first."""
+    """Sums of products over contracted axes, for each index of the batched axes, which come first."""
     names, count = [list(range(a.ndim)), list(range(a.ndim, a.ndim + b.ndim))], len(batched[0])
     for pairs in (contracted, batched):
         for i, j in zip(*pairs, strict=True):
@@ -173,8 +173,7 @@ def _exact(value: Any) -> np.ndarray:
 
 
 def fraction(a: Any) -> Any:
-    """The rational number that was meant by a NumPy float: each rounds to its float, so that different ones stay
-    different.
+    """The rational number behind a NumPy float, which rounds to the float, so that different floats stay different.
 
     The decimal that names it, as 1/10 for 0.1, if that is shorter than any decimal for a float has to be; otherwise a
     power of ten times the fraction of least denominator that rounds to it, as 1/3 for 0.3333333333333333. Raises
@@ -198,7 +197,7 @@ def fraction(a: Any) -> Any:
 
 
 def _simplest(low: Fraction, high: Fraction) -> Fraction:
-    """The fraction of least denominator between two positive ones, by their continued fractions."""
+    """The fraction of least denominator between two positive fractions, by their continued fractions."""
     whole = math.ceil(low)
     if whole <= high:
         return Fraction(whole)

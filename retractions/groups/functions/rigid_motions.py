@@ -1,4 +1,5 @@
-"""Functions of twists ``[[Omega, v], [0, 0]]`` and rigid motions ``[[R, t], [0, 1]]`` from those of rotations."""
+"""Functions of twists ``[[Omega, v], [0, 0]]`` and rigid motions ``[[R, t], [0, 1]]``, made from functions of
+rotations."""
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
@@ -19,7 +20,7 @@ def exponential(a: Matrix) -> Matrix:
 
 
 def logarithm(a: Matrix) -> Matrix:
-    """Principal logarithm of a motion whose rotation has no eigenvalue -1, NaN for others."""
+    """Principal logarithm of a motion, NaN if the rotation has an eigenvalue -1."""
     rotation, translation = blocks(a)
     omega = rotations.logarithm(rotation)
     if omega.shape[0] <= 3:

@@ -53,7 +53,7 @@ def exponential(omega: Matrix) -> Matrix:
 
 
 def _dual(omega: Matrix) -> Matrix:
-    """The dual of a skew matrix, n = 4: entries of the first row change places with those that they do not touch."""
+    """The dual of a skew matrix, n = 4, which exchanges entries of the first row with their complementary entries."""
     first, rest = omega[0, 1:], vee(omega[1:, 1:])
     return jnp.block([[jnp.zeros((1, 1), omega.dtype), -rest[None]], [rest[:, None], -hat(first)]])
 
@@ -70,7 +70,7 @@ def logarithm(a: Matrix) -> Matrix:
 
 
 def rotation_vector(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
-    """Rotation vector, angle below pi: axis times angle; NaN for a half turn.
+    """Rotation vector, axis times angle, for an angle below pi; NaN for a half turn.
 
     Within a quarter turn of the half turn the axis comes from the column of ``a + a'`` that is longest, where the skew
     part of ``a`` has lost its digits.

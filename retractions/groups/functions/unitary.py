@@ -1,4 +1,4 @@
-"""Functions of skew-Hermitian and unitary matrices, real ones included, with derivatives that are right everywhere.
+"""Functions of skew-Hermitian and unitary matrices, also real matrices, with derivatives that are right everywhere.
 
 [Higham, "Functions of matrices", 2008, chapters 8 and 11.]
 """
@@ -216,8 +216,11 @@ def _phase(a: Matrix) -> Array:
 
 
 def special_angles(a: Matrix) -> Float[Array, " n"]:
-    """Angles of the eigenvalues of a matrix in SU(n) with the sum 0 and at most a full turn apart: principal ones, but
-    for a full turn less of the largest, or more of the smallest, as many as their sum has."""
+    """Angles of the eigenvalues of a matrix in SU(n), with the sum 0 and at most a full turn apart.
+
+    These are the principal angles, with a full turn subtracted from the largest angles, or added to the smallest, as
+    often as the sum needs.
+    """
     angles = jnp.linalg.eigvalsh(-1j * unitary_logarithm(a))
     turns, order = jnp.round(jnp.sum(angles) / (2 * jnp.pi)), jnp.arange(angles.size)
     less, more = order >= angles.size - turns, order < -turns

@@ -126,8 +126,10 @@ def condense_steps(arrays: CollocationArrays, instruction_set: int | None = None
 def expand_steps(
     arrays: CollocationArrays, kept: KeptArrays, step: np.ndarray, multipliers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return velocities and multipliers of the points, shape (N, s, n, k), from the step (N, z, k) and the multipliers
-    (N + 1, n, k) of a condensed system."""
+    """Return velocities and multipliers of the points, shape (N, s, n, k), from the solution of a condensed system.
+
+    The solution has the step (N, z, k) and the multipliers (N + 1, n, k).
+    """
     system, sizes = _system(arrays), _sizes(arrays)
     count, s, n, m, k = sizes
     velocities, lambdas, workspace = np.empty((count, s, n, k)), np.empty((count, s, n, k)), _workspace(sizes)
@@ -146,8 +148,10 @@ def expand_steps(
 def condense_slope(
     arrays: CollocationArrays, kept: KeptArrays, slope: np.ndarray, end_slope: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the slopes by the velocities, (N, s, n), and by what is left, (N, z), of a function with slopes (N, s, q)
-    at the points and (N, 2n) at the ends."""
+    """Return the slopes of a function by the velocities, (N, s, n), and by the remaining unknowns, (N, z).
+
+    The function has slopes (N, s, q) at the points and (N, 2n) at the ends.
+    """
     system, sizes = _system(arrays), _sizes(arrays)
     count, s, n, m, _ = sizes
     inner, outer = np.empty((count, s, n)), np.empty((count, n + s * m))

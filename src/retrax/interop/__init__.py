@@ -1,5 +1,7 @@
-"""Doors to other libraries: manifolds of pymanopt and geomstats as ours, ours as theirs; problems for CasADi's solvers;
-records as tables of xarray and pandas and in CSV files; attitudes as quaternions, splines and CCSDS ephemerides.
+"""Doors to other libraries: pymanopt, geomstats, CasADi's solvers, tables, and formats of attitudes.
+
+Manifolds go both ways. Tables are xarray, pandas and CSV files; attitudes are quaternions, splines and CCSDS
+ephemerides.
 
 None of these libraries is imported before one of these functions is called; what the import of pymanopt and geomstats
 does to global settings is undone.

@@ -275,7 +275,7 @@ def from_aem(path: str | Path) -> AttitudeEphemeris:
 
 
 def _head(words: dict[str, str], originator: str, stamps: list[str]) -> list[str]:
-    """The lines before those of the data."""
+    """The lines before the data."""
     return [
         f"CCSDS_AEM_VERS = {VERSION}",
         f"CREATION_DATE = {_stamp(datetime.now(UTC).replace(tzinfo=None))}",

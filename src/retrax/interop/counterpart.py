@@ -1,4 +1,4 @@
-"""What a space of another library becomes here."""
+"""The counterpart here of a space of another library."""
 
 from typing import NamedTuple
 

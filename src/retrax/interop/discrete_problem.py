@@ -15,6 +15,7 @@ from ..integrators.boundary_value.end_points import EndPoints, EndReader, Prescr
 from ..integrators.boundary_value.given_guess import GuessReader
 from ..integrators.boundary_value.inequality_rows import InequalityRows
 from ..integrators.free import is_free
+from ..integrators.requirements import require_treated
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
 from ..retractions import DiscretizationMap, Gauss
@@ -73,7 +74,7 @@ def posed(
 ) -> DiscreteProblem:
     """The program of a problem as it is given, checked."""
     check_problem(problem, method)
-    problem.require_treated("to_casadi", *LIMITS)
+    require_treated(problem, "to_casadi", *LIMITS)
     check_parameters(problem, parameters)
     if not (is_finite_number(horizon) and horizon > 0):
         hint = "; a program has a given one: try that of a solution, solution.horizon" if is_free(horizon) else ""
@@ -122,7 +123,7 @@ def _discrete(functions: Transcription, points: EndPoints, lengths: np.ndarray, 
 
 
 def _at_nodes(functions: Transcription, nodes: ca.MX, points: EndPoints) -> ca.MX:
-    """The inequalities at the nodes; at an end those that depend on something free."""
+    """The inequalities at the nodes, at an end only the inequalities that depend on a free part."""
     if not functions.node_limits:
         return ca.MX(0, 1)
     rows, count = InequalityRows(functions.problem, None, functions.stages), nodes.shape[1]
@@ -170,6 +171,6 @@ def _function(function: Callable[..., tuple[jax.Array, ...]], *sizes: int) -> ca
 
 
 def _unused_slacks(prescribed: Prescribed) -> np.ndarray:
-    """Which slacks belong to parts that are free: their ends meet nothing, and the slacks are zero."""
+    """The slacks of free parts, which are zero because the ends of these parts meet nothing."""
     parts = prescribed.parts
     return np.repeat([not part.fixed for part in parts], [part.entries - part.dimension for part in parts])

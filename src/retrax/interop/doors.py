@@ -1,5 +1,4 @@
-"""Our manifolds as those of pymanopt and geomstats, theirs as ours; our problems as nonlinear programs for CasADi's
-solvers."""
+"""Conversions of manifolds to and from pymanopt and geomstats, and of problems to nonlinear programs for CasADi."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any

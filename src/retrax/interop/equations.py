@@ -107,6 +107,6 @@ def _upper(a: Array, offset: int = 0) -> Array:
 
 
 def _gram(x: Array) -> Array:
-    """The entries of ``x'x - I`` of which the others follow."""
+    """The independent entries of ``x'x - I``."""
     gram = x.conj().T @ x - jnp.eye(x.shape[1])
     return jnp.concatenate([_upper(gram.real), _upper(gram.imag, 1)]) if jnp.iscomplexobj(x) else _upper(gram)

@@ -174,7 +174,7 @@ class Geometry(eqx.Module):
         return self._along(self.retraction, x, v)
 
     def back(self, x: Theirs, y: Theirs) -> Theirs:
-        """The inverse of the retraction: the tangent vector at ``x`` that leads to ``y``; NaN outside its image.
+        """The inverse of the retraction, the tangent vector at ``x`` that leads to ``y``; NaN outside its image.
 
         Parameters
         ----------
@@ -194,8 +194,7 @@ class Geometry(eqx.Module):
         return self._along(self.exponential, x, v)
 
     def log(self, x: Theirs, y: Theirs) -> Theirs:
-        """The inverse of the exponential map: the tangent vector at ``x`` that leads to ``y``; NaN outside its
-        image.
+        """The inverse of the exponential map, the tangent vector at ``x`` that leads to ``y``; NaN outside its image.
 
         Parameters
         ----------
@@ -291,7 +290,7 @@ class Geometry(eqx.Module):
         return self._known(self.conventions.coordinates(x, w), x, y)
 
     def _known(self, value: Theirs, *points: Theirs) -> Theirs:
-        """A value where it is one of points of the manifold, NaN elsewhere."""
+        """A value, replaced by NaN if the points are not on the manifold."""
         worst = jnp.max(jnp.stack([self.violation(x) for x in points]))
         return nan_unless(worst <= default_tolerance(), value)
 

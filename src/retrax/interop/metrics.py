@@ -131,7 +131,7 @@ def has_unique_geodesics(metric: Metric) -> bool:
 
 
 def _parts(metric: Metric) -> list[Metric]:
-    """The metrics of which one is made: those of the factors of a product."""
+    """The metrics that a metric is made of, such as the metrics of the factors of a product."""
     match split(metric):
         case ProductMetric(factors=factors):
             return [part for factor in factors for part in _parts(factor)]
@@ -151,8 +151,8 @@ def _is_frobenius(metric: LeftInvariantMetric) -> bool:
 
 
 def split(metric: Metric) -> Metric:
-    """A metric with the same geodesics: without its scale; the embedded one of a product or a power as the sum that it
-    is."""
+    """A metric with the same geodesics, without scale, and for products and powers as the sum of the metrics of the
+    factors."""
     while isinstance(metric, ScaledMetric):
         metric = metric.base
     if not isinstance(metric, EmbeddedMetric):

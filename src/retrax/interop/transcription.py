@@ -62,7 +62,7 @@ class Transcription:
         return np.concatenate([parts[part.name].reshape(len(parts["centre"]), -1) for part in self.parts], axis=1)
 
     def begin(self, guess: Guess, count: int) -> np.ndarray:
-        """The unknowns of steps with the states and controls of a guess at their stages; velocities are those of the
+        """The unknowns of steps with states and controls of a guess at their stages, and with the velocities of the
         dynamics."""
         states = self.state.rows(guess.states, 1).reshape(count, self.stages, -1)
         controls = self.control.rows(guess.controls, 1).reshape(count, self.stages, -1)
@@ -110,19 +110,19 @@ class Transcription:
     @property
     def limits(self) -> int:
         """Number of inequalities of the problem."""
-        return len(getattr(self.problem, "inequality_names", ()))
+        return len(getattr(self.problem, "_inequality_names", ()))
 
     @property
     def node_limits(self) -> int:
         """Number of inequalities of the problem at a node."""
-        return len(entry_words(getattr(self.problem, "node_sizes", {})))
+        return len(entry_words(getattr(self.problem, "_node_sizes", {})))
 
     def at_node(self, node: Array) -> tuple[Array]:
         """The inequalities at a node."""
         return (self.problem.node_inequalities(self.state.point(node)),)
 
     def meeting(self, after: Array, before: Array, slack: Array) -> tuple[Array]:
-        """What is zero where two ends meet, shape ``(E,)``."""
+        """The residual of the condition that two ends meet, shape ``(E,)``."""
         return (after - before - self._normal((after + before) / 2, slack),)
 
     def last(self, node: Array) -> tuple[Array, Array]:

@@ -1,5 +1,6 @@
-"""Pictures of solutions, trajectories, solves and retractions: each in one call, on axes of yours if ``ax`` is given;
-and pages.
+"""Pictures and pages of solutions, trajectories, solves and retractions, each in one call.
+
+Pictures use your axes if you give ``ax``.
 
 Matplotlib is imported when a picture is drawn. Names and units are those of the problem (``labels`` and ``units``). A
 picture of one panel returns its axes, and one of several the array of them; ``ax.figure.savefig(path)`` writes it.

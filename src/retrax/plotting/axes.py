@@ -18,8 +18,10 @@ CROWD = {"linewidth": 0.8, "alpha": 0.6}  # of more records than styles, or of r
 
 
 def one(ax: Any, projection: str | None = None) -> Any:
-    """The axes that were given, or those of a new figure. Raises ``InvalidInputError`` for flat ones where they are
-    spatial."""
+    """The given axes, or the axes of a new figure.
+
+    Raises ``InvalidInputError`` for flat axes if the picture is spatial.
+    """
     if ax is None:
         from matplotlib import pyplot
 
@@ -33,8 +35,10 @@ def one(ax: Any, projection: str | None = None) -> Any:
 
 
 def several(ax: Any, count: int, columns: int | None = None, panel: tuple[float, float] = PANEL) -> np.ndarray:
-    """As many axes with a common horizontal axis as there are panels: those given, or those of a new figure, row by
-    row; the last panel fills its row."""
+    """The given axes, or axes of a new figure, one for each panel, with a common horizontal axis.
+
+    Panels go row by row; the last panel fills its row.
+    """
     if ax is None:
         from matplotlib import pyplot
 
@@ -107,7 +111,7 @@ def record_handles(every: Shown) -> list[Any]:
 
 
 def legend(ax: Any, more: Sequence[Any] = ()) -> None:
-    """The legend beside flat axes and below those in space, where it hides no curve; none without names."""
+    """The legend, beside flat axes and below spatial axes, so that no curve is hidden; no legend without names."""
     handles = [*ax.get_legend_handles_labels()[0], *more]
     beside = {"loc": "upper left", "bbox_to_anchor": (1.0, 1.0), "borderaxespad": 0.3}
     below = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "borderaxespad": 0.3, "ncols": 3}
@@ -116,7 +120,7 @@ def legend(ax: Any, more: Sequence[Any] = ()) -> None:
 
 
 def _names(channel: Channel, is_mixed: bool) -> list[str]:
-    """The names of the entries of a channel, with its own where there are others."""
+    """The names of the entries of a channel, with the name of the channel in a panel of several channels."""
     if not is_mixed:
         return channel.labels
     return [with_unit(f"{channel.name} {label}".rstrip(), channel.unit) for label in channel.labels]

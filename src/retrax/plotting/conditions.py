@@ -1,4 +1,4 @@
-"""What the conditions of optimality say along a solution: what is conserved, switching functions, multipliers."""
+"""Pictures of the conditions of optimality along a solution: conserved quantities, switching functions, multipliers."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -108,7 +108,7 @@ def multipliers(solution: Solution, ax: Any = None) -> Any:
 
 
 def _entry_names(name: str, count: int, controls: tuple[Quantity, ...]) -> list[str]:
-    """The names of the entries of an inequality: bounds have those of the controls."""
+    """The names of the entries of an inequality, which for bounds are the names of the controls."""
     side = {LOWER: 0, UPPER: 1}.get(name)
     if side is not None:
         bounds = [(f"{own.name} {label}".rstrip(), pair[side]) for own in controls for label, pair in _bounded(own)]

@@ -42,6 +42,13 @@ class Shown(NamedTuple):
 def shown(record: Any, problem: About = None) -> Shown:
     """The views of one record, of the members of a batch, or of the records of a list or a dictionary with their
     names."""
+    names, records = named(record)
+    ends = [record.times[1:-1].tolist() for record in records if isinstance(record, PhasedSolution)]
+    return Shown(names, [_parts(record, problem) for record in records], sorted({t for each in ends for t in each}))
+
+
+def named(record: Any) -> tuple[list[str], list[Any]]:
+    """The names of records and the records: of one record and of the members of a batch the names are empty."""
     if isinstance(record, Mapping):
         names, records = [str(name) for name in record], list(record.values())
     elif isinstance(record, Solutions) or (type(record) in (list, tuple)):
@@ -51,8 +58,7 @@ def shown(record: Any, problem: About = None) -> Shown:
         names, records = [""], [record]
     if not records:
         raise InvalidInputError("there is no record to draw, got an empty collection; try a Solution")
-    ends = [record.times[1:-1].tolist() for record in records if isinstance(record, PhasedSolution)]
-    return Shown(names, [_parts(record, problem) for record in records], sorted({t for each in ends for t in each}))
+    return names, records
 
 
 def drawn(record: Any, problem: About = None) -> View:
@@ -98,7 +104,7 @@ def as_one(panels: list[Panel]) -> Panel:
 
 
 def every_panel(every: Shown, degrees: bool) -> list[Panel]:
-    """The panels of the states, then those of the controls."""
+    """The panels of the states, then the panels of the controls."""
     return panels_of(every, of_states, degrees) + panels_of(every, of_controls, degrees)
 
 
@@ -142,8 +148,10 @@ def _between_nodes(record: Solution, found: View) -> View:
 
 
 def _within_bounds(steps: int, rows: Any) -> Iterator[np.ndarray]:
-    """Controls between the stages: a polynomial through controls within their bounds may leave the bounds, and is
-    drawn no further outside than those of its stages are."""
+    """Controls between the stages, clipped to the range of their bounds and stages.
+
+    A polynomial through controls within their bounds may leave the bounds.
+    """
     for between, at_stages, quantity in rows:
         flat, stages = between.reshape(*between.shape[:2], -1), at_stages.reshape(steps, len(at_stages) // steps, -1)
         if quantity.bounds:

@@ -210,8 +210,7 @@ def curve(axis: Any, points: np.ndarray, name: str | None, on_sphere: bool, **st
 
 
 def _fit_box(axis: Any) -> None:
-    """Equal scales in a box that leaves room for its names, with fewer ticks on its short sides, where their numbers
-    would lie over each other."""
+    """Make the scales equal in a box that leaves room for its names, with fewer ticks on its short sides."""
     limits = np.array([axis.get_xlim(), axis.get_ylim(), axis.get_zlim()])
     lengths = np.ptp(limits, axis=1)
     longer = np.maximum(lengths, FLATTEST * lengths.max())

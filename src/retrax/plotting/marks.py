@@ -10,7 +10,7 @@ from ..manifolds import InvalidInputError
 
 
 def checked_pairs(what: str, given: Any, n: int) -> list[tuple[np.ndarray, float]]:
-    """Pairs of a vector of ``n`` entries and a positive number, as for cones and obstacles; raises for others."""
+    """Pairs of a vector of ``n`` entries and a positive number, as for cones and obstacles; raises for other input."""
     found = []
     for pair in given if isinstance(given, Iterable) else [given]:
         try:
@@ -27,7 +27,7 @@ def checked_pairs(what: str, given: Any, n: int) -> list[tuple[np.ndarray, float
 
 
 def checked_cones(given: Any) -> list[tuple[np.ndarray, float]]:
-    """Cones with unit vectors as axes; raises for others."""
+    """Cones with unit vectors as axes; raises for other input."""
     found = [(vector, size, np.linalg.norm(vector)) for vector, size in checked_pairs("cones", given, 3)]
     if any(length == 0 or size >= np.pi for _, size, length in found):
         raise InvalidInputError(

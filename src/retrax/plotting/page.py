@@ -16,7 +16,8 @@ from ..integrators.quantities import with_unit
 from ..integrators.text import brief
 from ..manifolds import InvalidInputError
 from ..optional import needed
-from .drawn import History, every_panel, shown
+from .axes import STYLES
+from .drawn import History, every_panel, named, shown
 from .marks import checked_cones, checked_pairs, circle
 
 FRAMES = 241
@@ -57,15 +58,15 @@ def to_html(
 
     Parameters
     ----------
-    record : Solution, PhasedSolution or Trajectory
-        The record to show.
+    record : Solution, PhasedSolution, Trajectory, list or dict
+        The record to show; or two to four records to compare, in a dictionary with their names.
     path : str or Path
         The file to write.
     mesh : pair of array_like, optional
         Vertices in the body frame, shape ``(V, 3)``, and triangles of their numbers, shape ``(F, 3)``; by default a
         box. For poses in the unit of the position; for attitudes the size plays no part.
     title : str
-        The title of the page; by default the class of the record.
+        The title of the page; by default the class of the record, or the names of the records.
     problem : OptimalControlProblem or Manifold, optional
         The names and units of a trajectory, or its spaces; a solution has its own.
     degrees : bool
@@ -78,7 +79,8 @@ def to_html(
     Raises
     ------
     InvalidInputError
-        For another record, mesh, cone or obstacle.
+        For another record, mesh, cone or obstacle, for more than four records, and for records that move in different
+        spaces.
     MissingPackageError
         Without plotly.
 
@@ -87,19 +89,25 @@ def to_html(
     An attitude is shown as a body that turns, with the traces of its axes on the sphere of directions of the inertial
     frame; a pose as a body that moves; a point on S^2, or in R^2 or R^3, on its path. Beside it are the histories with
     the values at the cursor, below it is the report. A slider drags the time, and a click on a history goes to its
-    time. Solutions are drawn between their nodes by their polynomials, controls within their bounds. The library that
-    draws is Plotly's, 4.8 MB of the file; its button that uploads a chart is off.
+    time. Solutions are drawn between their nodes by their polynomials, controls within their bounds. Records to compare
+    share one clock, and each has a line style and a body of its own; a shorter record stays at its end. The library
+    that draws is Plotly's, 4.8 MB of the file; its button that uploads a chart is off.
     """
-    every, body = shown([record], problem), _checked(mesh)
+    every, records, body = shown(record, problem), named(record)[1], _checked(mesh)
+    if len(records) > len(STYLES):
+        raise InvalidInputError(
+            f"a page shows at most {len(STYLES)} records, got {len(records)}; try a few of them, or plotting.histories"
+        )
     plotly = needed("plotly.offline", "to_html").get_plotlyjs()
-    times, scene = _motion(record, problem, body)
+    times, scene = _motion(records, problem, body)
     marks = _marks(scene, checked_cones(cones), obstacles)
-    panels = [_panel(rows[0]) for rows in every_panel(every, degrees)]
-    data = {"times": times, "clock": with_unit("time", every.time), **scene, **marks}
+    panels = [[_panel(own, place) for place, own in enumerate(rows) if own] for rows in every_panel(every, degrees)]
+    data = {"times": times, "clock": with_unit("time", every.time), "names": every.names, **scene, **marks}
     data |= {"histories": panels, "borders": every.borders}
+    reports = [f"{name}\n\n{each}".lstrip() for name, each in zip(every.names, records, strict=True)]
     words = {
-        "title": html.escape(title or type(record).__name__),
-        "report": html.escape(str(record)),
+        "title": html.escape(title or ", ".join(filter(None, every.names)) or type(records[0]).__name__),
+        "report": html.escape("\n\n\n".join(reports)),
         # A script ends at the first "</script", wherever that is.
         "data": json.dumps(_plain(data), separators=(",", ":"), allow_nan=False).replace("</", "<\\/"),
         "plotly": plotly,
@@ -133,29 +141,48 @@ def _checked(mesh: Any) -> _Body:
     return _Body(vertices, faces, given=True)
 
 
-def _motion(record: Any, problem: About, body: _Body) -> tuple[np.ndarray, dict[str, Any]]:
-    """Times of the frames, and what is drawn in space at each; of phases in one space only."""
-    phases = record.phases if isinstance(record, PhasedSolution) else [record]
-    whole = record.horizon if isinstance(record, PhasedSolution) else None
-    times, views = [], []
-    for phase in phases:
-        found = view(phase, problem)
-        count = FRAMES if whole is None else 1 + max(1, round((FRAMES - 1) * phase.horizon / whole))
-        own, states = _frames(phase, found, count)
-        times.append(own)
-        views.append(found._replace(times=own, states=states))
-    if any(each.quantities.states != views[0].quantities.states for each in views):
-        return np.concatenate(times), {}
-    states = [np.concatenate(rows) for rows in zip(*(each.states for each in views), strict=True)]
-    return np.concatenate(times), _scene(views[0], states, body)
+def _motion(records: list[Any], problem: About, body: _Body) -> tuple[np.ndarray, dict[str, Any]]:
+    """Times of the frames, and what is drawn in space at each; records with another space in a phase have no scene."""
+    phases = [record.phases if isinstance(record, PhasedSolution) else [record] for record in records]
+    views = [[view(phase, problem) for phase in own] for own in phases]
+    times = _frame_times(phases, views)
+    if any(each.quantities.states != own[0].quantities.states for own in views for each in own):
+        return times, {}
+    states = [_states_at(times, own, found) for own, found in zip(phases, views, strict=True)]
+    return times, _scene([own[0] for own in views], states, body)
 
 
-def _frames(record: Any, found: View, count: int) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Times and states of the frames: of a solution between its nodes where it has polynomials, else the nodes."""
-    if isinstance(record, Solution) and record.interpolant is not None and record.success:
-        times = np.linspace(found.times[0], found.times[-1], count)
-        return times, [np.asarray(leaf) for leaf in jax.tree.leaves(record(times).states)]
-    return found.times, found.states
+def _is_smooth(record: Any) -> bool:
+    """Whether a record has states between its nodes: a solution with polynomials."""
+    return isinstance(record, Solution) and record.interpolant is not None and record.success
+
+
+def _frame_times(phases: Sequence[Sequence[Any]], views: list[list[View]]) -> np.ndarray:
+    """Times of the frames: the nodes of trajectories with the same nodes, otherwise equal steps from the first time to
+    the last."""
+    nodes = [found.times for own in views for found in own]
+    if not any(_is_smooth(phase) for own in phases for phase in own):
+        grids = [np.concatenate([found.times for found in own]) for own in views]
+        if all(np.array_equal(grid, grids[0]) for grid in grids):
+            return grids[0]
+    return np.linspace(min(own[0] for own in nodes), max(own[-1] for own in nodes), FRAMES)
+
+
+def _states_at(times: np.ndarray, phases: Sequence[Any], views: list[View]) -> list[np.ndarray]:
+    """States of a record at the times of the frames, from its polynomials, nearest nodes or ends."""
+    begins = [found.times[0] for found in views[1:]]
+    place = np.searchsorted(begins, times, side="right")
+    parts = []
+    for number, (phase, found) in enumerate(zip(phases, views, strict=True)):
+        own = np.clip(times[place == number], found.times[0], found.times[-1])
+        if not own.size:  # a phase that is shorter than a frame
+            continue
+        if _is_smooth(phase):
+            parts.append([np.asarray(leaf) for leaf in jax.tree.leaves(phase(own).states)])
+        else:
+            nearest = np.abs(own[:, None] - found.times).argmin(axis=1)
+            parts.append([values[nearest] for values in found.states])
+    return [np.concatenate(rows) for rows in zip(*parts, strict=True)]
 
 
 def _marks(scene: dict[str, Any], cones: list[tuple[np.ndarray, float]], obstacles: Any) -> dict[str, Any]:
@@ -167,41 +194,63 @@ def _marks(scene: dict[str, Any], cones: list[tuple[np.ndarray, float]], obstacl
     return {"balls": [(np.pad(centre, (0, 3 - len(centre))), radius) for centre, radius in balls]}
 
 
-def _scene(found: View, states: list[np.ndarray], body: _Body) -> dict[str, Any]:
-    """What is drawn in space: of the first attitude or pose, else of the first point on S^2, or in R^2 or R^3; or
-    nothing."""
-    spaces = [quantity.space for quantity in found.quantities.states]
-    for space, values in zip(spaces, states, strict=True):
-        if space in BODY:
-            return _of_body(values, body, space == "SE(3)")
+def _scene(views: list[View], states: list[list[np.ndarray]], body: _Body) -> dict[str, Any]:
+    """The spatial scene with the motion of each record; empty if the records have nothing to draw in space."""
+    found = [_moving(each, own) for each, own in zip(views, states, strict=True)]
+    kinds = {kind for kind, _, _ in found}
+    if len(kinds) > 1:
+        raise InvalidInputError(
+            f"the records of a page move in one space, got {', '.join(sorted(kind or 'none' for kind in kinds))}; try "
+            "plotting.histories"
+        )
+    kind, values = kinds.pop(), [values for _, _, values in found]
+    if kind in BODY:
+        return _of_body(values, body, kind == "SE(3)")
+    if not kind:
+        return {}
+    quantity = found[0][1]
+    points = [{"points": np.pad(each, ((0, 0), (0, 3 - each.shape[1])))} for each in values]
+    what = {"name": quantity.name, "unit": quantity.unit, "sphere": kind == SPHERE, "plane": kind == "R^2"}
+    return {"motions": points, **what}
+
+
+def _moving(found: View, states: list[np.ndarray]) -> tuple[str, Any, Any]:
+    """The space, the quantity and the values to draw, or nothing.
+
+    These are the first attitude or pose, else the first point on S^2, or in R^2 or R^3.
+    """
     pairs = list(zip(found.quantities.states, states, strict=True))
+    for quantity, values in pairs:
+        if quantity.space in BODY:
+            return quantity.space, quantity, values
     flat = [(q, v) for q, v in pairs if v.ndim == 2 and v.shape[1] in (2, 3) and np.isrealobj(v)]
     for quantity, values in sorted(flat, key=lambda pair: pair[0].space != SPHERE):
-        points = np.pad(values, ((0, 0), (0, 3 - values.shape[1])))
-        kind = {"sphere": quantity.space == SPHERE, "plane": values.shape[1] == 2}
-        return {"points": points, "name": quantity.name, "unit": quantity.unit, **kind}
-    return {}
+        return SPHERE if quantity.space == SPHERE else f"R^{values.shape[1]}", quantity, values
+    return "", None, None
 
 
-def _of_body(values: np.ndarray, body: _Body, moves: bool) -> dict[str, Any]:
-    positions = values[:, :3, 3] if moves else None
+def _of_body(records: list[np.ndarray], body: _Body, moves: bool) -> dict[str, Any]:
+    """Bodies that turn, all of one size, and move if the records are poses."""
     size = float(np.max(np.linalg.norm(body.vertices, axis=1))) or 1.0
-    extent = 1.0 if positions is None else float(np.max(np.ptp(positions, axis=0))) or 1.0
-    scale = BODY_SIZE / size if positions is None else 1.0 if body.given else SHARE * extent / size
+    paths = [values[:, :3, 3] if moves else None for values in records]
+    scale = BODY_SIZE / size
+    if moves:
+        extent = float(np.max(np.ptp(np.concatenate([values[:, :3, 3] for values in records]), axis=0))) or 1.0
+        scale = 1.0 if body.given else SHARE * extent / size
     return {
-        "rotations": values[:, :3, :3],
-        "positions": positions,
+        "motions": [{"rotations": v[:, :3, :3], "positions": path} for v, path in zip(records, paths, strict=True)],
         "mesh": {"vertices": body.vertices, "faces": body.faces},
         "scale": scale,
-        "arm": ARM if positions is None else 1.6 * scale * size,
-        "sphere": positions is None,
+        "arm": 1.6 * scale * size if moves else ARM,
+        "sphere": not moves,
     }
 
 
-def _panel(own: list[History]) -> dict[str, Any]:
-    """A panel of histories with one title, those of phases one behind the other."""
+def _panel(own: list[History], record: int) -> dict[str, Any]:
+    """The histories of one record in a panel, phases one behind the other."""
     first = own[0].channel
     return {
+        "record": record,
         "title": first.title,
         "times": np.concatenate([history.times for history in own]),
         "names": first.labels,

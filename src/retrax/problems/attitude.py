@@ -68,8 +68,7 @@ def rest_to_rest_slew() -> KnownProblem:
 
 
 def three_turns(s: np.ndarray) -> tuple[Any, Any]:
-    """Turns about axes 1, 2 and 1 one after another, from rest to rest: those that the torques left give by
-    themselves."""
+    """Turns about axes 1, 2 and 1 in turn, from rest to rest, which the remaining torques can produce."""
     angles, horizon = Rotation.from_matrix(TARGET).as_euler("XYX"), 120.0
     done = np.clip(3 * s[:, None] - np.arange(3), 0, 1)
     speeds = 6 * done * (1 - done) * 3 * angles / horizon
@@ -247,7 +246,7 @@ def detumbling() -> KnownProblem:
         source="M. Athans, P. L. Falb, Optimal Control, 1966, section 10-6, norm-invariant systems",
         optimum=float(np.sum((inertia * rate) ** 2) / (2 * horizon)),
         digits=12,
-        origin="closed form: u = -J w / (T - t)",
+        origin=r"closed form: $u = -Jw / (T - t)$",
         formula=r"\frac{\lvert J w_0\rvert^2}{2T}",
     )
 

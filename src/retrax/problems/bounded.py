@@ -31,7 +31,7 @@ def least_time() -> KnownProblem:
         source=f"{BRYSON}, section 3.9",
         optimum=2.0,
         digits=12,
-        origin="closed form: u = 1 until half-time, then -1",
+        origin="closed form: $u = 1$ until half-time, then $u = -1$",
         formula=r"2\sqrt d",
         error=1e-8,
     )
@@ -59,7 +59,7 @@ def turnpike() -> KnownProblem:
         "Equations 258, 2015, 81-114",
         optimum=3 / 8,
         digits=12,
-        origin="closed form: u = -1, 0, 1 with switches at 1 and 3/2",
+        origin=r"closed form: $u = -1, 0, 1$ with switches at $t = 1$ and $t = \tfrac32$",
         formula=r"\tfrac38",
     )
 
@@ -92,7 +92,7 @@ def aly_chan() -> KnownProblem:
         "problems, Internat. J. Control 17, 1973, 809-815",
         optimum=0.0,
         digits=12,
-        origin="closed form: u = -sin t",
+        origin=r"closed form: $u = -\sin t$",
         formula="0",
         error=1e-8,
     )
@@ -124,7 +124,7 @@ def bryson_denham() -> KnownProblem:
         "1963, 2544-2550",
         optimum=4 / (9 * limit),
         digits=12,
-        origin="closed form, on the ceiling from 1/3 to 2/3",
+        origin=r"closed form, on the ceiling from $t = \tfrac13$ to $t = \tfrac23$",
         formula=r"\frac{4}{9 l}",
         accuracy=1e-9,
     )
@@ -193,7 +193,8 @@ def fuller() -> KnownProblem:
         "63-71",
         optimum=0.134196915284,
         digits=12,
-        origin="closed form: a finite arc and a self-similar chattering one, x = -0.44462 v |v| where it switches",
+        origin=r"closed form: a finite arc and a self-similar chattering arc, which switches where "
+        r"$x = -0.44462\,v \lvert v\rvert$",
         accuracy=1e-9,
     )
 

@@ -43,7 +43,7 @@ def regulator() -> KnownProblem:
         source=f"{BRYSON}, chapter 5",
         optimum=float(np.tanh(1.0) / 2),
         digits=12,
-        origin="closed form: u = -tanh(1 - t) x",
+        origin=r"closed form: $u = -\tanh(1 - t)\,x$",
         formula=r"\tfrac12 \tanh T",
     )
 
@@ -68,7 +68,7 @@ def least_effort() -> KnownProblem:
         source=f"{BRYSON}, section 5.2",
         optimum=6.0,
         digits=12,
-        origin="closed form: u = 6 - 12 t",
+        origin="closed form: $u = 6 - 12t$",
         formula=r"\frac{6 d^2}{T^3}",
     )
 
@@ -161,7 +161,7 @@ def hypersensitive() -> KnownProblem:
         f"1999, 633-642; {BETTS}, example 4.4",
         optimum=float((np.sqrt(2) + np.arcsinh(1) - 1 + 2.25 * np.hypot(1, 2.25) + np.arcsinh(2.25) + 1.5**4) / 4),
         digits=12,
-        origin="closed form but for exp(-T); published as 3.36206",
+        origin="closed form up to $e^{-T}$; published as 3.36206",
         formula=r"\int_0^1 x \sqrt{1 + x^4} - x^3\,dx + \int_0^{3/2} x \sqrt{1 + x^4} + x^3\,dx",
     )
 

@@ -92,7 +92,7 @@ def moon_landing() -> KnownProblem:
         "1964, 477-484; data of GPOPS-II",
         optimum=float(np.sqrt(68.0)),
         digits=12,
-        origin="closed form: free fall for (sqrt(68) - 4) / 3",
+        origin=r"closed form: free fall until $t = (\sqrt{68} - 4) / 3$",
         formula=r"\sqrt{68}",
         accuracy=1e-9,
     )
@@ -221,7 +221,7 @@ def rendezvous() -> KnownProblem:
         "27, 1960, 653-658",
         optimum=least(),
         digits=10,
-        origin="closed form, by the Gramian W of controllability",
+        origin="closed form, by the Gramian $W$ of controllability",
         formula=r"\tfrac12\,d^{\mathsf T} W^{-1} d",
     )
 

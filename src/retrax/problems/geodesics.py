@@ -228,7 +228,7 @@ def heisenberg() -> KnownProblem:
         "Mathematics, 1982, 11-27",
         optimum=2 * np.pi,
         digits=12,
-        origin="closed form: a circle of length 2 sqrt(pi z)",
+        origin=r"closed form: a circle of length $2 \sqrt{\pi z}$",
         formula=r"\frac{2\pi z}{T}",
     )
 
@@ -253,7 +253,7 @@ def grushin() -> KnownProblem:
         source=f"{AGRACHEV}, section 9.4.1",
         optimum=np.pi,
         digits=12,
-        origin="closed form: x = sqrt(2 y / pi) sin(pi t)",
+        origin=r"closed form: $x = \sqrt{2y / \pi}\,\sin \pi t$",
         formula=r"\frac{\pi y}{T}",
     )
 

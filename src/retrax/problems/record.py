@@ -1,4 +1,4 @@
-"""What the library knows of a problem, and the library itself: problems by name."""
+"""The record of a known problem, and the library of problems by name."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -39,7 +39,7 @@ class KnownProblem:
     digits : int
         The number of verified significant digits of the optimum.
     origin : str
-        The method of the verification.
+        The method of the verification, with formulas in LaTeX between dollar signs.
     formula : str
         The optimum in closed form, in LaTeX, if there is one.
     time, cost : str

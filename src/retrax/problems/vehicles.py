@@ -182,7 +182,7 @@ def zermelo() -> KnownProblem:
         source="A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975, section 2.7, problem 1",
         optimum=5.45786526356,
         digits=12,
-        origin="shooting with the closed form of the heading, tan a = tan a0 + t; published as 5.46",
+        origin=r"shooting with the closed form of the heading, $\tan a = \tan a_0 + t$; published as 5.46",
     )
 
 

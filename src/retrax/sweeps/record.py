@@ -1,4 +1,4 @@
-"""What a sweep has found until now, read from its folder."""
+"""The results of a sweep until now, read from its folder."""
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -12,7 +12,7 @@ from .store import Store, existing
 
 
 class Work(NamedTuple):
-    """What a worker did: members, seconds on the clock and of the processor in which it solved them."""
+    """The record of a worker: its members, and the seconds on the clock and of the processor."""
 
     members: int
     seconds: float
@@ -142,7 +142,7 @@ class Sweep:
 
 
 def _rows(found: dict[str, Any], name: str, shape: tuple[int, ...]) -> np.ndarray:
-    """What is kept of a chunk, NaN for members that have no solution."""
+    """The kept rows of a chunk, NaN for members that have no solution."""
     rows = np.full((len(found["has"]), *shape), np.nan)
     if found["has"].any():
         rows[found["has"]] = found["kept"][name]

@@ -71,7 +71,7 @@ class Store:
             np.savez(file, allow_pickle=False, **own, **kept)
 
     def read(self, part: int) -> dict[str, Any]:
-        """What was written of a chunk; raises ``InvalidInputError`` if the file is something else, or damaged."""
+        """The record of a chunk; raises ``InvalidInputError`` if the file is something else, or damaged."""
         path, count = self.path(part), len(self.members(part))
         try:
             found: dict[str, Any] = dict(archived_arrays(path))
@@ -113,7 +113,7 @@ def worker() -> str:
 
 
 def opened(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store:
-    """The store in a folder, which is made, or is that of the same sweep; raises ``InvalidInputError`` otherwise."""
+    """The store in a folder, new or of the same sweep; raises ``InvalidInputError`` for a folder of another sweep."""
     folder.mkdir(parents=True, exist_ok=True)
     head, wanted = folder / HEAD, {"schema": SCHEMA, "count": count, "chunk": chunk, **marks}
     if not head.exists():

@@ -1,4 +1,4 @@
-"""What a sweep solves, and what is kept of it."""
+"""The study of a sweep: its members, their solutions, and the kept figures."""
 
 import hashlib
 from collections.abc import Callable
@@ -78,17 +78,17 @@ def asked(study: Study, members: np.ndarray) -> dict[str, Any]:
 
 
 def solved(study: Study, members: np.ndarray) -> dict[str, Any]:
-    """Cost, success, result and what is kept of some members; those that the solver refuses have its reason as their
-    result.
+    """Cost, success, result and kept figures of some members; a rejected member has the reason as its result.
 
-    ``kept`` arrays have rows for the others, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration was
-    stopped.
+    ``kept`` arrays have rows for the solved members, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration
+    was stopped.
     """
     return _joined([_tried(study, members[first : first + BATCH]) for first in range(0, len(members), BATCH)])
 
 
 def _tried(study: Study, members: np.ndarray) -> dict[str, Any]:
-    """The same of one batch; where it is refused, of its halves, so that the others do not suffer."""
+    """The results of one batch, or of its halves if the batch is rejected, so that one member does not spoil a
+    batch."""
     try:
         return _solved(study, members)
     except RetraxError as error:
@@ -123,7 +123,7 @@ def _solved(study: Study, members: np.ndarray) -> dict[str, Any]:
 
 
 def _checked(kept: Any, count: int) -> dict[str, np.ndarray]:
-    """What is kept as arrays of numbers; raises if it is something else."""
+    """The kept figures as arrays of numbers; raises if the user's function returns something else."""
     arrays = {name: np.asarray(value) for name, value in kept.items()} if isinstance(kept, dict) else {}
     if not isinstance(kept, dict) or not all(
         isinstance(name, str) and a.shape[:1] == (count,) and a.dtype.kind in "biuf" for name, a in arrays.items()
@@ -157,7 +157,7 @@ def marks(study: Study, count: int) -> dict[str, str]:
         lambda leaf: repr(leaf) if is_free(leaf) else np.asarray(leaf).tolist(), given, is_leaf=is_free
     )
     return {
-        "problem": _digest((bound.digest() or b"unknown") + method.encode()),
+        "problem": _digest((bound._digest() or b"unknown") + method.encode()),
         "cases": _digest(repr(numbers).encode()),
     }
 

@@ -1,4 +1,4 @@
-"""What workers do: make the study once, solve chunks of members, and write them to the store."""
+"""The work of a worker: make the study once, solve chunks of members, and write them to the store."""
 
 import threading
 import time
@@ -20,7 +20,7 @@ _making = threading.Lock()
 
 
 class Job(NamedTuple):
-    """What every worker of a sweep is told, beside its chunk; ``token`` is another one for each call of ``sweep``."""
+    """The orders to every worker of a sweep, beside its chunk; each call of ``sweep`` has its own ``token``."""
 
     build: Callable[[], Any]
     folder: str
@@ -68,5 +68,5 @@ def _study(job: Job) -> Study:
 
 
 def adopt(study: Study, token: str) -> None:
-    """Take a study that was made here as that of a sweep."""
+    """Take a study that was made in this process as the study of a sweep."""
     _own.study, _own.token = study, token

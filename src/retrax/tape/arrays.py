@@ -103,8 +103,10 @@ def scalars(values: ca.SX, shape: tuple[int, ...]) -> Scalars:
 
 
 def taken(a: Entries, places: np.ndarray) -> Any:
-    """The array of the shape of ``places`` whose entries are those of ``a`` at these places of its C order; of a known
-    array a known array, where NumPy would make one entry a number."""
+    """The array of the shape of ``places`` with the entries of ``a`` at these places of its C order.
+
+    A known array gives a known array, where NumPy would make one entry a number.
+    """
     if isinstance(a, Complex):
         return Complex(taken(a.real, places), taken(a.imag, places))
     if isinstance(a, np.ndarray):
@@ -124,7 +126,7 @@ def moved(a: Entries, move: Callable[[np.ndarray], Any]) -> Any:
 
 
 def broadcast(*arrays: Any) -> tuple[list[Any], tuple[int, ...]]:
-    """Arrays in their common shape, and that shape; those with one entry stay as they are, for it meets every
+    """Arrays in their common shape, and this shape; arrays with one entry stay, because one entry meets every
     scalar."""
     shape = np.broadcast_shapes(*(a.shape for a in arrays))
     alike = [

@@ -1,4 +1,4 @@
-"""Rules whose derivatives hold numbers fixed: at zero, at ties and at limits they are those of JAX."""
+"""Rules whose derivatives hold numbers fixed, and agree with JAX at zero, at ties and at limits."""
 
 import math
 from collections.abc import Callable

@@ -60,7 +60,7 @@ class Loop:
 
     @property
     def slope(self) -> ca.SX:
-        """Raises ``InvalidInputError``: it is not known."""
+        """The slope, which is unknown: raises ``InvalidInputError``."""
         raise InvalidInputError("an expansion has no derivatives through roots; try those of the function before it")
 
 

@@ -1,4 +1,4 @@
-"""The instructions of the machine, and those of a graph of scalars in CasADi's order, before they are fused."""
+"""The instructions of the machine, and the unfused instructions of a graph of scalars in CasADi's order."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -107,7 +107,7 @@ class _Looped:
         return self.states[place]
 
     def parts(self) -> list[list[int]]:
-        """What runs: the state before the rounds, where they begin, a round, the state behind it, where it ends."""
+        """The parts of a loop: the state before the rounds, the begin, a round, the state after the round, the end."""
         found, count, new, done, begin = self._found, self._loop.first.shape[0], dict[int, int](), 0, len(self._found)
         for which, place, made in _Reader(found).results(
             self._loop.body, lambda which, place: self.given[count + place] if which else self.state(place)
@@ -140,7 +140,7 @@ class _Reader:
         self._truths = set[int]()
 
     def number(self, name: str, inputs: list[int], value: float = 0.0, divides: bool = False) -> int:
-        """The number of an instruction, which is new or has been there before; ``value``: of one without operands."""
+        """The number of a new or an earlier instruction; an instruction without operands has a ``value``."""
         if not inputs:
             key = name, value, math.copysign(1.0, value)  # zeros of both signs are two numbers
         elif name in COMMUTATIVE and inputs[0] > inputs[1]:
@@ -156,8 +156,10 @@ class _Reader:
         return k
 
     def results(self, function: ca.Function, given: Callable[[int, int], int]) -> Iterator[tuple[int, int, int]]:
-        """Of each number of each output the instruction that makes it, once that is known; ``given``: those of the
-        inputs."""
+        """The instruction of each number of each output, as soon as the instruction is known.
+
+        ``given`` returns the instructions of the inputs.
+        """
         made: dict[int, int] = {}
         read, written, code_of = function.instruction_input, function.instruction_output, function.instruction_id
         for k in range(function.n_instructions()):

@@ -76,7 +76,7 @@ def _times(x: Row, y: Row) -> Row:
 
 
 def _of_rows(rule: Callable[..., Sequence[Entries]], real: bool) -> Callable[..., Entries]:
-    """The rule of an array, given that of its parts; ``real``: a complex one is refused."""
+    """The rule of an array, made of the rule of its parts; ``real`` rejects complex arrays."""
 
     def whole(params: dict[str, Any], x: Entries) -> Entries:
         if not is_complex(x):
@@ -219,7 +219,7 @@ def _lu(params: dict[str, Any], x: Any) -> list[Entries]:
 
 
 def inverse(matrix: ca.SX) -> ca.SX:
-    """Inverse of a matrix, each block that no entry couples with the others on its own."""
+    """Inverse of a matrix, by blocks that no entry couples."""
     found = ca.SX(*matrix.shape)
     for block in _blocks(matrix):
         _require("custom_linear_solve", len(block))

@@ -1,4 +1,4 @@
-"""Which equations of a jaxpr its wanted values need: JAX keeps what a derivative or a linear solve leaves unused."""
+"""The equations of a jaxpr that its wanted values need; JAX keeps unused equations of derivatives and linear solves."""
 
 from typing import Any
 

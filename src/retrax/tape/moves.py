@@ -97,8 +97,7 @@ def _window(x: Entries, starts: list[int | ca.SX], sizes: tuple[int, ...]) -> En
 def _parts(
     starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]
 ) -> Iterator[tuple[Any, tuple[slice, ...]]]:
-    """All parts of an array of this shape that a window may be, and of each the condition that it is; None where that
-    is known."""
+    """All windows into an array of this shape, each with its condition, which is None for known starts."""
     unknown = [k for k, start in enumerate(starts) if not isinstance(start, int)]
     for choice in itertools.product(*(range(shape[k] - sizes[k] + 1) for k in unknown)):
         at = dict(enumerate(starts)) | dict(zip(unknown, choice, strict=True))
@@ -155,14 +154,16 @@ def _is_outside(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...
 
 
 def _filling(params: dict[str, Any], x: Entries) -> np.ndarray:
-    """What ``gather`` gives in place of entries that lie outside of an array."""
+    """The value of ``gather`` for indices outside of an array."""
     value = np.nan if params["fill_value"] is None else params["fill_value"]
     return np.asarray(value, x.dtype if isinstance(x, np.ndarray) else complex if is_complex(x) else float)
 
 
 def _window_or(filling: np.ndarray, x: Entries, starts: list[Any], sizes: tuple[int, ...]) -> Entries:
-    """The part of an array of these sizes that starts at an index, all ``filling`` where the index is of no such
-    part: it is not moved into the array."""
+    """The part of an array of these sizes that starts at an index, all ``filling`` for an index without such a part.
+
+    A window that is partly outside is not moved into the array.
+    """
     nothing = np.broadcast_to(filling, sizes)
     if _is_outside(starts, x.shape, sizes):
         return nothing

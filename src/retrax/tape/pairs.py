@@ -1,4 +1,4 @@
-"""Functions of complex numbers as pairs of real ones, columns of scalars each."""
+"""Functions of complex numbers as pairs of real columns of scalars."""
 
 import casadi as ca
 import numpy as np
@@ -38,7 +38,7 @@ def repeated(x: Pair, exponent: int) -> Pair:
 
 
 def size(x: Pair) -> ca.SX:
-    """Its absolute value, whose derivative at zero is that of JAX: none."""
+    """The absolute value of a pair, which has no derivative at zero, as in JAX."""
     square = x[0] * x[0] + x[1] * x[1]
     return select(square > 0, ca.sqrt(select(square > 0, square, 1.0)), square)
 
@@ -146,7 +146,10 @@ def _scalar_power(x: Pair, y: Pair) -> Pair:
 
 
 def _power_of_zero(x: Pair, y: Pair, zero: ca.SX) -> Pair:
-    """That of each part on its own where both are zero, of one elsewhere: real powers have the derivatives of JAX."""
+    """The power where the base ``x`` is zero, each part by itself, with the derivatives of JAX for real powers.
+
+    Elsewhere the base is one.
+    """
     fixed = y[0] if y[0].is_constant() else _constant(y[0])
     real, imag = (select(zero, part, 1.0) ** fixed for part in x)
     exists = ca.logic_and(y[0] >= 0, y[1] == 0)

@@ -80,8 +80,10 @@ def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, wind
 
 
 def _grouped(instructions: list[Instruction], kept: list[int]) -> list[int]:
-    """An order of some instructions in which many of the same follow each other: those next of which most can run. What
-    others make is there."""
+    """An order of some instructions in which many equal instructions follow each other.
+
+    The next kind is the kind of which most instructions can run. Results of other instructions are there.
+    """
     waits: dict[int, int] = {}
     users: dict[int, list[int]] = {k: [] for k in kept}
     ready: dict[str, list[int]] = {}
@@ -144,7 +146,8 @@ def _replace(
 
 
 def _cut(instructions: list[Instruction]) -> set[int]:
-    """Of which of them a whole number is made: what is rounded twice may lie just beside one."""
+    """The instructions that ``FLOOR`` and ``CEIL`` round to a whole number, whose own rounding may change the
+    result."""
     found = set[int]()
     for instruction in instructions:
         if instruction.name in ("FLOOR", "CEIL"):
@@ -221,7 +224,7 @@ def _first_of_four(instructions: list[Instruction], ahead: list[int]) -> bool:
 
 
 def _allocated(instructions: list[Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
-    """Registers for the values, that which was free last first; never that of an operand, so that loops over lanes are
+    """Registers for the values, first the register that was freed last; never an operand's, so that loops are
     vectors."""
     ends = _ends(instructions, kept)
     where: dict[int, int] = {}
@@ -253,7 +256,8 @@ def _allocated(instructions: list[Instruction], kept: list[int], inputs: int, ou
 
 
 def _ends(instructions: list[Instruction], kept: list[int]) -> dict[int, list[int]]:
-    """The values that are needed no more after an instruction; those from before a loop stay until its last round."""
+    """The values that no later instruction needs, by instruction; values from before a loop stay until its last
+    round."""
     last = {i: row for row, k in enumerate(kept) for i in instructions[k].inputs}
     last = lasting(last, {k: row for row, k in enumerate(kept)}, [instructions[k].name for k in kept])
     ends: dict[int, list[int]] = {}

@@ -52,7 +52,7 @@ def roots(params: dict[str, Any], arrays: list[Any], system: System, loop: Loope
 
 
 def _batch(params: dict[str, Any], arrays: list[Any], system: System, loop: Looped, copies: int) -> list[Entries]:
-    """Those of a batch, along the first axis: the outermost level of ``vmap`` is the last one."""
+    """The roots of a batch along the first axis; the outermost level of ``vmap`` is the last entry of the axes."""
     *inner, outer = params["axes"]
     size = next(a.shape[axis] for a, axis in zip(arrays, outer, strict=True) if axis is not None)
     one = {**params, "axes": tuple(inner)}

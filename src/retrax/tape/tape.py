@@ -1,10 +1,8 @@
 """Functions of a point as straight lines of scalar operations, evaluated on many points at once."""
 
 import itertools
-import math
-import operator
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import cache, cached_property
 from types import ModuleType
 from typing import Any, Self, final
@@ -23,25 +21,9 @@ from ..undisturbed import put_off
 from .arrays import Entries, column, is_complex, parts, scalars
 from .graph import Graph, Loop
 from .often import Often
+from .packing import Argnums, Leaf, argument_places, packed, require_numbers, unpacked
 from .program import VECTOR, Program, assembled
 from .trace import Flat, flat, readable, trace
-
-Argnums = int | Iterable[int] | None  # places of arguments, as jax.grad has them; None: all
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Leaf:
-    """Shape and kind of one array among the arguments or values of a function."""
-
-    shape: tuple[int, ...]
-    complex: bool
-    argument: int = 0  # its place among the arguments
-
-    @property
-    def rows(self) -> int:
-        """Real numbers in it."""
-        return math.prod(self.shape) * (2 if self.complex else 1)
 
 
 @final
@@ -87,13 +69,24 @@ class Tape(Often):
         if not callable(function):
             raise InvalidInputError(f"a tape is of a function, got {function!r}")
         for leaf in jax.tree.leaves(examples):
-            _require_numbers(np.asarray(leaf))
+            require_numbers(np.asarray(leaf))
         with readable():
             return cls.read(flat(function, *examples))
 
     @classmethod
     def read(cls, function: Flat) -> Self:
-        """The tape of a function that JAX has traced, as ``retrax.tape.trace.flat`` does."""
+        """The tape of a function that JAX has traced.
+
+        Parameters
+        ----------
+        function : Flat
+            The traced function, made by ``retrax.tape.trace.flat``.
+
+        Raises
+        ------
+        NotTraceableError
+            If an operation of the function has no scalar form.
+        """
         leaves, structure = jax.tree.flatten(function.examples)
         graph, values = trace(function)
         owners = [k for k, part in enumerate(function.examples) for _ in jax.tree.leaves(part)]
@@ -101,13 +94,23 @@ class Tape(Often):
         return cls(graph, values, (kinds, structure), function.result)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Values at many points: each array has the shape of its example and one more axis, that of the points,
-        last."""
-        inputs = self._packed(arguments)
+        """The values of the function at many points.
+
+        Parameters
+        ----------
+        *arguments : pytree of arrays
+            The arguments; each array has the shape of its example, and the axis of the points last.
+
+        Returns
+        -------
+        pytree of arrays
+            The values, with the axis of the points last.
+        """
+        inputs = packed(arguments, self._leaves, self._arguments)
         rows = np.empty((sum(leaf.rows for leaf in self._results), inputs.shape[1]))
         ends = inputs.ravel(), _rows(*inputs.shape), rows.reshape(-1), _rows(*rows.shape)
         self.run(inputs.shape[1], ends)
-        return jax.tree.unflatten(self.structure, self._unpacked(rows))
+        return jax.tree.unflatten(self.structure, unpacked(rows, self._results))
 
     @property
     def instructions(self) -> int:
@@ -116,8 +119,10 @@ class Tape(Often):
 
     @property
     def size(self) -> int:
-        """Number of scalar operations in the graph, in which some are the same: the time in which its instructions are
-        made grows with it."""
+        """The number of scalar operations in the graph, repeated operations included.
+
+        The time to make the instructions grows with this number.
+        """
         (outputs,), loops = self._scheduled
         return ca.n_nodes(ca.vertcat(outputs, *(part for loop in loops for part in (loop.first, loop.given))))
 
@@ -133,16 +138,17 @@ class Tape(Often):
 
     @property
     def expansion_size(self) -> int:
-        """About as many scalar operations as ``expansion`` has: those of the gradient, for each direction.
+        """An estimate of the number of scalar operations of ``expansion``.
 
-        Where every second derivative has all of them there are up to three times as many.
+        The estimate counts the gradient once for each direction. If every second derivative needs all operations, the
+        number is up to three times as large.
         """
         marks = [ca.vertcat(m.first, m.given) if isinstance(m, Loop) else m.value for m in self.graph.marks]
         return self.graph.inputs[0].numel() * ca.n_nodes(ca.vertcat(self._slope, self.outputs, *marks))
 
     @cached_property
     def _slope(self) -> ca.SX:
-        """The gradient of the first value by the first argument."""
+        """The gradient of the first value with respect to the first argument."""
         first = jax.tree.unflatten(self.structure, self._values)[0]
         return self.graph.gradient(column(first), self.graph.inputs[0])
 
@@ -159,7 +165,7 @@ class Tape(Often):
 
     @property
     def code(self) -> Program:
-        """What the machine runs: the instructions, or machine code in their place."""
+        """The code that the machine runs: the instructions, or machine code instead of them."""
         return self._native or self.program
 
     @cached_property
@@ -169,10 +175,9 @@ class Tape(Often):
         return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size)
 
     def compile(self) -> None:
-        """Make machine code of it, now, unless it is already: that takes some hundred microseconds an instruction and
-        gives the same numbers.
+        """Compile the instructions to machine code now, unless they are compiled.
 
-        Without Numba there is none.
+        This takes some hundred microseconds an instruction and gives the same numbers. Without Numba, nothing happens.
         """
         if self._native is None and _machine() is not None:
             from .native import native
@@ -185,13 +190,30 @@ class Tape(Often):
         return {**state, "_native": None, "_points": 0, "_asked": False}
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
-        """The derivatives of all values with respect to arguments, by default all, as a tape of a matrix."""
+        """The derivatives of all values with respect to arguments, as a tape of a matrix.
+
+        Parameters
+        ----------
+        argnums : int or sequence of int, optional
+            The places of the arguments, back from the last if negative; all arguments by default.
+        """
         matrix = self.graph.jacobian(self.outputs, self._by(argnums))
         return self._of((matrix, matrix.shape))
 
     def push(self, argnum: int) -> "Tape":
-        """The derivatives of all values along a direction in one argument; the direction is the last argument."""
-        by, places = self._by(argnum), self._places(argnum)
+        """The derivatives of all values along a direction in one argument, as a tape with the direction as its last.
+
+        Parameters
+        ----------
+        argnum : int
+            The place of the argument, one real array; back from the last if negative.
+
+        Raises
+        ------
+        InvalidInputError
+            If the argument has several arrays, or a complex one.
+        """
+        by, places = self._by(argnum), argument_places(argnum, self._arguments)
         leaves = [leaf for leaf in self._leaves if leaf.argument in places]
         if len(leaves) != 1 or leaves[0].complex:
             raise InvalidInputError(
@@ -206,23 +228,41 @@ class Tape(Often):
         return Tape(graph, [scalars(column, column.shape[:1])], (kinds, structure), jax.tree.structure(0))
 
     def gradient(self, argnums: Argnums = None) -> "Tape":
-        """The derivatives of a function with one value with respect to arguments, as a tape of a flat array."""
+        """The derivatives of a function with one value with respect to arguments, as a tape of a flat array.
+
+        Parameters
+        ----------
+        argnums : int or sequence of int, optional
+            As in ``jacobian``.
+        """
         column = self.graph.gradient(self._only(), self._by(argnums))
         return self._of((column, column.shape[:1]))
 
     def hessian(self, argnums: Argnums = None) -> "Tape":
-        """The matrix of second derivatives of the one value of a function by arguments, as a tape."""
+        """The matrix of second derivatives of a function with one value, as a tape.
+
+        Parameters
+        ----------
+        argnums : int or sequence of int, optional
+            As in ``jacobian``.
+        """
         matrix = self.graph.hessian(self._only(), self._by(argnums))
         return self._of((matrix, matrix.shape))
 
     def second_order(self, argnums: Argnums = None) -> "Tape":
-        """The value of a function, its gradient and its Hessian by arguments, as one tape with shared operations."""
+        """The value, gradient and Hessian of a function with one value, as one tape with shared operations.
+
+        Parameters
+        ----------
+        argnums : int or sequence of int, optional
+            As in ``jacobian``.
+        """
         value, by = self._only(), self._by(argnums)
         slope, curvature = self.graph.gradient(value, by), self.graph.hessian(value, by)
         return self._of((value, ()), (slope, slope.shape[:1]), (curvature, curvature.shape))
 
     def expansion(self) -> "Tape":
-        """The expansion at zero of a function of real arrays in its first argument, which the tape no longer has.
+        """The expansion of a function of real arrays at zero in the first argument, which the tape no longer has.
 
         The function has the values ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them;
         the tape has the Hessian and gradient of the scalar, the Jacobians of the vectors, the vectors and the others.
@@ -254,49 +294,45 @@ class Tape(Often):
         return [leaf.shape for leaf in self._results]
 
     def to_casadi(self, name: str = "f") -> ca.Function:
-        """The function in CasADi: a column for each array, entries in C order; real and imaginary parts a column
-        each."""
+        """The function in CasADi, with a column for each array and entries in C order.
+
+        Parameters
+        ----------
+        name : str
+            The name of the function.
+
+        Notes
+        -----
+        A complex array has two columns, the real and the imaginary parts.
+        """
         outputs = [column(half) for v in self._values for half in _halves(v)]
         return ca.Function(name, self.graph.inputs, self.graph.unmarked(outputs), {"cse": True})
 
     def c_code(self, name: str = "f") -> str:
-        """The function as a C program, with the interface of CasADi's generated code."""
+        """The function as a C program, with the interface of CasADi's generated code.
+
+        Parameters
+        ----------
+        name : str
+            The name of the function.
+        """
         generator = ca.CodeGenerator(f"{name}.c")
         generator.add(self.to_casadi(name))
         return generator.dump()
 
     def _of(self, *values: tuple[ca.SX, tuple[int, ...]]) -> "Tape":
-        """The tape of some expressions of the same inputs, with their shapes; a tuple of arrays if they are several."""
+        """The tape of expressions of the same inputs, with their shapes; a tuple of arrays for several expressions."""
         results: list[Entries] = [scalars(ca.vec(ca.densify(v).T), shape) for v, shape in values]
         structure = jax.tree.structure(0 if len(values) == 1 else (0,) * len(values))
         return Tape(self.graph, results, (self._leaves, self._arguments), structure)
 
     def _by(self, argnums: Argnums) -> ca.SX:
         """The symbols of some arguments, one column."""
-        wanted = self._places(argnums)
+        wanted = argument_places(argnums, self._arguments)
         owners = [leaf.argument for leaf in self._leaves for _ in range(1 + leaf.complex)]
         return ca.vertcat(
             *(symbols for symbols, owner in zip(self.graph.inputs, owners, strict=True) if owner in wanted)
         )
-
-    def _places(self, argnums: Argnums) -> set[int]:
-        """Places of arguments; those from the end are negative."""
-        count = len(self._argument_shapes)
-        given = range(count) if argnums is None else argnums if isinstance(argnums, Iterable) else (argnums,)
-        try:
-            places = [operator.index(k) for k in given]
-        except TypeError:
-            places = [count]
-        if any(not -count <= k < count for k in places):
-            raise InvalidInputError(
-                f"argnums must be the place of one of {count} arguments, from 0 or, back from the last, from -1, or a "
-                f"sequence of them; got {argnums!r}"
-            )
-        return {k % count for k in places}
-
-    @property
-    def _argument_shapes(self) -> tuple[Any, ...]:
-        return jax.tree.unflatten(self._arguments, [leaf.shape for leaf in self._leaves])
 
     def _only(self) -> ca.SX:
         if self.outputs.numel() != 1:
@@ -305,40 +341,17 @@ class Tape(Often):
             )
         return self.outputs
 
-    def _packed(self, arguments: Any) -> np.ndarray:
-        """All arguments as one array: a row for every scalar, a column for every point."""
-        leaves, structure = jax.tree.flatten(arguments)
-        arrays = [np.asarray(leaf) for leaf in leaves]
-        for array in arrays:
-            _require_numbers(array)
-        counts = {a.shape[-1] if a.ndim else None for a in arrays}
-        alike = structure == self._arguments and [a.shape[:-1] for a in arrays] == [leaf.shape for leaf in self._leaves]
-        if not alike or len(counts) != 1 or any(a.ndim == 0 for a in arrays):
-            raise InvalidInputError(
-                f"the tape has arguments of shapes {self._argument_shapes}, expected the like with one more axis, the "
-                f"points, last and of one length; got arguments of shapes {jax.tree.map(np.shape, arguments)}"
-            )
-        halves = [half for a, leaf in zip(arrays, self._leaves, strict=True) for half in _real_parts(a, leaf.complex)]
-        return np.concatenate([np.asarray(h, float).reshape(math.prod(h.shape[:-1]), h.shape[-1]) for h in halves])
-
-    def _unpacked(self, rows: np.ndarray) -> list[np.ndarray]:
-        ends = np.cumsum([0, *(leaf.rows for leaf in self._results)])
-        found = []
-        for begin, leaf in zip(ends, self._results, strict=False):
-            size, shape = math.prod(leaf.shape), (*leaf.shape, rows.shape[1])
-            value = np.empty(shape, complex if leaf.complex else float)
-            value.real = rows[begin : begin + size].reshape(shape)
-            if leaf.complex:
-                value.imag = rows[begin + size : begin + 2 * size].reshape(shape)
-            found.append(value)
-        return found
-
     def run(self, count: int, ends: tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]) -> None:
         """Write all values at ``count`` points.
 
-        ``ends``: numbers that are read, and for each real number of the arguments, in C order, where that of the first
-        point stands and how far the next is, shape ``(rows, 2)``; numbers that are written, and the same for the
-        values.
+        Parameters
+        ----------
+        count : int
+            The number of points.
+        ends : tuple of four arrays
+            The numbers that are read, their places, the numbers that are written, and their places. Places have shape
+            ``(rows, 2)``, a row for each real number of the arguments or values in C order: the place of the number at
+            the first point, and the distance to the number at the next point.
         """
         if not count:
             return
@@ -361,10 +374,19 @@ class Tape(Often):
             in_threads(run, count, self.program.work, machine.VECTOR)
 
     def alone(self, count: int, saved: float = 1.0) -> tuple[Program, tuple[int, int]] | None:
-        """The code for so few points that one thread does, and the shape of its registers; None where they are more, or
-        none, and without Numba.
+        """The code for a few points, which one thread evaluates, and the shape of its registers.
 
-        ``saved``: how many times as many it may be where one thread saves other work.
+        Parameters
+        ----------
+        count : int
+            The number of points.
+        saved : float
+            A factor for the largest number of points, if one thread saves other work.
+
+        Returns
+        -------
+        tuple or None
+            None for no points, for more points than one thread should evaluate, and without Numba.
         """
         machine, p = _machine(), self.code
         if machine is None or not count or worth_threads(count, self.program.work / saved):
@@ -383,29 +405,19 @@ class Tape(Often):
         return ca.Function("f", [self.inputs], self.graph.unmarked([ca.densify(self.outputs)]), {"cse": True})
 
 
-def _require_numbers(array: np.ndarray) -> None:
-    if not (jax.numpy.issubdtype(array.dtype, np.number) or array.dtype == bool):
-        raise InvalidInputError(f"a tape has arrays of numbers as arguments, got one of {array.dtype}: {array!r}")
-
-
 def _halves(a: Entries) -> tuple[Any, ...]:
+    """The real and imaginary parts of complex entries, or the real entries."""
     return parts(a) if is_complex(a) else (a,)
 
 
-def _real_parts(a: np.ndarray, pair: bool) -> tuple[Any, ...]:
-    if np.iscomplexobj(a) and not pair:
-        raise InvalidInputError("the tape is of a real array, got a complex one")
-    return parts(a) if pair else (a,)
-
-
 def _rows(count: int, points: int) -> np.ndarray:
-    """Places of numbers in an array with a row for each of them and a column for each point."""
+    """The places of numbers in an array with a row for each number and a column for each point."""
     return np.stack([points * np.arange(count), np.ones(count, int)], axis=1)
 
 
 @cache
 def _machine() -> ModuleType | None:
-    """The compiled machine; None where there is no Numba to compile it."""
+    """The compiled machine, or None without Numba."""
     if not numba_is_there():
         return None
     with put_off():

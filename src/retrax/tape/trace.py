@@ -50,7 +50,7 @@ class Tracer:
         self._roots: dict[Any, tuple[Any, list[Entries]]] = {}  # with what keeps the identities in the keys
 
     def run(self, jaxpr: Any, constants: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
-        """Values of a jaxpr, None for those that are not wanted; arguments that these do not need may be None."""
+        """Values of a jaxpr, None for unwanted values; an argument that no wanted value needs may be None."""
         wanted = [True] * len(jaxpr.outvars) if wanted is None else wanted
         values: dict[Any, Any] = {}
         # Since JAX 0.11 the variables of constants that a program lacks are among those of its arguments.

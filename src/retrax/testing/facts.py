@@ -25,8 +25,9 @@ Sample = dict[str, Any]  # names of flat arrays and numbers
 
 
 class Facts(ABC):
-    """What is measured of one object, of the class ``kind``. A kernel is compiled and run when the first check reads
-    it.
+    """Measured facts of one object of the class ``kind``.
+
+    A kernel is compiled and run when the first check reads it.
 
     It is run at a random point for each seed, at points where formulas often fail, as the identity, and at the
     ``points`` given. ``tolerance`` is the rounding that is allowed in values and first derivatives, relative to ``1 +``
@@ -157,7 +158,8 @@ class Facts(ABC):
     def compare_slopes(
         self, what: str, at: Batch, exact: np.ndarray, values: np.ndarray, step: np.ndarray | float
     ) -> Comparison:
-        """Derivatives against differences of ``values`` by ``along``, which are as good as the coarser ones say."""
+        """Derivatives against differences of ``values`` along ``along``, to the accuracy that coarser differences
+        confirm."""
         longest = np.broadcast_to(step, len(exact))
         chosen = [_best_differences(v, h) for v, h in zip(values, longest, strict=True)]
         fine, unsure, steps, sizes = (np.stack(part) for part in zip(*chosen, strict=True))
@@ -181,7 +183,7 @@ class Facts(ABC):
 
 
 def _best_differences(values: np.ndarray, step: float) -> tuple[np.ndarray, float, float, float]:
-    """Differences of order 6 at the longest step at which those of order 4 agree; their distance, the step, size of
+    """Differences of order 6 at the longest step that agrees with order 4, their distance, the step, and the size of
     values."""
     found = []
     for part, scale in zip(values, SCALES, strict=False):
@@ -201,7 +203,7 @@ def largest_entries(a: np.ndarray) -> np.ndarray:
 def examine(
     facts: Facts, checks: Sequence[Check], only: Iterable[str] | str | None, skip: dict[str, str] | None, throw: bool
 ) -> Report:
-    """Judge the named checks (default: all); those in ``skip`` are left out, each with its reason."""
+    """Judge the named checks, by default all; checks in ``skip`` are left out, each with its reason."""
     skip = skip or {}
     named = [only] if isinstance(only, str) else [check.name for check in checks] if only is None else list(only)
     refuse_unknown((*named, *skip), checks)

@@ -1,4 +1,4 @@
-"""Equations whose gradients vanish on the manifold, as those of squares do."""
+"""Equations whose gradients vanish on the manifold, such as equations of squares."""
 
 import jax
 import jax.numpy as jnp
@@ -13,8 +13,8 @@ DIRECTIONS = 3
 
 
 def lost_rank(manifold: LevelSet, points: np.ndarray) -> str:
-    """Words on the equations of a level set that have no gradient at any of its points, flat ones by rows; empty where
-    all have one."""
+    """Words on the equations of a level set without a gradient at any of the flat points; empty if every equation has
+    one."""
     ways = np.random.default_rng(0).standard_normal((DIRECTIONS, points.shape[1]))
     ways *= BESIDE / np.linalg.norm(ways, axis=1, keepdims=True)
 

@@ -1,4 +1,4 @@
-"""What a check is, what it measured, and the report in words."""
+"""The record of a check, its measurement, and the report in words."""
 
 import re
 import traceback

@@ -1,4 +1,4 @@
-"""Points at which an object is checked: those of its user, and those at which formulas often fail."""
+"""Points at which an object is checked: points of the user, and points at which formulas often fail."""
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ SPECIAL = 2  # most special points of one manifold: each is one more sample of e
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """A point ``x``, flat, with words on where it comes from; ``seed`` is that of the directions drawn there."""
+    """A flat point ``x`` with words on its origin, and the ``seed`` of the directions drawn there."""
 
     words: str
     seed: int

@@ -12,7 +12,7 @@ from .report import Check, ConformanceError, judge
 
 
 class Suite(NamedTuple):
-    """What is measured of one kind of object, and the checks that read it."""
+    """The measured facts of one kind of object, and the checks that read them."""
 
     facts: Callable[..., Facts]
     checks: tuple[Check, ...]

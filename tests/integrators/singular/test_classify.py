@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, singular_integrator, solve
+from retrax.integrators.inspection import Inspection
 from retrax.integrators.singular.integrability.levels import summarise as summarise_levels
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.problems import SINGULAR
@@ -228,7 +229,7 @@ def test_a_cheap_control_is_no_free_one_in_any_unit():
         unit = jnp.array(unit)
         problem = OptimalControlProblem(Euclidean(2), Stirred(unit), Cheap(jnp.array(price), unit), 2)
         c = classify(problem)
-        assert c.regular == problem.is_regular_at(jnp.ones(2), jnp.zeros(2)) == (price > 0), str(c)
+        assert c.regular == Inspection(problem, jnp.ones(2), jnp.zeros(2)).is_regular == (price > 0), str(c)
         assert c.codimension == (0 if price else 2)
 
 

@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import pytest
 from retrax.integrators import OptimalControlProblem
 from retrax.integrators.controls import resting_control
+from retrax.integrators.inspection import Inspection
 from retrax.manifolds import Euclidean
 from retrax.problems import SINGULAR
 
@@ -12,9 +13,8 @@ from retrax.problems import SINGULAR
 @pytest.mark.parametrize("name", ["academic", "aly-chan", "sphere", "free actuator", "brown", "dummy control"])
 def test_singular_problems_are_recognised(name):
     problem = SINGULAR[name]().problem
-    assert not problem.is_regular_at(
-        problem.manifold.random_point(jax.random.key(1)), resting_control(problem.controls)
-    )
+    q = problem.manifold.random_point(jax.random.key(1))
+    assert not Inspection(problem, q, resting_control(problem.controls)).is_regular
 
 
 @pytest.mark.parametrize(
@@ -29,4 +29,4 @@ def test_singular_problems_are_recognised(name):
 )
 def test_regular_problems_are_recognised_at_every_scale(cost):
     problem = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: q @ q + cost(u), 2)
-    assert problem.is_regular_at(jnp.ones(2), jnp.zeros(2))
+    assert Inspection(problem, jnp.ones(2), jnp.zeros(2)).is_regular

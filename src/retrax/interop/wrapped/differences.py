@@ -75,7 +75,7 @@ def slopes(values: Host, moved: Moved, shape: tuple[int, ...], order: int = 0) -
 def _difference(
     values: Host, moved: Moved, shape: tuple[int, ...], x: np.ndarray, step: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The derivative of order 8, and by how much that of order 6 differs, relative to the larger of it and 1."""
+    """The derivative of order 8, and its distance to the derivative of order 6, relative to at least 1."""
     batch, k = x.shape
     with np.errstate(all="ignore"):  # a long step may end where the library's functions overflow
         around = values(moved(x, step).reshape(-1, k)).reshape(batch, k, len(NODES), *shape)

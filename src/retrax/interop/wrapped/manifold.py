@@ -17,7 +17,8 @@ from .differences import NODES, Host, Moved, host_function
 
 
 class HostSpace(ABC):
-    """What is asked of a space of another library: functions of NumPy arrays, batches along the leading axis."""
+    """The functions that a space of another library supplies: functions of NumPy arrays, with batches along the leading
+    axis."""
 
     dimension: int
     shape: tuple[int, ...]
@@ -28,7 +29,7 @@ class HostSpace(ABC):
 
     @abstractmethod
     def project(self, x: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Tangent vectors at ``x`` from ambient ones."""
+        """Tangent vectors at ``x`` from ambient vectors."""
 
     @abstractmethod
     def restore(self, x: np.ndarray) -> np.ndarray:

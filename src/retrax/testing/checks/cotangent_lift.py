@@ -18,7 +18,7 @@ from .discretization import REACH, DiscretizationFacts
 
 
 class CotangentLiftFacts(DiscretizationFacts):
-    """What is measured of a discretization map of a cotangent bundle; ``x = (q, p)`` and ``v = (qdot, pdot)``."""
+    """Measured facts of a discretization map of a cotangent bundle, with ``x = (q, p)`` and ``v = (qdot, pdot)``."""
 
     def __init__(
         self,

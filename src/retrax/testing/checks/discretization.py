@@ -22,7 +22,7 @@ REACH = 0.3
 
 
 class DiscretizationFacts(Facts):
-    """What is measured of a discretization map, at random points and tangent vectors.
+    """Measured facts of a discretization map, at random points and tangent vectors.
 
     The kinds of samples are ``zero`` and ``inside`` (lengths up to ``reach``).
     """
@@ -78,7 +78,7 @@ def both_ends(discretization: DiscretizationMap, sample: Sample) -> dict:
 
 
 def _reversed(discretization: DiscretizationMap, sample: Sample) -> dict:
-    """The two ends at ``(x, v)`` and those at ``(x, -v)``, exchanged."""
+    """The two ends at ``(x, v)``, and the exchanged ends at ``(x, -v)``."""
     ends, x, v = flat_ends(discretization), sample["x"], sample["v"]
     there, back = jax.vmap(lambda v: ends(jnp.concatenate([x, v])))(jnp.stack([v, -v]))
     return {"value": there, "exchanged": jnp.roll(back, x.size)}

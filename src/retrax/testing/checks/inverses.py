@@ -10,8 +10,8 @@ from .retraction_facts import RetractionFacts
 
 
 def conditioning(push: np.ndarray) -> np.ndarray:
-    """Norm of the inverse of ``D_v R`` at each sample: how much larger than errors of points those of tangent vectors
-    are."""
+    """Norm of the inverse of ``D_v R`` at each sample, the factor from errors of points to errors of tangent
+    vectors."""
     singular = np.linalg.svd(np.nan_to_num(push), compute_uv=False)
     return 1 / np.maximum(np.min(singular, axis=1, initial=1.0), np.finfo(float).tiny)
 

@@ -17,7 +17,7 @@ from .manifold import MANIFOLD_CHECKS, ManifoldFacts, max_violation
 
 
 class LieGroupFacts(ManifoldFacts):
-    """What is measured of a matrix Lie group, at random elements and elements of its algebra, beside the facts of
+    """Measured facts of a matrix Lie group, at random elements and elements of its algebra, beside the facts of
     manifolds."""
 
     kind = MatrixLieGroup

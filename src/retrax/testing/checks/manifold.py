@@ -25,7 +25,7 @@ SEEN, SPREAD = 0.05, 0.02
 
 
 class ManifoldFacts(Facts):
-    """What is measured of a manifold, at random, special and given points."""
+    """Measured facts of a manifold, at random, special and given points."""
 
     kind = Manifold
     subject: Manifold

@@ -18,7 +18,7 @@ from .manifold import max_violation
 
 
 class MetricFacts(Facts):
-    """What is measured of a metric, at random, special and given points."""
+    """Measured facts of a metric, at random, special and given points."""
 
     kind = Metric
     subject: Metric
@@ -137,7 +137,7 @@ def covector_pairs_as_the_inner_product_does(facts: MetricFacts) -> Comparison:
 
 @fact
 def vector_inverts_covector(facts: MetricFacts) -> Comparison:
-    """``vector(x, covector(x, v)) = v``: the kinetic energy is that of the inverse of ``g_x``."""
+    """``vector(x, covector(x, v)) = v``, so that the kinetic energy belongs to the inverse of ``g_x``."""
     f = facts.measure(_products, "points")
     names = ("vector(x, covector(x, v))", "v")
     return facts.compare("|vector(covector(v)) - v|", f, f["vector"], f["v"], _conditioned(facts, f), names)

@@ -70,8 +70,7 @@ def short_errors(facts: RetractionFacts) -> tuple[np.ndarray, np.ndarray]:
 
 @fact
 def error_against_the_straight_line_is_of_second_order(facts: RetractionFacts) -> Comparison:
-    """The error ``R(x, t u) - x - t u`` is ``O(t^2)``, by values alone: the slope of its logarithm over that of
-    ``t``."""
+    """The error ``R(x, t u) - x - t u`` is ``O(t^2)`` by values alone, measured by the slope of its logarithm."""
     f, (errors, floor) = facts.measure(_values, "zero"), short_errors(facts)
     slopes = [
         slope(LENGTHS, e, limit) if np.all(np.isfinite(e)) else np.nan for e, limit in zip(errors, floor, strict=True)

@@ -1,4 +1,4 @@
-"""What is measured of a retraction: samples of tangent vectors, and all that needs its inverse."""
+"""Measured facts of a retraction, from samples of tangent vectors and from its inverse."""
 
 from collections.abc import Iterable
 from typing import cast
@@ -26,7 +26,7 @@ NEIGHBOURS = (-8, -4, -2, -1, 1, 2, 4, 8)  # of a vector, in roundings of it
 
 
 class RetractionFacts(Facts):
-    """What is measured of a retraction, at random, special and given points and tangent vectors of several lengths.
+    """Measured facts of a retraction, at random, special and given points and tangent vectors of several lengths.
 
     The kinds of samples are ``zero``, ``tiny`` (lengths from ``eps^(3/4)`` to ``eps^(1/2)``), ``short`` (from there to
     ``eps^(1/5)``), ``inside`` (at most 1 long, and at most half way to the domain's edge), ``far`` (evenly up to the
