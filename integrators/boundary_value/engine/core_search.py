@@ -75,7 +75,7 @@ def made(conditions: Conditions, instruction_set: int | None = None) -> Transcri
         steps.controls.dimension, steps.control.size, steps.parameter.size, *_limits(steps),
     )  # fmt: skip
     groups, of_controls = _groups(nodes.layout), None if nodes.flat_controls else _groups(nodes.control)
-    bounds = sum(map(len, nodes.problem.limits.bounded.values()))
+    bounds = sum(map(len, nodes.problem._limits.bounded.values()))
     programs = {}
     for key, function in _functions(conditions).items():
         p = function.tape.program

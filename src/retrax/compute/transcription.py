@@ -54,7 +54,7 @@ _OPTIONAL = frozenset(
 
 @final
 class Sizes(NamedTuple):
-    """The sizes of a problem; ``points``: 1 of a discretization map, the number of points of a collocation method."""
+    """The sizes of a problem. A discretization map has one point in each step."""
 
     steps: int
     points: int
@@ -249,16 +249,16 @@ class Trajectory:
         self._of._library.retrax_step_inequalities(byref(self._layout), self._address, share)
 
     def move_inequalities(self, before: "Trajectory", primal: float, dual: float) -> None:
-        """Set slacks, excesses and multipliers to those of another trajectory after parts of their steps."""
+        """Move slacks, excesses and multipliers from another trajectory by parts of their steps."""
         own = self._of._library
         own.retrax_move_inequalities(byref(self._layout), before._address, primal, dual, self._address)
 
     def expand(self) -> None:
-        """Compute the steps of the velocities and multipliers of points from those of the linear system."""
+        """Expand the step of the linear system to steps of the velocities and multipliers of points."""
         self._of._library.retrax_expand_step(byref(self._layout), self._address, self._of.workspace)
 
     def move(self, before: "Trajectory", part: float) -> None:
-        """Set the unknowns to those of another trajectory after a part of the step from there."""
+        """Move the unknowns from another trajectory by a part of the step from there."""
         self._of._library.retrax_move_trajectory(byref(self._layout), before._address, part, self._address)
 
     @property
@@ -281,7 +281,7 @@ class SearchStatus(IntEnum):
 
 @final
 class SearchResult(NamedTuple):
-    """What a search has found; ``retrax_core.h`` explains the fields."""
+    """The result of a search; ``retrax_core.h`` explains the fields."""
 
     trajectory: "Trajectory"
     first: "Trajectory"
@@ -342,7 +342,7 @@ class Search:
         return status
 
     def _told(self, _context: int | None, iteration: Any) -> bool:
-        """What C calls after each evaluation: Python looks for an interrupt then."""
+        """The report that C calls after each evaluation: Python looks for an interrupt then."""
         try:
             return self._report is not None and self._report(iteration.contents)
         except BaseException as error:  # C knows no exceptions
@@ -350,7 +350,7 @@ class Search:
             return True
 
     def read(self) -> SearchResult:
-        """Return what the last run has found; its arrays are those of the search, which the next run overwrites."""
+        """Return the result of the last run; the next run overwrites its arrays."""
         found, layout, of = self._library.retrax_search_read(self._search), self._of._layout, self._of
         sizes, z = of.sizes, layout.count[_PLACES["PARTS"]]
         at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
