@@ -11,12 +11,18 @@
  *   3. Dense linear algebra for small matrices
  *   4. Block elimination: the linear system of a Newton step along a trajectory
  *   5. Condensing: the inner unknowns of collocation steps
+ *   6. Transcription: from the iterate of a trajectory to the linear system of a Newton step
+ *   7. Inequalities
+ *   8. Convergence: how far a trajectory is from satisfying its conditions
+ *   9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
+ *  10. Search: Newton's method on the conditions of one trajectory
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
 #ifndef RETRAX_CORE_H
 #define RETRAX_CORE_H
 
+#include <stdbool.h>
 #include <stddef.h>
 #include <stdint.h>
 
@@ -37,7 +43,7 @@ extern "C" {
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Version of the interface below; it changes whenever a struct or a function does. */
-#define RETRAX_CORE_VERSION 1
+#define RETRAX_CORE_VERSION 2
 
 /* Counts and places in arrays; signed, as wide as a pointer. */
 typedef ptrdiff_t retrax_index;
@@ -112,7 +118,7 @@ typedef struct {
     const double *inputs;               /* array that inputs are read from */
     retrax_index input_size;            /* its length */
     const retrax_index (*sources)[2];   /* [tape.inputs][2]: place of the first point, distance to the next */
-    double *outputs;                    /* array that outputs are written to; it does not overlap inputs */
+    double *outputs;                    /* array that outputs are written to, at no place that an input is read from */
     retrax_index output_size;           /* its length */
     const retrax_index (*targets)[2];   /* [tape.outputs][2] */
 } retrax_tape_data;
@@ -303,6 +309,404 @@ RETRAX_API void retrax_expand(const retrax_collocation_system *system, const ret
 RETRAX_API void retrax_condense_slope(const retrax_collocation_system *system,
                                       const retrax_condensed_system *condensed, const double *slope,
                                       const double *end_slope, double *inner, double *outer);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 6. Transcription
+ *
+ * A trajectory has N steps and N + 1 nodes. Its iterate consists of
+ *
+ *     x_k       the centre of a step, a point of the manifold (E numbers, n coordinates in a chart),
+ *     u_ki      controls at the s points of a step (U numbers, m coordinates),
+ *     p_k       covectors at the nodes, the multipliers of the equations of the nodes,
+ *
+ * and, where the method collocates (s >= 2), of the velocities nu_ki of the points in the chart of the step (n numbers)
+ * and of the covectors lambda_ki there. A discretization map (s = 1) has neither.
+ *
+ * The core knows no manifold and no dynamics. It sees points as rows of numbers, steps as coordinates in charts, and asks
+ * functions of the problem for the rest. retrax_evaluate_trajectory evaluates them,
+ * retrax_assemble_system makes the linear system of a Newton step of their values, and retrax_move_trajectory makes a part
+ * of such a step.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* The functions of a problem, with what they read -> write at one place. Derivatives are at the iterate, by the steps of
+ * the unknowns in their charts; "Lagrangian" is the cost with all multipliers. q = 3 n + m, z = n + s m. */
+typedef enum {
+    /* Discretization map: x, u, h, parameters -> begin [E], finish [E]. Collocation: x, eta -> the same. */
+    RETRAX_ENDS,
+    /* two points of the manifold -> a point amid them [E] */
+    RETRAX_MIDDLE,
+    /* node, fixed [n], gap [E], covector [E] -> frame [n][E]; in it, where fixed is 1, defect [n] and multipliers [n]; the
+     * covector with these multipliers [E] */
+    RETRAX_FRAMES,
+    /* Discretization map: x, u, the nodes on either side, the covectors there, h, parameters, multipliers of the
+     * inequalities [c] -> Hessian [z][z] and slope [z] of the Lagrangian, left [n][z], right [n][z], gradient [z] of the
+     * cost, derivatives [c][z] of the inequalities, both ends in the frames of the nodes [2][n], cost, inequalities [c].
+     * Collocation: x, xi, nu, u, lambda, weight, parameters, multipliers [c] -> Hessian [q][q], slope [q], derivatives
+     * [n][q] of the defect, gradient [q], derivatives [c][q], defect [n], cost, inequalities [c], frame [n][E],
+     * coordinates of lambda in it [n]. */
+    RETRAX_POINTS,
+    /* Collocation alone: x, eta, the nodes on either side, the covectors there, and with inequalities at nodes h, parameters,
+     * multipliers [d] -> Hessian [2 n][2 n] and slope [2 n] of the Lagrangian by (dx, deta), left [n][2 n], right [n][2 n],
+     * with inequalities their derivatives [d][2 n], both ends in the frames of the nodes [2][n], inequalities [d] */
+    RETRAX_BOTH_ENDS,
+    /* Discretization map: x, u, step [z], h, parameters -> x, u. Collocation: x, dx -> x, and the matrix [n][n] that
+     * carries velocities from one chart to the other. */
+    RETRAX_MOVE,
+    /* Collocation alone: u, du -> u */
+    RETRAX_MOVE_CONTROLS,
+    /* Where the start, or the end, costs something: node, parameters -> cost, its derivative [E], that in the frame of the node
+     * [n], its Hessian there [n][n] */
+    RETRAX_START_COST,
+    RETRAX_END_COST,
+    /* Where the controls lie on a manifold that is not flat: u -> frame [m][U] */
+    RETRAX_CONTROL_FRAMES,
+    RETRAX_FUNCTIONS /* their number */
+} retrax_function_name;
+
+/* A function of the problem. `evaluate` reads and writes at `points` places, as retrax_tape_run does with a tape; numbers
+ * that it cannot compute are NaN. It is NULL where a problem does not have the function. */
+typedef struct {
+    void (*evaluate)(void *context, const retrax_tape_data *data, retrax_index points);
+    void *context;
+} retrax_function;
+
+/* A tape as a function of the problem: the context of retrax_evaluate_tape. */
+typedef struct {
+    const retrax_tape *tape;
+    double *registers; /* [tape.registers][lanes]; functions may share them */
+    retrax_index lanes;
+    retrax_instruction_set set;
+} retrax_tape_function;
+
+/* Evaluates a retrax_tape_function. */
+RETRAX_API void retrax_evaluate_tape(void *context, const retrax_tape_data *data, retrax_index points);
+
+/* Sizes and functions of a transcribed problem. All arrays belong to the caller and are only read. */
+typedef struct {
+    retrax_index steps;           /* N >= 1 */
+    retrax_index points;          /* s: 1 of a discretization map, at least 2 of a collocation method */
+    retrax_index state_size;      /* n >= 1: dimension of the manifold */
+    retrax_index state_numbers;   /* E >= 1: numbers of a point of the manifold */
+    retrax_index control_size;    /* m >= 0 */
+    retrax_index control_numbers; /* U >= 0 */
+    retrax_index parameters;      /* P >= 0 */
+    retrax_index inequalities;    /* c >= 0, at each point; of a discretization map also those at its nodes */
+    retrax_index node_inequalities; /* d >= 0, at the end and the beginning of a collocation step, else 0 */
+    const double *matrix;         /* [s][s] of the tableau about the middle of the step; collocation alone */
+    const double *weights;        /* [s] */
+    const retrax_index *columns;  /* [E]: column of a matrix that an entry of a state belongs to, in 0, ..., E - 1 */
+    const retrax_index *arrays;   /* [E]: array that the entry belongs to, in 0, ..., E - 1 */
+    bool curved_controls;         /* whether the controls lie on a manifold that is not flat */
+    const retrax_index *control_columns; /* [U] as `columns` and `arrays`, of the controls; NULL where these are flat */
+    const retrax_index *control_arrays;
+    const double *kept;           /* [c + d]: 1 for a bound of what is free, which no iterate leaves, else 0 */
+    retrax_index bounds;          /* inequalities, the first ones, that are straight in the controls */
+    retrax_function functions[RETRAX_FUNCTIONS];
+} retrax_problem;
+
+/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0 p = s n,
+ * and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie on a
+ * manifold that is not flat, else 0. */
+#define RETRAX_ARRAYS(X)                                                                                       \
+    /* given */                                                                                                \
+    X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                             \
+    X(START_ENTRIES, E) X(END_ENTRIES, E)                  /* 1 where an entry of them is prescribed, else 0 */ \
+    X(FIXED, (N + 1) * n)                                  /* 1 where an equation of a node counts, else 0 */   \
+    X(LIMIT_WEIGHTS, l) X(PENALTIES, l) X(BARRIER, 1) /* see 7 */                                   \
+    /* unknowns */                                                                                             \
+    X(CENTRES, N *E) X(VELOCITIES, v *n) X(CONTROLS, N *s *U) X(POINT_COSTATES, v *E) X(COSTATES, (N + 1) * E) \
+    X(SLACKS, l) X(LIMIT_MULTIPLIERS, l) X(EXCESSES, l) /* of the inequalities */            \
+    /* points and ends of the steps in their charts */                                                         \
+    X(POINT_CENTRES, v *E) X(XI, v *n) X(ETA, v / s *n) X(POINT_WEIGHTS, v)                                    \
+    /* nodes */                                                                                                \
+    X(BEGINS, N *E) X(FINISHES, N *E) X(NODES, (N + 1) * E) X(GAPS, (N + 1) * E) X(SEEN, (N + 1) * E)          \
+    X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID, 3 * E)                                                     \
+    X(NODE_FRAMES, (N + 1) * n * E) X(DEFECTS, (N + 1) * n) X(ASKED, (N + 1) * n) X(MULTIPLIERS, (N + 1) * n)       \
+    X(NODE_COSTATES, (N + 1) * E) X(TURNED_COSTATES, (N + 1) * E)                                              \
+    X(START_COST, 1 + E + n + n * n) X(END_COST, 1 + E + n + n * n)                                            \
+    /* points of collocation */                                                                                \
+    X(POINT_HESSIANS, v *q *q) X(POINT_SLOPES, v *q) X(POINT_JACOBIANS, v *n *q) X(POINT_GRADIENTS, v *q)      \
+    X(POINT_DEFECTS, v *n) X(POINT_COSTS, v) X(POINT_FRAMES, v *n *E) X(POINT_MULTIPLIERS, v *n)               \
+    X(END_HESSIANS, v / s * 4 * n * n) X(END_SLOPES, v / s * 2 * n) X(END_LEFT, v / s * 2 * n * n)             \
+    X(END_RIGHT, v / s * 2 * n * n)                                                                            \
+    X(RIGHT_SLOPES, (l > 0) * v * q) X(BARRIER_SLOPES, (l > 0) * v * q) X(NEWTON_SLOPES, (l > 0) * v * q)      \
+    X(RIGHT_END_SLOPES, (d > 0) * N * 2 * n) X(BARRIER_END_SLOPES, (d > 0) * N * 2 * n)                        \
+    X(NEWTON_END_SLOPES, (d > 0) * N * 2 * n)                                                                  \
+    X(FACTORS, v *n *p) X(SWAPS, v *n) X(VELOCITY_MAPS, v *n *(z + 1)) X(BEFORE, v / s *n) X(AFTER, v / s *n)  \
+    X(SLOPES_BY_VELOCITIES, v *n) X(GRADIENTS_BY_VELOCITIES, v *n)                                             \
+    /* linear system: slopes of the Lagrangian; right sides with the share of the inequalities, and of the barrier */ \
+    X(HESSIANS, N *z *z) X(LEFT, N *n *z) X(RIGHT, N *n *z) X(SLOPES, N *z) X(RIGHT_SIDES, N *z)               \
+    X(BARRIER_SIDES, (l > 0) * N * z) X(NEWTON_SIDES, N *z) X(NEWTON_DEFECTS, (N + 1) * n)                     \
+    X(GRADIENTS, N *z) X(COSTS, N) X(END_COORDINATES, 2 * N * n)                                               \
+    X(LIMITS, l) X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z) + N * d * 2 * n)                                            \
+    /* what is largest along the trajectory, and how far it is from its conditions: see 8 */                   \
+    X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(MISSING, n) X(LACKING, n) X(PARTS, z) X(LARGEST_SLOPES, z)   \
+    X(CURVATURES, z) X(POINT_SURVEY, 5 * n) X(TOTALS, 2) X(LIMIT_SURVEY, 10) X(ALONG, n) X(ENTRIES, E)         \
+    X(RESIDUALS, RETRAX_RESIDUALS)                                                                             \
+    /* Newton step from here, and room for the parts of it that a move makes */                                \
+    X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(COVECTOR_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
+    X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U) X(CENTRE_PARTS, N *(s > 1 ? n : z))                    \
+    X(CONTROL_SUPPORT, g *m *U) X(CONTROL_FRAMES, g *N *s *m *U) X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)                                                             \
+    X(SLACK_STEPS, l) X(LIMIT_MULTIPLIER_STEPS, l) X(EXCESS_STEPS, l)                        \
+    X(POINT_STEPS, v *q) X(END_STEPS, (d > 0) * N * 2 * n) X(LIMIT_STEP, 4)
+
+#define RETRAX_NAME_OF(name, count) RETRAX_ARRAY_##name,
+typedef enum { RETRAX_ARRAYS(RETRAX_NAME_OF) RETRAX_ARRAY_TOTAL } retrax_array;
+#undef RETRAX_NAME_OF
+
+/* Where the arrays of a trajectory stand in its memory, and what the functions read and write there. */
+typedef struct {
+    const retrax_problem *problem;
+    retrax_index first[RETRAX_ARRAY_TOTAL]; /* place of the first number of an array */
+    retrax_index count[RETRAX_ARRAY_TOTAL]; /* number of its entries */
+    retrax_index numbers;                   /* of the memory of a trajectory */
+    const retrax_index (*sources[RETRAX_FUNCTIONS])[2];
+    const retrax_index (*targets[RETRAX_FUNCTIONS])[2];
+} retrax_layout;
+
+/* Returns the name of an array of a trajectory, as "CENTRES"; NULL for a number that is none. The text is static. */
+RETRAX_API const char *retrax_array_name(int array);
+
+/* Numbers that a function reads, and writes, at one place. */
+RETRAX_API retrax_index retrax_function_inputs(const retrax_problem *problem, retrax_function_name name);
+RETRAX_API retrax_index retrax_function_outputs(const retrax_problem *problem, retrax_function_name name);
+
+/* Returns the bytes of memory that a layout needs; 0 if a size is out of bounds or the arrays exceed the address space. */
+RETRAX_API size_t retrax_layout_memory(const retrax_problem *problem);
+
+/* Lays out the trajectories of a problem; memory: as retrax_layout_memory says, aligned to 64 bytes. The problem and the
+ * memory have to last as long as the layout. */
+RETRAX_API void retrax_layout_make(const retrax_problem *problem, void *memory, retrax_layout *layout);
+
+/* Returns the bytes of workspace that the functions below need, aligned to 64 bytes: one workspace serves one thread. 0 if a
+ * size is out of bounds. */
+RETRAX_API size_t retrax_workspace(const retrax_problem *problem);
+
+/* Evaluates the functions of the problem at the unknowns of a trajectory. trajectory: double [layout.numbers], aligned to 64
+ * bytes. */
+RETRAX_API void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory);
+
+/* Assembles the linear system of a trajectory that was evaluated and, where there are inequalities, has their share. */
+RETRAX_API void retrax_assemble_system(const retrax_layout *layout, double *trajectory, void *workspace,
+                                       retrax_instruction_set set);
+
+/* Writes the right-hand sides of the Newton step at the barrier: NEWTON_SIDES, NEWTON_DEFECTS, NEWTON_SLOPES. */
+RETRAX_API void retrax_write_right_sides(const retrax_layout *layout, double *trajectory);
+
+/* Expands the Newton step: from STEPS and MULTIPLIER_STEPS to COVECTOR_STEPS, at the ends with the slopes of their costs,
+ * which move, and of a collocation method to VELOCITY_STEPS and POINT_MULTIPLIER_STEPS. */
+RETRAX_API void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *workspace);
+
+/* Writes the unknowns of a trajectory as those of `from` after a part of the Newton step from there, 0 <= part <= 1. */
+RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double *from, double part,
+                                       double *trajectory);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 7. Inequalities
+ *
+ * At each point of a step, and at its ends, inequalities g <= 0 are made g + s = t with a slack s > 0 and, where an inequality is elastic, an
+ * excess t > 0 at the penalty rho t; t = 0 where the penalty is infinite. With the barrier mu and the weight w of a point
+ * the cost gets w (rho t - mu log s - mu log t). The multiplier nu and zeta = rho - nu satisfy nu s = mu, zeta t = mu.
+ * Slacks, excesses and multipliers are eliminated at each point: with 1 / D = s / nu + t / zeta
+ *
+ *     dnu = D (g + mu / nu - mu / zeta + J d),
+ *
+ * which leaves w J' D J in the Hessian and w J' D (g + mu (1 / nu - 1 / zeta)) in the slope, affine in mu. An inequality
+ * whose weight is zero is not asked for.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Natural sizes of the inequalities of a trajectory. */
+typedef struct {
+    double rate;          /* of the cost per time: unit of the barrier */
+    const double *limits; /* [c + d] of the inequalities */
+    double first_penalty; /* relative to rate / limits: the usual first penalty */
+    double near;          /* share of its penalty at which a multiplier says that this is too small */
+    double last_penalty;  /* relative: the largest penalty */
+} retrax_limit_scale;
+
+/* Rows of LIMIT_SURVEY. */
+enum {
+    RETRAX_LIMIT_VIOLATION, /* the largest |g + s - t|, relative to the size of its inequality */
+    RETRAX_LIMIT_EXCESS,    /* the largest excess, relative to that */
+    RETRAX_LIMIT_PRODUCT,   /* the largest of nu s and zeta t */
+    RETRAX_LIMIT_LEAST,     /* the least of them; infinite without inequalities */
+    RETRAX_LIMIT_MISSING,   /* sum of w |g + s - t| / limit */
+    RETRAX_LIMIT_POTENTIAL, /* sum of w (rho t - mu log(s / limit) - mu log(t / limit)) */
+    RETRAX_LIMIT_HELD,      /* sum of w nu (g + s - t) */
+    RETRAX_LIMIT_DEAR,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */
+    RETRAX_LIMIT_CHEAP,     /* 1 where a multiplier comes near to its penalty and that may still grow */
+    RETRAX_LIMIT_LEFT       /* the largest excess whose multiplier comes near to the last penalty, relative to limit */
+};
+
+/* Adds the share of the inequalities to the Hessians of the points, and writes RIGHT_SLOPES and BARRIER_SLOPES, for a
+ * discretization map RIGHT_SIDES and BARRIER_SIDES: the slopes with their share, and what the barrier is multiplied with.
+ * Call it between retrax_evaluate_trajectory and retrax_assemble_system. */
+RETRAX_API void retrax_add_inequalities(const retrax_layout *layout, double *trajectory);
+
+/* Writes LIMIT_SURVEY. Values are measured by their limit, or by a hundredth of the largest one along the trajectory. */
+RETRAX_API void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
+                                           const retrax_limit_scale *scale);
+
+/* Writes SLACK_STEPS, LIMIT_MULTIPLIER_STEPS and EXCESS_STEPS that belong to the Newton step, and LIMIT_STEP: which
+ * fraction of the steps of slacks and excesses stays inside, `share` of the way to the boundary; the same of the steps of
+ * the multipliers; the derivative of the potential along the whole step; sum of w dnu (g + s - t). */
+RETRAX_API void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, double share);
+
+/* Writes slacks, excesses and multipliers as those of `from` after parts of their steps, the primal ones and the dual
+ * ones. Where an inequality is not elastic its multiplier stays within a factor 1e10 of mu / s. */
+RETRAX_API void retrax_move_inequalities(const retrax_layout *layout, const double *from, double primal, double dual,
+                                         double *trajectory);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 8. Convergence: how far a trajectory is from satisfying its conditions
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Entries of RESIDUALS. The first nine are relative to what they are made of. */
+enum {
+    RETRAX_DEFECT,          /* largest distance between ends of steps that should meet, or defect of the points of a step */
+    RETRAX_STATIONARITY,    /* largest derivative of the Lagrangian */
+    RETRAX_VIOLATION,       /* of g + s = t */
+    RETRAX_EXCESS,          /* of t = 0 */
+    RETRAX_COMPLEMENTARITY, /* of nu s = 0 */
+    RETRAX_CENTRING,        /* of nu s = mu */
+    RETRAX_STEADY,          /* the largest that the barrier does not move: defect, stationarity, violation */
+    RETRAX_FINAL,           /* the largest of the problem itself */
+    RETRAX_LARGEST,         /* the largest of the problem with its barrier */
+    RETRAX_INFEASIBILITY,   /* sum of what all nodes, points and inequalities lack, in units of steps */
+    RETRAX_MERIT,           /* cost with its barrier, in its unit */
+    RETRAX_HELD,            /* sum of the multipliers times what is lacking, in the unit of the cost */
+    RETRAX_UNMET,           /* the most that a node or point lacks in a coordinate, in units of success */
+    RETRAX_SHORTFALL,       /* the same in units of steps */
+    RETRAX_RESIDUALS        /* their number */
+};
+
+/* Natural sizes of a trajectory: those that success is judged by, and those of steps. */
+typedef struct {
+    const double *judging_nodes;    /* [n] */
+    const double *judging_unknowns; /* [z] */
+    double least_part;              /* cost that sets the scale of slopes where their parts vanish; 0: their curvature */
+    const double *nodes;            /* [n] */
+    double cost;
+} retrax_residual_scale;
+
+/* Writes what is largest along an assembled trajectory: HIGHEST to CURVATURES and POINT_SURVEY; TOTALS are its cost, and
+ * the sum of its multipliers times what is lacking. */
+RETRAX_API void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory);
+
+/* Writes ALONG, ENTRIES and RESIDUALS of a trajectory that was surveyed; limits: NULL without inequalities. */
+RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *trajectory,
+                                         const retrax_residual_scale *scale, const retrax_limit_scale *limits);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
+ *
+ * A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest to a
+ * deviation e costs e' G^-1 e / 2 with the Gramian G_{k+1} = A G_k A' + B W B' of the linearised steps, where W is the
+ * inverse curvature of the cost in the controls. Both ends are fixed, so the smaller of the Gramians from the start and from
+ * the end counts. One factor is left, the size of the trajectory: what controls have to make up for of the ends that a
+ * drifting trajectory misses, and what the slope of the cost asks for. No size is next to nothing: not beside what each step
+ * makes of the sizes of others, nor beside what costs as much as all others do.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* Natural sizes; the arrays belong to the caller. */
+typedef struct {
+    double *unknowns; /* [z] of a step */
+    double *nodes;    /* [n] */
+    double cost;      /* of a step */
+} retrax_scale;
+
+/* Of what the natural sizes of a trajectory are made beside its linear system; the arrays are only read. */
+typedef struct {
+    const double *sizes;  /* [z] what states move by along the trajectory, and sizes of controls */
+    const double *values; /* [z] sizes of coordinates that nothing moves */
+    const double *room;   /* [s m] how far inequalities let the controls go; infinite where they do not stop them */
+    bool curved;          /* whether the curvature of the cost in the controls is more than rounding */
+} retrax_scale_data;
+
+/* Writes the natural sizes of an assembled trajectory. */
+RETRAX_API void retrax_measure_scale(const retrax_layout *layout, const double *trajectory,
+                                     const retrax_scale_data *data, void *workspace, retrax_scale *scale);
+
+/* Writes what each coordinate of the nodes of a surveyed trajectory moves by, 0 where that is rounding, and its size. moved
+ * and sizes: [n]; work: [2 E]. Beside the size of its column a motion may be rounding, as the tilt of an attitude that turns
+ * about one axis. */
+RETRAX_API void retrax_measure_motion(const retrax_layout *layout, const double *trajectory, double *work, double *moved,
+                                      double *sizes);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 10. Search: Newton's method on the conditions of one trajectory
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* How a search has ended. */
+typedef enum {
+    RETRAX_GOING_ON,
+    RETRAX_CONVERGED,       /* at an extremal */
+    RETRAX_SINGULAR,        /* the linear system has no solution that can be used */
+    RETRAX_INFEASIBLE,      /* inequalities contradict each other, or the ends */
+    RETRAX_ELSEWHERE,       /* the equations hold where a point is not at its end, and no step leads on */
+    RETRAX_DEGENERATE,      /* the guess is one from which Newton's method cannot set out; another one may do */
+    RETRAX_ITERATION_LIMIT,
+    RETRAX_STOPPED          /* as the report has asked */
+} retrax_search_status;
+
+/* What a search tells after each evaluation. */
+typedef struct {
+    retrax_index number;  /* trials so far, but for the guess */
+    double cost;
+    double defect, stationarity;
+    double shift;         /* of the Hessian, relative to its diagonal */
+    double fraction;      /* of the step that is tried next */
+    bool descends;        /* whether that step has positive curvature */
+    double violation;     /* of the inequalities, relative */
+    double barrier;       /* relative to its unit; 0 without inequalities */
+} retrax_iteration;
+
+/* Options of a search. */
+typedef struct {
+    double tolerance;            /* of the residuals, relative */
+    retrax_index max_iterations; /* at least 1 */
+    double width;                /* infeasibility that the funnel lets pass at first; 1 is usual */
+    double firm;                 /* times the usual first penalty of excesses; 1 is usual */
+    bool looks;                  /* whether a guess may be called degenerate; else the search sets out from any */
+    bool (*report)(void *context, const retrax_iteration *iteration); /* asks to stop by true; NULL: nothing is told */
+    void *context;
+} retrax_options;
+
+/* A search; its arrays stand in the memory that the caller provides. */
+typedef struct retrax_search retrax_search;
+
+/* Returns the bytes of memory of a search with at most so many iterations; 0 if it exceeds the address space. */
+RETRAX_API size_t retrax_search_memory(const retrax_layout *layout, retrax_index max_iterations);
+
+/* Makes a search in memory of that size, aligned to 64 bytes. The layout has to last as long as the search. */
+RETRAX_API retrax_search *retrax_search_make(const retrax_layout *layout, const retrax_options *options,
+                                             retrax_instruction_set set, void *memory);
+
+/* Returns the iterate: write what is given and the unknowns of a guess before a run, and read the solution behind it. */
+RETRAX_API double *retrax_search_trajectory(retrax_search *search);
+
+/* Searches an extremal from the guess. */
+RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
+
+/* What a run has found; the arrays belong to the search. */
+typedef struct {
+    const double *trajectory;   /* the last iterate */
+    const double *first;        /* the guess with its first multipliers and slacks */
+    retrax_scale judging;       /* natural sizes that success was judged by */
+    retrax_scale steps;         /* those of steps */
+    const double *limits;       /* [c + d] of the inequalities */
+    double rate;                /* unit of the barrier */
+    retrax_index iterations;
+    bool claimed;               /* whether the iterate counts as an extremal */
+    bool isolated;              /* whether Newton's next step was small there */
+    bool strict;                /* whether without inequalities the second-order condition of a strict minimum holds */
+    bool solvable;              /* whether the last step is finite, with a shift that is not too large */
+    bool infeasible;            /* whether inequalities contradict each other, or the ends */
+    bool falls;                 /* whether the cost falls as if it had no lower bound */
+} retrax_search_result;
+
+/* Returns what the last run has found. */
+RETRAX_API retrax_search_result retrax_search_read(const retrax_search *search);
 
 #ifdef __cplusplus
 }

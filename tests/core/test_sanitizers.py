@@ -16,7 +16,7 @@ SANITIZERS = ["-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize
 COMPILERS = [name for name in ("gcc", "clang") if shutil.which(name)]
 # What the core may take from elsewhere: libm, and moves of memory that compilers write by themselves.
 OUTSIDE = (
-    "acosh?|asinh?|atanh?|atan2|cosh?|sinh?|tanh?|erf|exp|expm1|floor|ceil|fma|fmod|hypot|log|log1p|pow|sqrt|"
+    "acosh?|asinh?|atanh?|atan2|cosh?|sinh?|tanh?|erf|exp|expm1|floor|ceil|fma|fmax|fmin|fmod|hypot|log|log1p|pow|sqrt|"
     "mem(cpy|set|move|cmp)|__cpu_(model|indicator_init)|_GLOBAL_OFFSET_TABLE_|__stack_chk_fail"
 )
 

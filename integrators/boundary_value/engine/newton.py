@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ....compute.core import PARTS_ON_CORE
 from ....manifolds.numerics.ambient import taken
 from .acceptance import WIDE
 from .aside import aside
@@ -46,7 +47,7 @@ def newton(
     minimum was found. After it come the states to which the controls of the guess lead from its start, then the guess
     with dear excesses and a high barrier.
     """
-    search = Descent(conditions, tolerance, max_iterations, callback)
+    search = _search(conditions, tolerance, max_iterations, callback)
     found = search.ended(guess)
     if search.lost.any():
         found = _again(search, found, guess, np.flatnonzero(search.lost))
@@ -60,6 +61,16 @@ def newton(
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
     found = _restored(search, _crawled(search, found), guess)
     return _firmly(search, _rolled_out(search, found, guess), guess)
+
+
+def _search(conditions: Any, tolerance: float, most: int, callback: Any, **options: Any) -> Any:
+    """The search of the engine, or of the core where that is asked for and has all that it needs."""
+    if "search" in PARTS_ON_CORE:
+        from .core_search import CoreSearch, is_on_core
+
+        if is_on_core(conditions):
+            return CoreSearch(conditions, tolerance, most, callback, **options)
+    return Descent(conditions, tolerance, most, callback, **options)
 
 
 def _crawled(search: Descent, found: Found) -> Found:
@@ -163,7 +174,7 @@ def _tried(
     if found.stopped or not members.size:
         return found
     options = search.tolerance, search.max_iterations, _seen(search, members)
-    alone = Descent(search.conditions.of(members), *options, as_it_is=True, width=width, firm=firm)
+    alone = _search(search.conditions.of(members), *options, as_it_is=True, width=width, firm=firm)
     again = alone.ended(guess)
     counts = found.iterations.copy()
     counts[members] += again.iterations

@@ -2,7 +2,19 @@
 
 import ctypes
 import os
-from ctypes import POINTER, Structure, addressof, c_char, c_char_p, c_double, c_int, c_size_t, c_ssize_t, c_void_p
+from ctypes import (
+    POINTER,
+    Structure,
+    addressof,
+    c_bool,
+    c_char,
+    c_char_p,
+    c_double,
+    c_int,
+    c_size_t,
+    c_ssize_t,
+    c_void_p,
+)
 from functools import cache
 from importlib.util import find_spec
 from typing import Any, final
@@ -13,7 +25,7 @@ from ..errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-VERSION = 1  # of the header that the structs below repeat
+VERSION = 2  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -142,6 +154,163 @@ class CondensedSystemStruct(Structure):
     )
 
 
+@final
+class FunctionStruct(Structure):
+    """``retrax_function``."""
+
+    _fields_ = (("evaluate", c_void_p), ("context", c_void_p))
+
+
+@final
+class TapeFunctionStruct(Structure):
+    """``retrax_tape_function``."""
+
+    _fields_ = (("tape", POINTER(TapeStruct)), ("registers", c_void_p), ("lanes", c_ssize_t), ("set", c_int))
+
+
+FUNCTIONS = 10  # of a problem
+
+
+@final
+class ProblemStruct(Structure):
+    """``retrax_problem``."""
+
+    _fields_ = (
+        ("steps", c_ssize_t),
+        ("points", c_ssize_t),
+        ("state_size", c_ssize_t),
+        ("state_numbers", c_ssize_t),
+        ("control_size", c_ssize_t),
+        ("control_numbers", c_ssize_t),
+        ("parameters", c_ssize_t),
+        ("inequalities", c_ssize_t),
+        ("node_inequalities", c_ssize_t),
+        ("matrix", c_void_p),
+        ("weights", c_void_p),
+        ("columns", c_void_p),
+        ("arrays", c_void_p),
+        ("curved_controls", c_bool),
+        ("control_columns", c_void_p),
+        ("control_arrays", c_void_p),
+        ("kept", c_void_p),
+        ("bounds", c_ssize_t),
+        ("functions", FunctionStruct * FUNCTIONS),
+    )
+
+
+ARRAYS = 109  # of a trajectory
+
+
+@final
+class LayoutStruct(Structure):
+    """``retrax_layout``."""
+
+    _fields_ = (
+        ("problem", POINTER(ProblemStruct)),
+        ("first", c_ssize_t * ARRAYS),
+        ("count", c_ssize_t * ARRAYS),
+        ("numbers", c_ssize_t),
+        ("sources", c_void_p * FUNCTIONS),
+        ("targets", c_void_p * FUNCTIONS),
+    )
+
+
+@final
+class LimitScaleStruct(Structure):
+    """``retrax_limit_scale``."""
+
+    _fields_ = (
+        ("rate", c_double),
+        ("limits", c_void_p),
+        ("first_penalty", c_double),
+        ("near", c_double),
+        ("last_penalty", c_double),
+    )
+
+
+@final
+class ResidualScaleStruct(Structure):
+    """``retrax_residual_scale``."""
+
+    _fields_ = (
+        ("judging_nodes", c_void_p),
+        ("judging_unknowns", c_void_p),
+        ("least_part", c_double),
+        ("nodes", c_void_p),
+        ("cost", c_double),
+    )
+
+
+@final
+class ScaleStruct(Structure):
+    """``retrax_scale``."""
+
+    _fields_ = (("unknowns", c_void_p), ("nodes", c_void_p), ("cost", c_double))
+
+
+@final
+class ScaleDataStruct(Structure):
+    """``retrax_scale_data``."""
+
+    _fields_ = (("sizes", c_void_p), ("values", c_void_p), ("room", c_void_p), ("curved", c_bool))
+
+
+@final
+class IterationStruct(Structure):
+    """``retrax_iteration``."""
+
+    _fields_ = (
+        ("number", c_ssize_t),
+        ("cost", c_double),
+        ("defect", c_double),
+        ("stationarity", c_double),
+        ("shift", c_double),
+        ("fraction", c_double),
+        ("descends", c_bool),
+        ("violation", c_double),
+        ("barrier", c_double),
+    )
+
+
+REPORT = ctypes.CFUNCTYPE(c_bool, c_void_p, POINTER(IterationStruct))
+
+
+@final
+class OptionsStruct(Structure):
+    """``retrax_options``."""
+
+    _fields_ = (
+        ("tolerance", c_double),
+        ("max_iterations", c_ssize_t),
+        ("width", c_double),
+        ("firm", c_double),
+        ("looks", c_bool),
+        ("report", REPORT),
+        ("context", c_void_p),
+    )
+
+
+@final
+class SearchResultStruct(Structure):
+    """``retrax_search_result``."""
+
+    _fields_ = (
+        ("trajectory", c_void_p),
+        ("first", c_void_p),
+        ("judging", ScaleStruct),
+        ("steps", ScaleStruct),
+        ("limits", c_void_p),
+        ("rate", c_double),
+        ("iterations", c_ssize_t),
+        ("claimed", c_bool),
+        ("isolated", c_bool),
+        ("strict", c_bool),
+        ("solvable", c_bool),
+        ("infeasible", c_bool),
+        ("falls", c_bool),
+    )
+
+
 _CONDENSED = [POINTER(CollocationSystemStruct), POINTER(CondensedSystemStruct)]
 
 # Result and arguments of the functions.
@@ -169,6 +338,37 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_condense": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, c_void_p, c_int]),
     "retrax_expand": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, *[c_void_p] * 5]),
     "retrax_condense_slope": (None, [*_CONDENSED, *[c_void_p] * 4]),
+    "retrax_array_name": (c_char_p, [c_int]),
+    "retrax_evaluate_tape": (None, [c_void_p, POINTER(TapeDataStruct), c_ssize_t]),
+    "retrax_function_inputs": (c_ssize_t, [POINTER(ProblemStruct), c_int]),
+    "retrax_function_outputs": (c_ssize_t, [POINTER(ProblemStruct), c_int]),
+    "retrax_layout_memory": (c_size_t, [POINTER(ProblemStruct)]),
+    "retrax_layout_make": (None, [POINTER(ProblemStruct), c_void_p, POINTER(LayoutStruct)]),
+    "retrax_evaluate_trajectory": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_assemble_system": (None, [POINTER(LayoutStruct), c_void_p, c_void_p, c_int]),
+    "retrax_workspace": (c_size_t, [POINTER(ProblemStruct)]),
+    "retrax_measure_scale": (
+        None,
+        [POINTER(LayoutStruct), c_void_p, POINTER(ScaleDataStruct), c_void_p, POINTER(ScaleStruct)],
+    ),
+    "retrax_measure_motion": (None, [POINTER(LayoutStruct), *[c_void_p] * 4]),
+    "retrax_add_inequalities": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_survey_inequalities": (None, [POINTER(LayoutStruct), c_void_p, POINTER(LimitScaleStruct)]),
+    "retrax_step_inequalities": (None, [POINTER(LayoutStruct), c_void_p, c_double]),
+    "retrax_move_inequalities": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_double, c_void_p]),
+    "retrax_survey_trajectory": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_measure_residuals": (
+        None,
+        [POINTER(LayoutStruct), c_void_p, POINTER(ResidualScaleStruct), POINTER(LimitScaleStruct)],
+    ),
+    "retrax_search_memory": (c_size_t, [POINTER(LayoutStruct), c_ssize_t]),
+    "retrax_search_make": (c_void_p, [POINTER(LayoutStruct), POINTER(OptionsStruct), c_int, c_void_p]),
+    "retrax_search_trajectory": (c_void_p, [c_void_p]),
+    "retrax_search_run": (c_int, [c_void_p]),
+    "retrax_search_read": (SearchResultStruct, [c_void_p]),
+    "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
+    "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p, c_void_p]),
+    "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),
 }
 
 

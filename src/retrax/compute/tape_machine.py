@@ -61,6 +61,16 @@ class MachineProgram:
         self._library = library()
         require_ok(self._library.retrax_tape_check(byref(self._tape)), "a program that the core cannot run")
 
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        """Numbers of inputs, outputs and registers."""
+        return self._tape.inputs, self._tape.outputs, self._tape.registers
+
+    @property
+    def tape(self) -> TapeStruct:
+        """The tape as C has it; it lasts as long as the program."""
+        return self._tape
+
     def lanes(self, points: int) -> int:
         """Points that an instruction acts on at once where there are so many."""
         return self._library.retrax_tape_lanes(byref(self._tape), points)

@@ -1,0 +1,282 @@
+/*
+ * Algorithm: Newton's method on the conditions of one trajectory, made global.
+ */
+#include "search.h"
+
+#include <float.h>
+#include <math.h>
+#include <string.h>
+
+/* Share by which a wanted step has to shrink from one solved iterate to the next: else the linear system is singular. */
+#define SHRINKS 0.1
+/* Residual that is rounding. */
+#define EXACT (64.0 * DBL_EPSILON)
+/* Times its natural sizes: a trajectory that has grown so far follows the null vector of a singular system. */
+#define GROWN 1e6
+/* Times the residual: a step that leads to less is Newton's own. */
+#define GAINED 0.1
+/* A shift has to shorten a step to this share; a step is cut no further than to the other. */
+#define SHORTER 0.5
+#define SLOW 1e-6
+#define SHORTEST 0.0625
+/* The shift with which a step is the least that the constraints ask for. */
+#define LEAST_SHIFT 1e6
+/* Share of a size by which what is smaller is measured; motion that is rounding of a value. */
+#define SHARE 1e-3
+#define STILL 1e-12
+
+#define RESIDUAL(trajectory, name) ((trajectory)[search->layout->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_##name])
+
+void retrax_swap(retrax_search *search) {
+    double *const before = search->at;
+    search->at = search->trial;
+    search->trial = before;
+}
+
+void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, retrax_scale *to) {
+    memcpy(to->unknowns, from->unknowns, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_PARTS]);
+    memcpy(to->nodes, from->nodes, sizeof(double) * (size_t)layout->problem->state_size);
+    to->cost = from->cost;
+}
+
+void retrax_evaluate(retrax_search *search, double *trajectory) {
+    retrax_evaluate_trajectory(search->layout, trajectory);
+    if (retrax_is_limited(search->layout->problem)) {
+        retrax_add_inequalities(search->layout, trajectory);
+    }
+    retrax_assemble_system(search->layout, trajectory, search->workspace, search->set);
+    retrax_write_right_sides(search->layout, trajectory);
+    retrax_survey_trajectory(search->layout, trajectory);
+}
+
+void retrax_measure(retrax_search *search, double *trajectory) {
+    const bool limited = retrax_is_limited(search->layout->problem);
+    const retrax_residual_scale scale = {search->judging.nodes, search->judging.unknowns,
+                                         limited ? search->judging.cost : 0.0, search->steps.nodes, search->steps.cost};
+    if (limited) {
+        retrax_survey_inequalities(search->layout, trajectory, &search->limits);
+    }
+    retrax_measure_residuals(search->layout, trajectory, &scale, limited ? &search->limits : NULL);
+}
+
+void retrax_assess(retrax_search *search, double *trajectory) {
+    retrax_evaluate(search, trajectory);
+    retrax_measure(search, trajectory);
+}
+
+/* Writes the unknowns of the trial after the fraction of the step that is tried, and assesses it. */
+static void try_step(retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const retrax_direction *const step = &search->direction;
+    const double part = search->fraction * step->reach;
+    retrax_copy_unknowns(layout, search->at, search->trial);
+    retrax_move_trajectory(layout, search->at, part, search->trial);
+    retrax_move_inequalities(layout, search->at, part, step->dual, search->trial);
+    retrax_assess(search, search->trial);
+}
+
+/* Begins anew with the funnel and the best residual, as where the barrier has changed. */
+static void reset_funnel(retrax_search *search) {
+    search->merit = retrax_merit_of(search, search->at);
+    search->funnel = fmax(search->merit.infeasibility, search->options.width);
+    search->best = RESIDUAL(search->at, LARGEST);
+    search->fraction = 1.0;
+}
+
+/* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
+ *
+ * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is one of
+ * a family of extremals, or it has grown along the null vector until rounding hides that there is none. */
+static void settle(retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const double *const trajectory = search->at;
+    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    double wanted = 0.0, grown = 0.0;
+    if (!(RESIDUAL(trajectory, FINAL) <= search->options.tolerance)) {
+        return;
+    }
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
+        const double unit = search->judging.unknowns[i];
+        double own = i < n ? 0.0 : retrax_control_size(layout, trajectory, i - n), spread = own;
+        for (retrax_index e = 0; e < E && i < n; e++) {
+            const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], value = retrax_larger(high, low);
+            const double share = ARRAY(SUPPORT)[i * E + e];
+            spread = retrax_larger(spread, share * (high + low));
+            own = retrax_larger(own, share * (high + low + (high + low > STILL * value ? value : SHARE * value)));
+        }
+        wanted = retrax_larger(wanted, search->largest[i] / fmax(own, SHARE * unit));
+        grown = retrax_larger(grown, spread / unit);
+    }
+    const bool was_isolated = search->isolated, stuck = wanted > SHRINKS * search->correction;
+    search->isolated = wanted <= sqrt(search->options.tolerance);
+    search->claimed = search->isolated || (stuck && grown <= GROWN);
+    search->correction = wanted;
+    const bool exact = was_isolated || RESIDUAL(trajectory, LARGEST) <= EXACT;
+    search->done = (search->isolated && exact) || stuck;
+}
+
+/* Whether no shift shortens the step, as where the constraints ask for it: then the same step is cut further. */
+static bool is_vain(retrax_search *search, double length) {
+    if (!(retrax_step_length(search) > SHORTER * length)) {
+        return false;
+    }
+    retrax_newton_step(search, LEAST_SHIFT);
+    return retrax_step_length(search) > SHORTER * length;
+}
+
+/* Trials after which natural sizes are measured again. */
+#define ROUND 40
+
+/* Computes the next step, from the iterate as it is now. */
+static void next_step(retrax_search *search, const retrax_direction *before, double fraction, double length,
+                      double residual, bool cut) {
+    const bool limited = retrax_is_limited(search->layout->problem), good = search->accepted;
+    const double now = RESIDUAL(search->at, LARGEST), tolerance = search->options.tolerance;
+    const bool arrived = RESIDUAL(search->at, FINAL) <= tolerance;
+    const bool keep = arrived || (good && now <= sqrt(tolerance));
+    const bool gains = good && now <= GAINED * residual && !limited;
+    retrax_regularised_step(search, arrived ? 0.0 : search->direction.shift, keep, gains);
+    if (cut && before->descends && fraction > SLOW && fraction / 2.0 < SHORTEST) {
+        const double shift = search->direction.shift;
+        if (is_vain(search, length)) {
+            retrax_newton_step(search, before->shift);
+            search->direction.descends = before->descends;
+            search->fraction = fraction / 2.0;
+        } else {
+            retrax_regularised_step(search, shift, true, gains);
+        }
+    }
+}
+
+/* One iteration: try the step, judge the trial, update the barrier, compute the next step. */
+static void iterate(retrax_search *search) {
+    const retrax_direction before = search->direction;
+    const double fraction = search->fraction, residual = RESIDUAL(search->at, LARGEST);
+    const double length = retrax_step_length(search);
+    const bool was_isolated = search->isolated, limited = retrax_is_limited(search->layout->problem);
+    bool again;
+    try_step(search);
+    search->accepted = retrax_judge_trial(search, search->trials == 1 && !limited, &again);
+    if (!search->accepted && retrax_reset_slacks(search, search->trial)) {
+        search->direction = before;
+        search->fraction = fraction;
+        retrax_assess(search, search->trial);
+        search->accepted = retrax_judge_trial(search, false, &again);
+    }
+    if (search->accepted) {
+        retrax_swap(search);
+    }
+    const bool refused = again && !search->accepted && !was_isolated;
+    const bool wider = refused && retrax_widen_scale(search, fraction * before.reach, length);
+    if (wider) {
+        retrax_measure(search, search->at);
+        const double tried = search->fraction;
+        reset_funnel(search);
+        search->fraction = tried;
+        search->direction.shift = before.shift;
+    }
+    search->trials++;
+    const bool changed = retrax_update_barrier(search);
+    if (changed) {
+        reset_funnel(search);
+    }
+    search->done = was_isolated && search->accepted && RESIDUAL(search->at, FINAL) <= search->options.tolerance;
+    if (search->done || !(again || changed)) {
+        return;
+    }
+    next_step(search, &before, fraction, length, residual, again && !search->accepted && !changed && !wider);
+    settle(search);
+}
+
+/* Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
+ *
+ * Near the end, or where all was met before, the normal part of what is missing is the square of its size: from there it
+ * moves. */
+static bool is_elsewhere(const retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const double *const trajectory = search->at, tolerance = search->options.tolerance;
+    bool met = RESIDUAL(trajectory, UNMET) <= sqrt(tolerance);
+    for (retrax_index a = 0; a < layout->problem->state_size; a++) {
+        met = met && ARRAY(LACKING)[a] <= tolerance * ARRAY(ALONG)[a];
+    }
+    return met && RESIDUAL(trajectory, STATIONARITY) <= tolerance && RESIDUAL(trajectory, DEFECT) > sqrt(tolerance) &&
+           isinf(search->correction);
+}
+
+/* Whether there is nothing to go on with, and why. */
+static retrax_search_status status_of(const retrax_search *search) {
+    const retrax_direction *const step = &search->direction;
+    if (search->degenerate) {
+        return RETRAX_DEGENERATE;
+    }
+    if (search->done) {
+        return search->claimed ? RETRAX_CONVERGED : RETRAX_SINGULAR;
+    }
+    if ((!step->finite || step->shift >= RETRAX_LARGEST_SHIFT) && !retrax_is_hard(search)) {
+        return RETRAX_SINGULAR;
+    }
+    if (retrax_is_infeasible(search)) {
+        return RETRAX_INFEASIBLE;
+    }
+    if (is_elsewhere(search)) {
+        return RETRAX_ELSEWHERE;
+    }
+    return search->trials > search->options.max_iterations ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
+}
+
+/* Stands at the iterate with a step that is not tried yet. */
+static void stand(retrax_search *search) {
+    search->correction = INFINITY;
+    search->isolated = search->claimed = search->done = search->accepted = false;
+    reset_funnel(search);
+    settle(search);
+}
+
+/* Goes on in the natural sizes of the iterate where those in use are far larger. */
+static void renew(retrax_search *search) {
+    if (retrax_renew_scale(search)) {
+        retrax_measure(search, search->at);
+        const bool near = RESIDUAL(search->at, LARGEST) <= sqrt(search->options.tolerance);
+        retrax_regularised_step(search, 0.0, near, near);
+        stand(search);
+    }
+}
+
+/* Tells where the search is; whether it is asked to stop. */
+static bool report(const retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const double *const trajectory = search->at, *const found = ARRAY(RESIDUALS);
+    const retrax_direction *const step = &search->direction;
+    const retrax_iteration iteration = {
+        .number = search->trials - 1,
+        .cost = ARRAY(TOTALS)[0],
+        .defect = found[RETRAX_DEFECT],
+        .stationarity = found[RETRAX_STATIONARITY],
+        .shift = step->shift,
+        .fraction = search->fraction * step->reach,
+        .descends = step->descends,
+        .violation = retrax_larger(found[RETRAX_VIOLATION], found[RETRAX_EXCESS]),
+        .barrier = retrax_is_limited(layout->problem) ? *ARRAY(BARRIER) / search->limits.rate : 0.0,
+    };
+    return search->options.report != NULL && search->options.report(search->options.context, &iteration);
+}
+
+retrax_search_status retrax_search_run(retrax_search *search) {
+    retrax_search_status status;
+    retrax_initialise(search);
+    search->trials = 1;
+    stand(search);
+    for (;;) {
+        search->costs[search->trials] = search->at[search->layout->first[RETRAX_ARRAY_TOTALS]];
+        status = status_of(search);
+        if (status != RETRAX_DEGENERATE && (status != RETRAX_GOING_ON || search->trials % ROUND == 0)) {
+            renew(search);
+            status = status_of(search);
+        }
+        const bool stopped = status != RETRAX_DEGENERATE && report(search);
+        if (status != RETRAX_GOING_ON || stopped) {
+            return status == RETRAX_GOING_ON ? RETRAX_STOPPED : status;
+        }
+        iterate(search);
+    }
+}

@@ -1,0 +1,266 @@
+/*
+ * Convergence: how far a trajectory is from satisfying its conditions, relative to what these are made of.
+ *
+ * An entry of a gap is measured by the spread of the trajectory in it, or by a share of its value, or of its unit. The
+ * derivative of the Lagrangian is measured by the parts that cancel in it, coordinate by coordinate; where all parts
+ * vanish, as the costates do at an optimum of the cost itself, by its curvature.
+ */
+#include "search.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Share of its value by which an entry is measured where it spreads by less: values are rounded. */
+#define VALUE 1e-2
+/* Share of the natural size by which a coordinate is measured where it moves by less. */
+#define SHARE 1e-3
+/* Share of the largest entry of a frame vector up to which others are rounding: the root of the machine precision. */
+#define ROUNDING 1.4901161193847656e-08
+
+/* An entry that moves by a smaller share of its value is constant, but for rounding. */
+#define STILL 1e-12
+
+/* Rows of POINT_SURVEY. */
+enum { OF_STEP, TOTAL, OF_POINT, MULTIPLIER, SLOPE };
+
+static double or_one(double size) { return size > 0.0 ? size : 1.0; }
+
+static void fill(double *to, double value, retrax_index count) {
+    for (retrax_index i = 0; i < count; i++) {
+        to[i] = value;
+    }
+}
+
+/* Surveys states and frames of the nodes, and what the nodes lack. */
+static void survey_nodes(const retrax_layout *layout, double *trajectory) {
+    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    for (retrax_index k = 0; k <= layout->problem->steps; k++) {
+        const double *const node = ARRAY(NODES) + k * E, *const frame = ARRAY(NODE_FRAMES) + k * n * E;
+        for (retrax_index e = 0; e < E; e++) {
+            ARRAY(HIGHEST)[e] = retrax_larger(ARRAY(HIGHEST)[e], node[e]);
+            ARRAY(LOWEST)[e] = retrax_larger(ARRAY(LOWEST)[e], -node[e]);
+        }
+        for (retrax_index i = 0; i < n * E; i++) {
+            ARRAY(SUPPORT)[i] = retrax_larger(ARRAY(SUPPORT)[i], fabs(frame[i]));
+        }
+        for (retrax_index a = 0; a < n; a++) {
+            const double defect = ARRAY(DEFECTS)[k * n + a];
+            ARRAY(MISSING)[a] += fabs(defect);
+            ARRAY(LACKING)[a] = retrax_larger(ARRAY(LACKING)[a], fabs(defect));
+            ARRAY(TOTALS)[1] += ARRAY(MULTIPLIERS)[k * n + a] * defect;
+        }
+    }
+}
+
+/* Surveys the slopes of the Lagrangian by the unknowns of the steps, the parts that cancel in them, and the curvatures. */
+static void survey_steps(const retrax_layout *layout, double *trajectory) {
+    const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
+    for (retrax_index k = 0; k < layout->problem->steps; k++) {
+        const double *const before = ARRAY(MULTIPLIERS) + k * n, *const after = before + n;
+        for (retrax_index i = 0; i < z; i++) {
+            double left = 0.0, right = 0.0;
+            for (retrax_index a = 0; a < n; a++) {
+                left += before[a] * ARRAY(LEFT)[(k * n + a) * z + i];
+                right += after[a] * ARRAY(RIGHT)[(k * n + a) * z + i];
+            }
+            const double parts = fabs(ARRAY(GRADIENTS)[k * z + i]) + (fabs(left) + fabs(right));
+            ARRAY(PARTS)[i] = retrax_larger(ARRAY(PARTS)[i], parts);
+            ARRAY(LARGEST_SLOPES)[i] = retrax_larger(ARRAY(LARGEST_SLOPES)[i], fabs(ARRAY(SLOPES)[k * z + i]));
+            ARRAY(CURVATURES)[i] = retrax_larger(ARRAY(CURVATURES)[i], fabs(ARRAY(HESSIANS)[(k * z + i) * z + i]));
+        }
+        ARRAY(TOTALS)[0] += ARRAY(COSTS)[k];
+    }
+}
+
+/* Surveys what the points of collocation steps lack. */
+static void survey_points(const retrax_layout *layout, double *trajectory) {
+    const retrax_index s = layout->problem->points, n = layout->problem->state_size;
+    double *const found = ARRAY(POINT_SURVEY);
+    for (retrax_index k = 0; k < layout->problem->steps; k++) {
+        for (retrax_index a = 0; a < n; a++) {
+            double total = 0.0;
+            for (retrax_index i = k * s; i < (k + 1) * s; i++) {
+                const double defect = ARRAY(POINT_DEFECTS)[i * n + a], multiplier = ARRAY(POINT_MULTIPLIERS)[i * n + a];
+                const double slope = fabs(ARRAY(SLOPES_BY_VELOCITIES)[i * n + a]) / ARRAY(POINT_WEIGHTS)[i];
+                total += fabs(defect);
+                found[OF_POINT * n + a] = retrax_larger(found[OF_POINT * n + a], fabs(defect));
+                found[MULTIPLIER * n + a] = retrax_larger(found[MULTIPLIER * n + a], fabs(multiplier));
+                found[SLOPE * n + a] = retrax_larger(found[SLOPE * n + a], slope);
+                ARRAY(TOTALS)[1] += multiplier * defect;
+            }
+            found[OF_STEP * n + a] = retrax_larger(found[OF_STEP * n + a], total);
+            found[TOTAL * n + a] += total;
+        }
+    }
+}
+
+void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory) {
+    static const retrax_array sums[] = {RETRAX_ARRAY_SUPPORT,        RETRAX_ARRAY_MISSING,    RETRAX_ARRAY_LACKING,
+                                        RETRAX_ARRAY_PARTS,          RETRAX_ARRAY_LARGEST_SLOPES,
+                                        RETRAX_ARRAY_CURVATURES,     RETRAX_ARRAY_POINT_SURVEY, RETRAX_ARRAY_TOTALS};
+    for (size_t i = 0; i < sizeof(sums) / sizeof(sums[0]); i++) {
+        fill(trajectory + layout->first[sums[i]], 0.0, layout->count[sums[i]]);
+    }
+    fill(ARRAY(HIGHEST), -INFINITY, layout->problem->state_numbers);
+    fill(ARRAY(LOWEST), -INFINITY, layout->problem->state_numbers);
+    survey_nodes(layout, trajectory);
+    survey_steps(layout, trajectory);
+    ARRAY(TOTALS)[0] += retrax_end_cost_of(layout, trajectory, false).value;
+    ARRAY(TOTALS)[0] += retrax_end_cost_of(layout, trajectory, true).value;
+    if (retrax_collocates(layout->problem)) {
+        survey_points(layout, trajectory);
+    }
+}
+
+bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry) {
+    retrax_index owner = 0, owners = 0, moved = 0;
+    for (retrax_index a = 0; a < n; a++) {
+        if (support[a * E + entry] > 0.0) {
+            owner = a;
+            owners++;
+        }
+    }
+    for (retrax_index e = 0; e < E && owners == 1; e++) {
+        moved += support[owner * E + e] > 0.0;
+    }
+    return moved == 1;
+}
+
+void retrax_measure_motion(const retrax_layout *layout, const double *trajectory, double *work, double *moved,
+                           double *sizes) {
+    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    const retrax_index *const columns = layout->problem->columns;
+    const double *const support = ARRAY(SUPPORT);
+    double *const own = work, *const of_columns = work + E; /* sizes that an entry is beside; of the columns */
+    memset(of_columns, 0, sizeof(double) * (size_t)E);
+    for (retrax_index e = 0; e < E; e++) {
+        const double value = retrax_larger(ARRAY(HIGHEST)[e], ARRAY(LOWEST)[e]);
+        of_columns[columns[e]] = retrax_larger(of_columns[columns[e]], value);
+    }
+    for (retrax_index e = 0; e < E; e++) {
+        own[e] = retrax_is_alone(support, n, E, e) ? 0.0 : of_columns[columns[e]];
+    }
+    for (retrax_index a = 0; a < n; a++) {
+        double far = 0.0, most = 0.0, whole = 0.0;
+        for (retrax_index e = 0; e < E; e++) {
+            const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], share = support[a * E + e];
+            const double value = retrax_larger(high, low);
+            if (high + low > STILL * value) {
+                far = retrax_larger(far, share * (high + low));
+            }
+            whole = retrax_larger(whole, share * own[e]);
+            most = retrax_larger(most, share * retrax_larger(value, own[e]));
+        }
+        moved[a] = far > ROUNDING * whole ? far : 0.0;
+        sizes[a] = most;
+    }
+}
+
+/* Writes by what gaps are measured, ALONG the coordinates of the nodes and in their ENTRIES. */
+static void write_measures(const retrax_layout *layout, double *trajectory, const double *nodes) {
+    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    double *const along = ARRAY(ALONG), *const entries = ARRAY(ENTRIES);
+    const double *const support = ARRAY(SUPPORT);
+    for (retrax_index a = 0; a < n; a++) {
+        along[a] = 0.0;
+        for (retrax_index e = 0; e < E; e++) {
+            along[a] = retrax_larger(along[a], support[a * E + e]);
+        }
+    }
+    for (retrax_index e = 0; e < E; e++) {
+        const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e];
+        double value = retrax_larger(high, low);
+        bool moves = false;
+        for (retrax_index a = 0; a < n; a++) {
+            moves = moves || support[a * E + e] > ROUNDING * along[a];
+        }
+        if (!moves) { /* the equations of the manifold say what it is, and hold to a share of one */
+            value = retrax_larger(value, 1.0);
+        }
+        entries[e] = retrax_larger(high + low, VALUE * value);
+    }
+    for (retrax_index a = 0; a < n; a++) {
+        along[a] = SHARE * nodes[a];
+        for (retrax_index e = 0; e < E; e++) {
+            along[a] = retrax_larger(along[a], support[a * E + e] * entries[e]);
+        }
+    }
+    for (retrax_index e = 0; e < E; e++) {
+        for (retrax_index a = 0; a < n; a++) {
+            entries[e] = retrax_larger(entries[e], support[a * E + e] * along[a]);
+        }
+    }
+}
+
+/* The derivative of the Lagrangian by the unknowns of the steps relative to its parts, and the scale of these. */
+static double stationarity_of(const retrax_layout *layout, const double *trajectory, const retrax_residual_scale *units,
+                              double *scale) {
+    const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
+    double found = 0.0;
+    *scale = units->least_part;
+    for (retrax_index i = 0; i < z; i++) {
+        const double unit = units->judging_unknowns[i], reach = i < n ? retrax_larger(unit, ARRAY(ALONG)[i]) : unit;
+        *scale = retrax_larger(*scale, unit * ARRAY(PARTS)[i]);
+        if (units->least_part == 0.0) {
+            *scale = retrax_larger(*scale, unit * reach * ARRAY(CURVATURES)[i]);
+        }
+    }
+    for (retrax_index i = 0; i < z; i++) {
+        const double unit = units->judging_unknowns[i];
+        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / or_one(retrax_larger(unit * ARRAY(PARTS)[i], SHARE * *scale)));
+    }
+    return found;
+}
+
+/* Adds the residuals of the inequalities. */
+static void measure_inequalities(const retrax_layout *layout, double *trajectory, const retrax_limit_scale *limits,
+                                 double *found) {
+    const double *const survey = ARRAY(LIMIT_SURVEY), barrier = *ARRAY(BARRIER);
+    const double off = retrax_larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]);
+    double horizon = 0.0;
+    for (retrax_index k = 0; k < layout->problem->steps; k++) {
+        horizon += ARRAY(STEP_SIZE)[k];
+    }
+    found[RETRAX_VIOLATION] = survey[RETRAX_LIMIT_VIOLATION];
+    found[RETRAX_EXCESS] = survey[RETRAX_LIMIT_EXCESS];
+    found[RETRAX_COMPLEMENTARITY] = survey[RETRAX_LIMIT_PRODUCT] / limits->rate;
+    found[RETRAX_CENTRING] = retrax_larger(0.0, off) / limits->rate;
+    found[RETRAX_INFEASIBILITY] += survey[RETRAX_LIMIT_MISSING] * (double)layout->problem->steps / horizon;
+    found[RETRAX_MERIT] += survey[RETRAX_LIMIT_POTENTIAL];
+    found[RETRAX_HELD] += survey[RETRAX_LIMIT_HELD];
+}
+
+void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, const retrax_residual_scale *scale,
+                              const retrax_limit_scale *limits) {
+    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    const double *const points = ARRAY(POINT_SURVEY);
+    double *const found = ARRAY(RESIDUALS), parts;
+    fill(found, 0.0, RETRAX_RESIDUALS);
+    write_measures(layout, trajectory, scale->judging_nodes);
+    double defect = 0.0, stationarity = stationarity_of(layout, trajectory, scale, &parts);
+    for (retrax_index e = 0; e < E; e++) {
+        defect = retrax_larger(defect, ARRAY(DISTANCE)[e] / or_one(ARRAY(ENTRIES)[e]));
+    }
+    for (retrax_index a = 0; a < n; a++) {
+        const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[OF_POINT * n + a]);
+        const double size = or_one(retrax_larger(unit * points[MULTIPLIER * n + a], SHARE * parts));
+        defect = retrax_larger(defect, points[OF_STEP * n + a] / or_one(ARRAY(ALONG)[a]));
+        stationarity = retrax_larger(stationarity, unit * points[SLOPE * n + a] / size);
+        found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[TOTAL * n + a]) / scale->nodes[a];
+        found[RETRAX_UNMET] = retrax_larger(found[RETRAX_UNMET], most / unit);
+        found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], most / scale->nodes[a]);
+    }
+    found[RETRAX_DEFECT] = defect;
+    found[RETRAX_STATIONARITY] = stationarity;
+    found[RETRAX_MERIT] = ARRAY(TOTALS)[0];
+    found[RETRAX_HELD] = ARRAY(TOTALS)[1];
+    if (limits != NULL) {
+        measure_inequalities(layout, trajectory, limits, found);
+    }
+    found[RETRAX_STEADY] = retrax_larger(retrax_larger(defect, stationarity), found[RETRAX_VIOLATION]);
+    found[RETRAX_FINAL] =
+        retrax_larger(found[RETRAX_STEADY], retrax_larger(found[RETRAX_EXCESS], found[RETRAX_COMPLEMENTARITY]));
+    found[RETRAX_LARGEST] = retrax_larger(found[RETRAX_STEADY], found[RETRAX_CENTRING]);
+    found[RETRAX_MERIT] /= scale->cost;
+    found[RETRAX_HELD] /= scale->cost;
+}

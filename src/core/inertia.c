@@ -1,0 +1,164 @@
+/*
+ * Inertia: the Newton step, and the shift of the Hessian with which it descends.
+ *
+ * Where the Hessian is not positive definite on the null space of the constraints, its diagonal is raised until the inertia
+ * says that it is: else the way to a minimum leads past saddles. Where constraints depend on each other no inertia is right.
+ * From a large shift on positive curvature along the step is enough [Chiang, Zavala, An inertia-free filter line-search
+ * algorithm, Comput. Optim. Appl. 64, 2016].
+ */
+#include "search.h"
+
+#include <math.h>
+
+/* Relative curvature along a step, of which less does not descend. */
+#define CURVATURE 1e-9
+/* Factor from one shift to the next, and the first one. */
+#define RAISE 10.0
+#define FIRST_SHIFT 1e-4
+/* A shift that makes the Hessian convex on the null space of the constraints, if these are independent. */
+#define CONVEX 1e2
+/* Share of the largest curvature of a coordinate in natural sizes that others are shifted by at least. */
+#define SOFTEST 1e-3
+/* Share of the way to the boundary that slacks and multipliers may go. */
+#define BOUNDARY 0.99
+/* A smallest pivot below this is rounding, eps^0.6; with more than so many equations, rounding hides more. */
+#define CLEAR 4.05381695970951e-10
+#define MANY 1e3
+
+/* Writes the typical curvatures of the coordinates in natural sizes. With a barrier the curvature has no bound. */
+static void write_curvatures(retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const double *const trajectory = search->at, *const sizes = search->steps.unknowns;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
+    const bool limited = retrax_is_limited(layout->problem);
+    double most = 0.0;
+    for (retrax_index i = 0; i < z; i++) {
+        search->curvatures[i] = limited ? 1.0 : ARRAY(CURVATURES)[i] * sizes[i] * sizes[i] / search->steps.cost;
+        most = fmax(most, search->curvatures[i]);
+    }
+    for (retrax_index i = 0; i < z; i++) {
+        search->curvatures[i] = SOFTEST * most > 0.0 ? fmax(search->curvatures[i], SOFTEST * most) : 1.0;
+    }
+}
+
+static double product(const double *a, const double *b, retrax_index count) {
+    double sum = 0.0;
+    for (retrax_index i = 0; i < count; i++) {
+        sum += a[i] * b[i];
+    }
+    return sum;
+}
+
+/* Writes the first-order changes of the cost, and of the multipliers times what is lacking, by all that may be made. */
+static void write_promise(retrax_search *search) {
+    const retrax_layout *const layout = search->layout;
+    const double *const trajectory = search->at;
+    const retrax_index *const count = layout->count, z = count[RETRAX_ARRAY_PARTS];
+    retrax_direction *const found = &search->direction;
+    double ahead = product(ARRAY(GRADIENTS), ARRAY(STEPS), count[RETRAX_ARRAY_STEPS]), dual = 0.0;
+    double turned = product(ARRAY(MULTIPLIER_STEPS), ARRAY(DEFECTS), count[RETRAX_ARRAY_DEFECTS]);
+    turned += product(ARRAY(POINT_MULTIPLIER_STEPS), ARRAY(POINT_DEFECTS), count[RETRAX_ARRAY_POINT_DEFECTS]);
+    const retrax_index p = layout->problem->points * layout->problem->state_size;
+    for (retrax_index i = 0; i < count[RETRAX_ARRAY_VELOCITY_STEPS]; i++) { /* what mends the defects of the points */
+        const double within = product(ARRAY(VELOCITY_MAPS) + i * (z + 1), ARRAY(STEPS) + i / p * z, z);
+        ahead += ARRAY(GRADIENTS_BY_VELOCITIES)[i] * (ARRAY(VELOCITY_STEPS)[i] - within);
+    }
+    for (int i = 0; i < 2; i++) {
+        const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, i == 1);
+        if (cost.derivative != NULL && cost.mended != NULL) {
+            ahead += product(cost.slope, cost.mended, layout->problem->state_size);
+        }
+    }
+    if (retrax_is_limited(layout->problem)) {
+        ahead += ARRAY(LIMIT_STEP)[2];
+        dual = found->dual * ARRAY(LIMIT_STEP)[3];
+    }
+    found->promised = found->reach * ahead / search->steps.cost;
+    found->turned = (found->reach * turned + dual) / search->steps.cost;
+}
+
+/* Solves the linear system of the iterate. */
+static void eliminate(retrax_search *search, double shift) {
+    const retrax_layout *const layout = search->layout;
+    const retrax_problem *const problem = layout->problem;
+    double *const trajectory = search->at;
+    const retrax_index N = problem->steps, n = problem->state_size, equations = (N + 1) * n;
+    unsigned char finite;
+    retrax_write_right_sides(layout, trajectory);
+    const retrax_block_system system = {
+        .stages = N,
+        .node_size = n,
+        .stage_size = layout->count[RETRAX_ARRAY_PARTS],
+        .columns = 1,
+        .hessian = ARRAY(HESSIANS),
+        .left = ARRAY(LEFT),
+        .right = ARRAY(RIGHT),
+        .slope = ARRAY(NEWTON_SIDES),
+        .defect = ARRAY(NEWTON_DEFECTS),
+        .fixed_start = ARRAY(FIXED),
+        .fixed_end = ARRAY(FIXED) + N * n,
+        .stage_scale = search->steps.unknowns,
+        .node_scale = search->steps.nodes,
+        .cost_scale = search->steps.cost,
+        .regularisation = shift,
+        .regularised = search->curvatures,
+    };
+    retrax_block_solution solution = {.step = ARRAY(STEPS),
+                                      .multipliers = ARRAY(MULTIPLIER_STEPS),
+                                      .finite = &finite,
+                                      .largest_step = search->largest};
+    retrax_block_eliminate(&system, &solution, search->workspace, search->set);
+    const bool right = solution.inertia.negative == equations;
+    const bool clear = solution.inertia.smallest > CLEAR * fmax(1.0, (double)equations / MANY);
+    const bool hidden = solution.inertia.smallest <= CLEAR * fmax(1.0, (double)equations / MANY);
+    retrax_direction *const found = &search->direction;
+    found->shift = shift;
+    found->curvature = solution.curvature;
+    found->size = solution.size;
+    found->smallest = solution.inertia.smallest;
+    found->finite = finite != 0;
+    found->strict = right && clear;
+    found->convex = right || (!retrax_is_limited(problem) && hidden);
+}
+
+void retrax_newton_step(retrax_search *search, double shift) {
+    const retrax_layout *const layout = search->layout;
+    double *const trajectory = search->at;
+    retrax_direction *const found = &search->direction;
+    write_curvatures(search);
+    eliminate(search, shift);
+    retrax_expand_step(layout, trajectory, search->workspace);
+    found->dual = 1.0;
+    found->cap = retrax_step_cap(layout, trajectory, search->largest, search->trial, search->steady);
+    found->reach = found->cap;
+    if (retrax_is_limited(layout->problem)) {
+        retrax_step_inequalities(layout, trajectory, BOUNDARY);
+        found->reach = fmin(found->cap, ARRAY(LIMIT_STEP)[0]);
+        found->dual = ARRAY(LIMIT_STEP)[1];
+    }
+    write_promise(search);
+}
+
+double retrax_step_length(const retrax_search *search) {
+    double found = 0.0;
+    for (retrax_index i = 0; i < search->layout->count[RETRAX_ARRAY_PARTS]; i++) {
+        const double length = search->largest[i] / search->steps.unknowns[i];
+        found = length > found || isnan(length) ? length : found;
+    }
+    return found;
+}
+
+/* Whether the step has positive curvature, and the inertia of a convex problem, or a shift that is large. */
+static bool descends(const retrax_direction *step, bool loose) {
+    return step->curvature >= CURVATURE * step->size && (step->convex || step->shift >= CONVEX || loose);
+}
+
+void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose) {
+    retrax_direction *const step = &search->direction;
+    retrax_newton_step(search, shift);
+    step->descends = descends(step, loose);
+    while (!(step->descends || keep) && step->shift < RETRAX_LARGEST_SHIFT) {
+        retrax_newton_step(search, fmax(RAISE * step->shift, FIRST_SHIFT));
+        step->descends = descends(step, loose);
+    }
+}

@@ -1,0 +1,71 @@
+/*
+ * Layout: where the arrays of a trajectory stand, for the files that work on them.
+ *
+ * All arrays of a trajectory stand in one block of numbers. So a function of the problem reads and writes them where they
+ * are, and its places are set once for all trajectories of the problem.
+ */
+#ifndef RETRAX_LAYOUT_H
+#define RETRAX_LAYOUT_H
+
+#include "retrax_core.h"
+
+#include <math.h>
+#include <stdbool.h>
+#include <string.h>
+
+/* The address of an array of a trajectory, where `layout` and `trajectory` have these names. */
+#define ARRAY(name) (trajectory + layout->first[RETRAX_ARRAY_##name])
+
+/* The larger of two numbers; NaN if the second one is. */
+static inline double retrax_larger(double a, double b) { return b > a || isnan(b) ? b : a; }
+
+static inline void retrax_copy(double *to, const double *from, retrax_index count) {
+    memcpy(to, from, sizeof(double) * (size_t)count);
+}
+
+/* Unknowns of a point that inequalities depend on: (dx, dxi, dnu, du), or of a discretization map (dx, du). */
+retrax_index retrax_point_unknowns(const retrax_problem *problem);
+
+/* Whether there are inequalities. */
+bool retrax_is_limited(const retrax_problem *problem);
+
+/* One of the inequalities of a trajectory. */
+typedef struct {
+    retrax_index limit; /* which of those of a point, from 0 on, or of the ends of a step, from c on */
+    retrax_index block; /* the point, or the step */
+    retrax_index width; /* unknowns that it depends on: of the point, or (dx, deta) */
+    retrax_index first; /* place of its derivatives in LIMIT_JACOBIANS */
+    bool at_ends;
+} retrax_limit;
+
+retrax_limit retrax_limit_of(const retrax_problem *problem, retrax_index i);
+
+/* Whether the method of a problem is a collocation method, and not a discretization map. */
+bool retrax_collocates(const retrax_problem *problem);
+
+/* The cost of the start, or of the end, of a trajectory; its derivatives are NULL where there is none. */
+typedef struct {
+    double value;
+    const double *derivative; /* [E] */
+    const double *slope;      /* [n] in the frame of the node */
+    const double *curvature;  /* [n][n] */
+    retrax_index node, step;  /* at which it is, and which ends or begins there */
+    const double *end;        /* [n][z] derivative of the node by the unknowns of that step */
+    const double *mended;     /* [n] what the velocities that mend the defects of the points move it by; NULL: nothing */
+    double sign;              /* of the derivative in the covector of the node: 1 at the end, -1 at the start */
+} retrax_end_cost;
+
+/* Returns the cost of the end of an evaluated trajectory, or of its start. */
+retrax_end_cost retrax_end_cost_of(const retrax_layout *layout, const double *trajectory, bool of_end);
+
+/* Adds the derivatives of the costs of the ends, times a sign, to covectors [N + 1][E] of the nodes. */
+void retrax_turn_covectors(const retrax_layout *layout, const double *trajectory, double sign, double *covectors);
+
+/* Evaluates a function at `points` places of a trajectory. */
+void retrax_evaluate_function(const retrax_layout *layout, double *trajectory, retrax_function_name name,
+                              retrax_index points);
+
+/* Bytes of workspace of retrax_measure_scale; 0 if it exceeds the address space. */
+size_t retrax_scaling_workspace(const retrax_problem *problem);
+
+#endif /* RETRAX_LAYOUT_H */

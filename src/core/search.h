@@ -1,0 +1,170 @@
+/*
+ * Search: Newton's method on the conditions of one trajectory, as the files that are parts of it see it.
+ */
+#ifndef RETRAX_SEARCH_H
+#define RETRAX_SEARCH_H
+
+#include "layout.h"
+
+/* The largest shift of a Hessian: with a larger one a step says nothing. */
+#define RETRAX_LARGEST_SHIFT 1e10
+
+/* A Newton step, and what its elimination tells of the linear system. */
+typedef struct {
+    double shift;       /* of the Hessian, which makes the step descend */
+    double curvature;   /* along the step, in units of the cost */
+    double size;        /* of the step in the same units */
+    double smallest;    /* pivot */
+    bool finite;        /* whether there is a step */
+    bool strict;        /* whether the Hessian is positive definite on the null space of the constraints, beyond rounding */
+    bool convex;        /* whether the inertia is that of such a one, or without inequalities is hidden by rounding */
+    bool descends;      /* whether the step has positive curvature */
+    double cap;         /* the fraction of the step that points of constant size follow */
+    double reach;       /* the fraction that may be made: within the cap and the inequalities */
+    double dual;        /* the fraction of the steps of the multipliers of the inequalities that stays inside */
+    double promised;    /* change of the cost to first order by all that may be made, in its unit */
+    double turned;      /* the same of the multipliers times what is lacking */
+} retrax_direction;
+
+/* What is measured of a trajectory that trials are compared by. */
+typedef struct {
+    double infeasibility, cost, held;
+} retrax_merit;
+
+/* A search; arrays stand in its memory. */
+struct retrax_search {
+    const retrax_layout *layout;
+    retrax_options options;
+    retrax_instruction_set set;
+    double *at, *trial;          /* trajectories: the iterate and the trial, which change places */
+    double *first, *spare;       /* trajectories: the guess, and one to work with */
+    void *workspace;
+    retrax_scale judging, steps; /* natural sizes that success is judged by, and those of steps */
+    retrax_scale fresh;          /* those of the iterate, where they are measured again */
+    retrax_limit_scale limits;
+    double *limit_sizes;         /* [c] */
+    double *curvatures;          /* [z] typical ones, by which Hessians are shifted */
+    double *largest;             /* [z] the largest step of each unknown */
+    double *sizes, *values;      /* [z] for the natural sizes */
+    double *room;                /* [s m] */
+    double *work;                /* [2 E] */
+    double *ways;                /* [2][N s m] of the controls to the inequalities on either side */
+    double *control_work;        /* [N s + 1][m] */
+    double *square;              /* [z][z] */
+    double *costs;               /* [max_iterations + 2] of the iterates after 1, 2, ... trials */
+    double first_cost;           /* natural size of the cost at the guess */
+    bool *steady;                /* [E + U] */
+    retrax_direction direction;
+    retrax_merit merit;
+    double fraction;   /* of the step that is tried */
+    double funnel;     /* the infeasibility that no iterate exceeds any more */
+    double best;       /* residual so far */
+    double correction; /* what the linearised conditions still asked for where the residuals met the tolerance */
+    double firm;       /* times the usual first penalty; its root times the usual first barrier */
+    bool isolated;     /* whether Newton's next step is small where the residuals meet the tolerance */
+    bool claimed;      /* whether the iterate counts as an extremal */
+    bool done;
+    bool accepted;     /* whether the last trial was */
+    bool degenerate;   /* whether the guess is one from which Newton's method cannot set out */
+    retrax_index trials;
+};
+
+/* step_cap.c: returns the fraction of the step in which points that keep their size move by no more than a diameter.
+ * largest: [z] steps of the unknowns; trial: a trajectory that is overwritten; steady: [E + U] workspace. */
+double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
+                       bool *steady);
+
+/* inertia.c: computes the Newton step at the iterate with a shift of the Hessian. */
+void retrax_newton_step(retrax_search *search, double shift);
+
+/* inertia.c: computes the step with the smallest tried shift, from `shift` on, that makes it descend. keep: the shift is used
+ * as it is; loose: positive curvature along the step is enough. */
+void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose);
+
+/* inertia.c: the largest entry of the step in natural sizes. */
+double retrax_step_length(const retrax_search *search);
+
+/* funnel.c: whether the trial is accepted; then the search goes on with its funnel, shift and best residual. again: whether
+ * the step has to be computed again. first: no trial was judged before. */
+bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
+
+/* funnel.c: writes the merit of a trajectory that was measured. */
+retrax_merit retrax_merit_of(const retrax_search *search, const double *trajectory);
+
+/* degenerate.c: whether Newton's method cannot set out from the guess. */
+bool retrax_is_degenerate(retrax_search *search);
+
+/* rescaling.c: widens sizes of coordinates in which a refused trial lacks more, to second order, than where all moves by its
+ * size, as of a rate that only products of others change. part: of the step that was made; length: of the step. */
+bool retrax_widen_scale(retrax_search *search, double part, double length);
+
+/* rescaling.c: takes the natural sizes of the iterate where those in use are far larger; returns whether it does. */
+bool retrax_renew_scale(retrax_search *search);
+
+/* rescaling.c: whether the cost has fallen by far, and in the second half of the trials by no less than in the first: one with
+ * a lower bound falls by less and less on the way to it. */
+bool retrax_cost_falls(const retrax_search *search);
+
+/* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
+bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
+
+/* warm_start.c: sets first slacks and multipliers near to the multipliers that a guess knows, of which the evaluated iterate has
+ * the unknowns; known: a trajectory that is overwritten. Returns whether they fit. */
+bool retrax_warm_start(retrax_search *search, double *known);
+
+/* barrier.c: whether no iterate leaves an inequality, as a bound of what is free. */
+bool retrax_is_kept(const retrax_search *search, retrax_index i);
+
+/* barrier.c: the value of an inequality; a bound that no iterate leaves holds by rounding at least. */
+double retrax_limit_inside(const retrax_search *search, const double *trajectory, retrax_index i);
+
+/* barrier.c: sets slacks and multipliers of inequalities that do not pull. */
+void retrax_rest_slacks(const retrax_layout *layout, double *trajectory);
+
+/* barrier.c: finds the natural sizes of the inequalities of an evaluated trajectory. */
+void retrax_find_limits(retrax_search *search, const double *trajectory);
+
+/* barrier.c: the natural sizes of the inequalities, and the first slacks of an evaluated trajectory. */
+void retrax_start_slacks(retrax_search *search, double *trajectory);
+
+/* barrier.c: lowers the barrier while its problem is solved, raises penalties that are too small, and makes inequalities
+ * elastic where steps jam. Returns whether the iterate is another one. */
+bool retrax_update_barrier(retrax_search *search);
+
+/* barrier.c: sets slacks that a step missed, where their inequalities hold; returns whether there were any. */
+bool retrax_reset_slacks(const retrax_search *search, double *trajectory);
+
+/* barrier.c: whether inequalities contradict each other, or the ends. */
+bool retrax_is_infeasible(const retrax_search *search);
+
+/* barrier.c: whether there are inequalities that are not elastic and can be. */
+bool retrax_is_hard(const retrax_search *search);
+
+/* initialise.c: natural sizes, first slacks and first multipliers of the guess, and the first step. */
+void retrax_initialise(retrax_search *search);
+
+/* initialise.c: writes the natural sizes of an evaluated trajectory. */
+void retrax_find_scale(retrax_search *search, const double *trajectory, retrax_scale *scale);
+
+/* initialise.c: copies the unknowns of a trajectory. */
+void retrax_copy_unknowns(const retrax_layout *layout, const double *from, double *to);
+
+/* initialise.c: the largest size of control i of a step along the trajectory. */
+double retrax_control_size(const retrax_layout *layout, const double *trajectory, retrax_index i);
+
+/* algorithm.c: evaluates a trajectory and assembles its linear system. */
+void retrax_evaluate(retrax_search *search, double *trajectory);
+
+/* algorithm.c: measures an evaluated trajectory. */
+void retrax_measure(retrax_search *search, double *trajectory);
+
+/* algorithm.c: both of these. */
+void retrax_assess(retrax_search *search, double *trajectory);
+
+/* algorithm.c: lets iterate and trial change places. */
+void retrax_swap(retrax_search *search);
+
+/* algorithm.c: copies natural sizes. */
+void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, retrax_scale *to);
+
+#endif /* RETRAX_SEARCH_H */
