@@ -248,7 +248,7 @@ def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
 
 
 def _rest(problem: OptimalControlProblem, count: int) -> Any:
-    first = within_bounds(problem.limits, resting_control(problem.controls))
+    first = within_bounds(problem._limits, resting_control(problem.controls))
     return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), first)
 
 
