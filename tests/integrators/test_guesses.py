@@ -276,7 +276,7 @@ def test_controls_begin_inside_bounds_that_exclude_rest():
         goal = np.eye(4)
         goal[:3, 3] = x, y, z
         given = default_guess(problem, method, start, (goal, np.zeros(6)), steps)
-        assert np.all((given.controls > 0) & (given.controls < problem.limits.upper[0]))
+        assert np.all((given.controls > 0) & (given.controls < problem._limits.upper[0]))
         found = solver.solve(start, (goal, np.zeros(6)), 1.5, throw=False)
         hovering = given._replace(controls=np.full((2 * steps, 4), 0.5 * 9.81 / 4))
         best = solver.solve(start, (goal, np.zeros(6)), 1.5, guess=hovering)
