@@ -7,7 +7,6 @@ from .extent_kernels import STILL, larger
 from .lu import back_substitute, decompose
 from .vectors import add, compiled, entry, filled, inner, magnitude, put, put_entry, subtract, vector
 
-FARTHEST = 1e2
 MATTERS = 1e-3  # of what changes the cost by as much as all others do: a unit is no less
 EXPLODES = 64.0  # times as far in twice the time: no chain of six integrators comes as far
 
@@ -237,15 +236,15 @@ def _size(sums: tuple, own: tuple, reach: np.ndarray, asked: float, convex: bool
 def _farthest(own: np.ndarray, reach: np.ndarray, a: int, n: int) -> float:
     """The largest unit of a coordinate of the states that controls move without bound, as where a plant is unstable.
 
-    It is so many times what the coordinate moves itself, or, if it rests, what it moves while another one does.
+    It is what the coordinate moves itself, or, if it rests, what it moves while another one does.
     """
     if own[a] > 0:
-        return FARTHEST * own[a]
+        return own[a]
     moved = 0.0
     for b in range(n):
         if reach[b] > 0:
             moved = larger(moved, own[b] / reach[b])
-    return FARTHEST * moved * reach[a] if moved > 0 else np.inf
+    return moved * reach[a] if moved > 0 else np.inf
 
 
 @inner
