@@ -12,8 +12,6 @@
 #define STILL 1e-12
 /* A coordinate that controls reach by a smaller share of the terms of that sum is not reached: root of the precision. */
 #define ROUNDING 1.4901161193847656e-08
-/* Times its own motion, the largest size of a coordinate that controls move without bound. */
-#define FARTHEST 1e2
 /* Share of what changes the cost by as much as all others do: a size is no less. */
 #define MATTERS 1e-3
 /* Times as far in twice the time, controls move a coordinate without bound: no chain of six integrators comes as far. */
@@ -308,19 +306,19 @@ static double size_of(const scaling *own, double asked, bool convex) {
     return most > 0.0 && most < asked ? most : asked;
 }
 
-/* The largest size of a coordinate of the states that controls move without bound, as where a plant is unstable: so many
- * times what it moves itself, or, if it rests, what it moves while another one does. */
+/* The largest size of a coordinate of the states that controls move without bound, as where a plant is unstable: what it moves
+ * itself, or, if it rests, what it moves while another one does. */
 static double farthest_of(const scaling *own, retrax_index a) {
     double moved = 0.0;
     if (own->data->sizes[a] > 0.0) {
-        return FARTHEST * own->data->sizes[a];
+        return own->data->sizes[a];
     }
     for (retrax_index b = 0; b < own->n; b++) {
         if (own->reach[b] > 0.0) {
             moved = retrax_larger(moved, own->data->sizes[b] / own->reach[b]);
         }
     }
-    return moved > 0.0 ? FARTHEST * moved * own->reach[a] : INFINITY;
+    return moved > 0.0 ? moved * own->reach[a] : INFINITY;
 }
 
 /* The most that a coordinate changes the cost by that moves by its size. */
