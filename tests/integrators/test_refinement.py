@@ -154,6 +154,7 @@ def test_parameters_hold_in_arcs_too(force):
     found = solve(problem, *given, method=Gauss(2, Addition(PLANE)), steps=5, parameters=force, accuracy=1e-10)
     assert found.horizon == pytest.approx(time / rate, rel=1e-9)
     assert np.min(np.abs(found.times - switch / rate)) < 1e-9
+    assert found.steps < 20  # both arcs are parabolas: no step of theirs is divided
 
 
 @pytest.mark.parametrize("slopes", [(0.5,), pytest.param((-0.3, 0.01, 0.2, 0.8, 1.1), marks=pytest.mark.slow)])
