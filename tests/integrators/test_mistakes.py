@@ -5,6 +5,7 @@ import re
 import traceback
 
 import pytest
+from retrax.integrators.text import LONGEST_VALUE, brief
 
 MOST_LINES = 8
 SETTING = """
@@ -185,3 +186,9 @@ def test_a_mistake_ends_in_a_sentence_on_a_screen(name, monkeypatch):
     assert lines, "nothing is raised"
     assert re.search(words, lines[-1]), "\n".join(lines)
     assert len(lines) <= MOST_LINES + ("retrax" not in lines[-1].partition(":")[0])
+
+
+@pytest.mark.parametrize("length", [1, LONGEST_VALUE, LONGEST_VALUE + 1, 10 * LONGEST_VALUE])
+def test_long_values_are_cut_in_messages_and_others_are_whole(length):
+    digits = str(10 ** (length - 1))
+    assert brief(int(digits)) == (digits if length <= LONGEST_VALUE else f"{digits[:LONGEST_VALUE]}...")

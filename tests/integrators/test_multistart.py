@@ -58,6 +58,7 @@ def test_a_parameter_may_be_free():
         ({"seed": True}, "seed must be"),
         ({"solver": PROBLEM}, "multistart takes a Solver"),
         ({"horizon": -1.0}, "horizon must be a positive finite time"),
+        ({"start": (np.stack([np.eye(3)] * 2), np.zeros((2, 2)))}, "start.* shape"),
     ],
 )
 def test_wrong_arguments_are_named(wrong, words):

@@ -3,7 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Free, OptimalControlProblem, Phase, solve, solve_phases
+from retrax.integrators import Free, Guess, OptimalControlProblem, Phase, solve, solve_phases
+from retrax.integrators.boundary_value.phase_guess import guessed_phases
 from retrax.manifolds import SO, ConvergenceError, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 from scipy.optimize import minimize_scalar
@@ -44,6 +45,16 @@ def test_bang_bang_arcs_of_a_double_integrator():
     again = solve_phases(bang_bang(100.0, (1.0, 1.0)), guess=found)
     assert again.phases[0].statistics.iterations <= 1
     assert "phase 1" in str(again)
+
+
+def test_a_phase_without_a_guess_begins_where_the_guess_of_the_one_before_ends():
+    along = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: u @ u / 2, 1)
+    known = Guess(np.array([[0.5], [2.0]]), np.ones((2, 1)))
+    first = Phase(along, Midpoint(Addition(LINE)), 2, 1.0, start=np.zeros(1), guess=known)
+    second = Phase(along, Midpoint(Addition(LINE)), 2, 1.0, end=np.array([4.0]))
+    before, after = guessed_phases([first, second], [True])
+    assert before.guess is known
+    np.testing.assert_allclose(after.guess.states[:, 0], [2.5, 3.5], rtol=1e-12)
 
 
 BODY, ANGLE, AXIS = SO(3) * Euclidean(3), 2.0, np.array([0.0, 0.0, 1.0])

@@ -45,6 +45,20 @@ def test_a_limit_that_is_said_twice_has_two_multipliers_that_are_not_determined(
             assert found.checks.strict_minimum == (more > 1e-10)
 
 
+@pytest.mark.parametrize("room", [0.0, 0.2])
+def test_an_equation_of_an_end_on_a_limit_is_said_with_both_names(room):
+    """The place where the trajectory ends, at any speed, and a wall beyond which no node lies."""
+    ends = {"place": lambda first, last: last[0] - 1.0}
+    solver = solver_of({}, node_constraints={"wall": lambda q: q[0] - 1.0 - room}, boundary_constraints=ends)
+    found = solver.solve(np.zeros(2), None, 1.0, throw=False)
+    assert (TOGETHER in found.result) == (room == 0.0), found.result
+    if room == 0.0:
+        assert "wall" in found.result
+        assert "place" in found.result
+    else:
+        assert found.cost == pytest.approx(1.5, rel=1e-9)
+
+
 def test_a_limit_on_a_bound_is_said_with_both_names():
     found = solved(solver_of({"force": lambda q, u: u[0] - 5}, control_bounds=(-5.0, 5.0)))
     assert found.success

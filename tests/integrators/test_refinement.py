@@ -143,6 +143,20 @@ def test_a_coast_between_two_switches_comes_with_a_limit_of_the_speed(stages, st
 DECAY = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, control_bounds=(-1, 1))
 
 
+@pytest.mark.parametrize("force", [4.0, pytest.param(0.25, marks=pytest.mark.slow)])
+def test_parameters_hold_in_arcs_too(force):
+    """A force of ``c`` in place of one, with times ``sqrt(c)`` times as short."""
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u, c: jnp.stack([q[1], c * u[0]]), lambda q, u, c: 1.0, 1, control_bounds=(-1, 1)
+    )
+    (time, switch, _), rate = quickest(0.9), np.sqrt(force)
+    given = np.array([0.0, 0.9 * rate]), np.array([1.0, 0.0]), Free(1.5)
+    found = solve(problem, *given, method=Gauss(2, Addition(PLANE)), steps=5, parameters=force, accuracy=1e-10)
+    assert found.horizon == pytest.approx(time / rate, rel=1e-9)
+    assert np.min(np.abs(found.times - switch / rate)) < 1e-9
+    assert found.steps < 20  # both arcs are parabolas: no step of theirs is divided
+
+
 @pytest.mark.parametrize("slopes", [(0.5,), pytest.param((-0.3, 0.01, 0.2, 0.8, 1.1), marks=pytest.mark.slow)])
 def test_ends_on_a_set_hold_in_arcs_too(slopes):
     """To the line ``x = 1 + c v`` in least time: forward, and for the last ``c`` of the time backward."""

@@ -150,3 +150,17 @@ def test_the_basis_of_a_bundle_does_not_jump_with_rounding(base):
         return vec.size(vec.subtract(bundle.basis(moved), bundle.basis(z)))
 
     assert np.max(change(jax.random.split(jax.random.key(0), 200))) < 1e-12
+
+
+@every_base
+def test_the_parts_of_a_covector_pair_with_what_is_lifted(base):
+    """``<c, lift(a, b)> = <s, a> + <t, b>``, with ``s`` and ``t`` tangent, for a covector that is not."""
+    manifold, draw = MANIFOLDS[base], np.random.default_rng(0)
+    bundle = TangentBundle(manifold)
+    x, v, frame = draw_point(manifold, 0)
+    x, v, a, b = map(unflat(manifold), (x, v, draw_tangent(draw, frame, 1.0), draw_tangent(draw, frame, 1.0)))
+    covector = tuple(unflat(manifold)(draw.standard_normal(flat(x).size)) for _ in range(2))
+    s, t = bundle.parts((x, v), covector)
+    np.testing.assert_allclose([flat(manifold.projection(x, w)) for w in (s, t)], [flat(s), flat(t)], atol=1e-14)
+    paired = vec.pairing(covector, bundle.lift((x, v), a, b))
+    np.testing.assert_allclose(paired, vec.pairing(s, a) + vec.pairing(t, b), rtol=1e-12)

@@ -42,6 +42,7 @@ def _derivatives(name):
     "exponential-S2",
     "projection-S2",
     "cayley-SO3",
+    "cayley-St42",
     "polar-SO3",
     "projection-H2",
     "quadratic-SPD2",

@@ -5,8 +5,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import given
-from retrax.manifolds import SO, DomainError, InvalidInputError, Sphere
-from retrax.retractions import Adjoint, Cayley, Euler, Exponential, Midpoint, Projection, Theta
+from retrax.manifolds import SO, DomainError, Euclidean, InvalidInputError, Sphere
+from retrax.retractions import (
+    Addition,
+    Adjoint,
+    Cayley,
+    Euler,
+    Exponential,
+    Midpoint,
+    ProductRetraction,
+    Projection,
+    Theta,
+)
 from retrax.retractions.discretization import newton_preimage
 from retrax.testing import check_discretization_map
 from retrax.testing.checks.discretization import flat_ends
@@ -114,3 +124,12 @@ def test_a_map_of_a_product_is_the_product_of_maps(seed):
     x, v = map(unflat(product.manifold), (x, v))
     ends, sphere = product(x, v), Theta(Exponential(Sphere(2)), 0.3)(x[1], v[1])
     np.testing.assert_allclose(np.stack(sphere), np.stack([ends[0][1], ends[1][1]]), atol=1e-15)
+
+
+def test_the_inverse_of_a_map_of_a_product_returns_with_two_retractions():
+    space, plane = Sphere(2) * Euclidean(1), Addition(Euclidean(1))
+    first, second = (ProductRetraction(own, plane) for own in (Exponential(Sphere(2)), Projection(Sphere(2))))
+    x, v, _ = draw_point(space, 0)
+    z = tuple(map(unflat(space), (x, 0.3 * v)))
+    discretization = Theta(first, 0.3, second)
+    np.testing.assert_allclose(flat(discretization.preimage(*discretization(*z))), flat(z), atol=1e-12)

@@ -125,14 +125,16 @@ BOUNDS = {
 
 
 @pytest.mark.parametrize("name", BOUNDS)
+@pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
 @given(seed=SEEDS)
-def test_vectors_shorter_than_the_rank_allows_are_in_the_domain(name, seed):
+def test_vectors_shorter_than_the_rank_allows_are_in_the_domain_in_any_unit(name, unit, seed):
     retraction, bound = BOUNDS[name]
     x, v = draw(retraction.manifold, seed, 1.0)
+    x = unit * x
     v = v * (1 - 1e-3) * bound * np.linalg.svd(x)[1][1] / np.linalg.norm(v, 2)
     inside, back = fixed_rank_facts(name)(x, v)
     assert inside
-    np.testing.assert_allclose(back, v, atol=1e-13)
+    np.testing.assert_allclose(back, v, atol=1e-13 * unit)
 
 
 @lru_cache

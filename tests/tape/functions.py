@@ -123,6 +123,7 @@ SMOOTH = {
     "whole numbers": lambda x: x * ((5 * x).astype(int) // 2 + (7 * x).astype(int) % 3),
     "complex": lambda x: _complex(x),
     "complex roots": lambda x: _both(jnp.sqrt(_around(x)) + jax.lax.rsqrt(_around(x)[::-1])),
+    "roots of negative numbers": lambda x: jnp.imag(jnp.sqrt((x - 2).astype(complex))),
     "complex trigonometric": lambda x: _both(
         jnp.sin(_around(x)) * jnp.cos(2 * _around(x)) + jnp.tan(1 - _around(x)[::-1])
     ),

@@ -4,7 +4,9 @@ import os
 
 import numpy as np
 import pytest
+from retrax.integrators.boundary_value.engine.border import Response
 from retrax.integrators.boundary_value.engine.elimination import BlockSystem, eliminate, is_strict_minimum
+from retrax.integrators.boundary_value.engine.joint import JointConditions
 from retrax.integrators.boundary_value.engine.scaling import Units, natural_units
 
 from .systems import assert_solves, dense, flat, matrix, random_system
@@ -212,3 +214,14 @@ def test_focal_points_inside_a_trajectory_cost_no_digits(off):
     assert is_strict_minimum(solution, constraints(system)).all()
     expected = np.linalg.solve(matrix(system, 0), dense(system, 0)[3])
     assert np.max(np.abs(flat(solution, 0) - expected)) < 1e-11 * np.max(np.abs(expected))
+
+
+@pytest.mark.parametrize("bad", [None, "steps", "multipliers"])
+def test_the_step_of_a_phase_is_finite_where_its_steps_and_its_multipliers_are(bad):
+    draw, free = np.random.default_rng(0).standard_normal, (np.array([1]), np.array([0, 1]))
+    parts = {"steps": draw((2, 4, 3, 4)), "multipliers": draw((2, 5, 2, 4))}
+    if bad is not None:
+        parts[bad][1, 2, 0, 1] = np.nan
+    ends = draw((2, 1, 4)), draw((2, 2, 4)), np.zeros((2, 2)), np.ones((2, 2)), free, np.zeros(2), np.ones(2)
+    found = JointConditions._step(Response(*parts.values(), *ends), draw((2, 1)), draw((2, 2)), draw((2, 2)))
+    assert found.finite.tolist() == [True, bad is None]

@@ -173,3 +173,16 @@ def test_the_pass_is_made_for_tapes_of_one_trajectory():
         )
         traced = solver._posing.traced(None)
         assert (traced.steps.trial(traced.nodes, 200 * steps) is not None) == made
+
+
+def test_frames_of_controls_count_where_their_space_is_curved():
+    """Orthonormal frames ``E`` of a sphere: ``E' E = I - u u'``; in a flat space there is nothing that keeps its
+    size."""
+    u = np.array([0.6, 0.0, 0.8])
+    for controls, curved in ((Euclidean(3), False), (SPHERE, True)):
+        problem = OptimalControlProblem(LINE, lambda q, u: u[:1], lambda q, u: q @ q / 2, controls=controls)
+        nodes = Solver(problem, Midpoint(Addition(LINE)), 2)._posing.traced(None).nodes
+        found = nodes.control_support(np.broadcast_to(u, (1, 2, 1, 3)))
+        assert (found is not None) == curved
+        if curved:
+            np.testing.assert_allclose(np.sum(found**2, axis=1), [1 - u**2], atol=1e-14)

@@ -424,6 +424,7 @@ def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last, inter
     found = solve(ALY_CHAN, *given, method=MIDPOINT, steps=8, callback=stop, **known)
     assert [iteration.number for iteration in seen] == list(range(len(seen)))
     assert all(np.isfinite(iteration.defect).all() and np.isnan(iteration.cost).all() for iteration in seen)
+    assert {np.shape(part) for iteration in seen for part in iteration[1:]} == {(1,)}  # one member
     assert found.success == (last == 100)
     assert len(seen) == (found.statistics.iterations + 1 if found.success else last + 1)
     if not found.success:

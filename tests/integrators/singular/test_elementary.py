@@ -51,6 +51,7 @@ def test_goddard_s_rocket_in_closed_form():
     assert signatures(exact) == [(2, 0, 4)]
     assert exact.stratum.levels == {exact.phase.u[0]: 2}
     assert exact.zero_costate_excluded
+    assert exact.excluded == 1  # p = 0
     assert "exp(500 - 500*q1)" in str(exact)
 
 

@@ -211,7 +211,9 @@ def test_a_traced_function_has_the_values_of_the_function():
     def function(x):
         y = jnp.concatenate([x[1:], x[:1] ** 3])
         return (
-            jnp.sum(jnp.sin(matrix @ y) * jnp.exp(x[:2]) / (1 + jnp.sqrt(x[0]) ** 2)) + jnp.stack([y[2], x[0]]) @ x[1:]
+            jnp.sum(jnp.sin(matrix @ y) * jnp.exp(x[:2]) / (1 + jnp.sqrt(x[0]) ** 2))
+            + jnp.stack([y[2], x[0]]) @ x[1:]
+            + jnp.arange(3.0) @ x
         )
 
     symbols = np.array(sympy.symbols("x1:4"), dtype=object)
