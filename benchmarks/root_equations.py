@@ -10,16 +10,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from retrax.compute.automatic import AutomaticEvaluator
 from retrax.integrators import SymplecticIntegrator, classify, solve
+from retrax.integrators.boundary_value.audit.discretization_error import Propagator, _AtOnce, _tableau
 from retrax.integrators.boundary_value.engine.chart import Chart
-from retrax.integrators.boundary_value.propagation import Propagator, _AtOnce, _tableau
 from retrax.integrators.boundary_value.shooting.least_squares import least_squares
-from retrax.integrators.evaluator import Automatic
 from retrax.integrators.initial_value.step import StepEquations
-from retrax.integrators.singular.integrability.jets import DerivativeArray
-from retrax.integrators.singular.integrability.points import select
+from retrax.integrators.singular.integrability.derivative_array import DerivativeArray
+from retrax.integrators.singular.integrability.random_points import random_starts
+from retrax.integrators.singular.integrability.sample_points import select
 from retrax.integrators.singular.integrability.search import make_consistent
-from retrax.integrators.singular.integrability.starts import random_starts
 from retrax.manifolds import SO, CotangentBundle, LevelSet, Sphere, Stiefel
 from retrax.manifolds.level_set import GAUSS_NEWTON_STEPS, positive_norms
 from retrax.manifolds.numerics import ambient as vec
@@ -273,7 +273,7 @@ def centres():
         return Posed(residual, jnp.zeros(3))
 
     def host():
-        chart = Chart(retraction, Automatic())
+        chart = Chart(retraction, AutomaticEvaluator())
 
         def found(data):
             x = chart.centres(*(a.reshape(-1, 9) for a in data)).reshape(-1, 3, 3)

@@ -26,11 +26,12 @@ import jax.numpy as jnp
 import lineax
 import numpy as np
 import optimistix
-from retrax.integrators import Flow, compilation, evaluator
+from retrax.compute import automatic, jit_cache
+from retrax.integrators import Flow
 from retrax.integrators.initial_value.inverse_kernels import invert
 from retrax.kernels import kernel
 from retrax.manifolds.numerics.chord_newton import row_sizes
-from retrax.reading import Reading, resumed
+from retrax.tracing import Tracing, resume_tracing
 from root_equations import CASES, COUNT, SYSTEMS, pose_step, states
 
 jax.config.update("jax_enable_x64", True)
@@ -81,8 +82,8 @@ def taken(data, which):
 def forgotten():
     """Drop all that is traced or compiled."""
     jax.clear_caches()
-    compilation._compiled.clear()
-    evaluator._tapes.clear()
+    jit_cache._compiled.clear()
+    automatic._tapes.clear()
 
 
 def prepared(function, arguments):
@@ -93,7 +94,7 @@ def prepared(function, arguments):
     marks.append(time.perf_counter())
     lowered = traced.lower()
     marks.append(time.perf_counter())
-    compiled = lowered.compile(compilation.compiler_options())
+    compiled = lowered.compile(jit_cache.compiler_options())
     marks.append(time.perf_counter())
     return compiled, np.diff(marks)
 
@@ -171,10 +172,10 @@ def iterations(case, name, tolerance):
 
 def in_a_reading(function):
     """The function, of which calls that follow find what one has traced."""
-    reading = Reading()
+    reading = Tracing()
 
     def call(data):
-        with resumed(reading):
+        with resume_tracing(reading):
             return function(data)
 
     return call

@@ -21,11 +21,11 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from retrax.compute.threads import one_thread
 from retrax.integrators import OptimalControlProblem, Solver
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.retractions import Cayley, Midpoint
 from retrax.sweeps import Study, sweep
-from retrax.threads import one_thread
 from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)

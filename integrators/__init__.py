@@ -13,11 +13,11 @@ from ..retractions import Gauss
 from . import boundary_value, dirac, initial_value, stages
 from .boundary_value import *
 from .dirac import *
-from .free import Free
 from .initial_value import *
-from .problem import OptimalControlProblem
-from .quantities import Quantities, Quantity
-from .results import Result
+from .problem.free_quantities import Free
+from .problem.optimal_control_problem import OptimalControlProblem
+from .problem.quantities import Quantities, Quantity
+from .reporting.results import Result
 from .singular import Classification, SingularIntegrator, classify, singular_integrator
 from .stages import *
 

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from ..indices import require_indices
-from ..reading import in_one_reading, traced
+from ..index_bounds import require_indices
+from ..tracing import in_one_tracing, trace_program
 from .manifold import Manifold
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, is_traced
@@ -26,8 +26,8 @@ from .verdict import Verdict
 
 RANDOM_STARTS = 20
 GAUSS_NEWTON_STEPS = 30
-NAMED = 6  # most equations that are named
-LOST = "rank lost by the constraint's Jacobian"
+MOST_NAMED = 6  # most equations that are named
+LOST_RANK = "rank lost by the constraint's Jacobian"
 
 
 def _dependent(rows: Float[Array, "m N"]) -> Bool[Array, " m"]:
@@ -98,7 +98,7 @@ class LevelSet(Manifold):
                 f"{signature(type(self).constraint)}"
             ) from error
         values = shapes_of(self.constraint, what, self.ambient)
-        require_indices(traced(self.constraint, self.ambient), what)
+        require_indices(trace_program(self.constraint, self.ambient), what)
         if not hasattr(values, "size"):
             raise InvalidInputError(f"{what} returns an array, got {values}; try jnp.stack([...])")
         if not jnp.issubdtype(values.dtype, jnp.floating):
@@ -140,7 +140,7 @@ class LevelSet(Manifold):
         x : array
             A point near the manifold.
         """
-        return in_one_reading(LevelSet._jacobian, self)(x)
+        return in_one_tracing(LevelSet._jacobian, self)(x)
 
     def _jacobian(self, x: Array) -> Float[Array, "m N"]:
         return jax.jacrev(self.equations)(x).reshape(-1, prod(self.shape))
@@ -180,23 +180,23 @@ class LevelSet(Manifold):
     def violations(self, x: Array) -> dict[str, Array]:
         values, j = self.in_lengths(x)
         off = vec.size(values) / jnp.maximum(vec.size(x), 1.0)
-        return {"max |constraint / its gradient|": off, LOST: jnp.sum(_dependent(j))}
+        return {"max |constraint / its gradient|": off, LOST_RANK: jnp.sum(_dependent(j))}
 
     def contains(self, x: Ambient, tolerance: float | None = None) -> Verdict:
         verdict = super().contains(x, tolerance)
-        return Verdict(False, verdict.reason + self._dependence(x)) if LOST in verdict.reason else verdict
+        return Verdict(False, verdict.reason + self._dependence(x)) if LOST_RANK in verdict.reason else verdict
 
     def _dependence(self, x: Ambient) -> str:
         """Words on the equations that depend on earlier equations at ``x``, empty for independent equations."""
         dependent = np.asarray(_dependent(self.in_lengths(jnp.asarray(x))[1]))
         found = np.flatnonzero(dependent)
-        named = ", ".join(map(str, found[:NAMED])) + (", ..." if len(found) > NAMED else "")
+        named = ", ".join(map(str, found[:MOST_NAMED])) + (", ..." if len(found) > MOST_NAMED else "")
         rows = f"; of its values, counted from 0 row by row, {named} follow from those before, or have no gradient"
         return rows if found.size and dependent.size > 1 else ""
 
     def _hint(self, words: str, value: float) -> str:
         lost = "its equations must be independent: leave out one that follows from others, and take c in place of c**2"
-        return f"; {lost}" if words == LOST else super()._hint(words, value)
+        return f"; {lost}" if words == LOST_RANK else super()._hint(words, value)
 
     def random_point(self, key: Array) -> Array:
         """A random ambient point moved to the level set by least squares; an error if 20 draws find none."""

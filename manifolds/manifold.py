@@ -19,7 +19,7 @@ from .numerics.precision import default_tolerance
 from .numerics.shapes import check_shapes, require_shapes
 from .verdict import Verdict
 
-NEAR = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
+LOST_DIGITS = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
 
 
 class Manifold(Module):
@@ -172,7 +172,7 @@ class Manifold(Module):
 
     def _hint(self, words: str, value: float) -> str:
         """Advice for a point that violates the equation of these words by a value, behind a semicolon."""
-        return "; restore(x) brings a point near the manifold onto it" if value < NEAR else ""
+        return "; restore(x) brings a point near the manifold onto it" if value < LOST_DIGITS else ""
 
     def is_tangent(self, x: Ambient, v: Ambient, tolerance: float | None = None) -> Verdict:
         """Whether ``v`` is tangent at ``x``: its normal part is small relative to ``1 + max |v|``.

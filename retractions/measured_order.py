@@ -18,7 +18,7 @@ from .constructions.second_order import acceleration, metric_on
 from .differential import differentiated
 from .retraction import Retraction
 
-LENGTHS = 2.0 ** -np.arange(5, 12)
+MEASURED_LENGTHS = 2.0 ** -np.arange(5, 12)
 UNSEEN = 1e3  # times eps: errors that may be rounding
 
 
@@ -134,11 +134,13 @@ def _measure(retraction: Retraction, metric: Metric, x: Ambient, v: Ambient) -> 
 
         velocity = vec.subtract(differentiated(retraction, x, rest, v), v)
         base = vec.subtract(retraction(x, rest), x)
-        return vec.size(base), vec.size(velocity), vec.size(bend), jax.vmap(error)(jnp.asarray(LENGTHS))
+        return vec.size(base), vec.size(velocity), vec.size(bend), jax.vmap(error)(jnp.asarray(MEASURED_LENGTHS))
 
     return jax.vmap(one)(x, v)
 
 
 def _slope(errors: np.ndarray) -> float:
     """Slope of ``log error`` over ``log t`` where the errors are above rounding; infinite where none of them is."""
-    return slope(LENGTHS, errors, UNSEEN * tolerance(errors, 1.0), 2) if np.all(np.isfinite(errors)) else np.nan
+    return (
+        slope(MEASURED_LENGTHS, errors, UNSEEN * tolerance(errors, 1.0), 2) if np.all(np.isfinite(errors)) else np.nan
+    )

@@ -13,7 +13,9 @@ from .retraction import Retraction, nan_unless
 
 NEWTON_STEPS = 10  # quadratically convergent: from a tenth to rounding in four
 ON_IT = 0.75  # power of the machine epsilon: violations of a point that they led to, which grow with it
-FAR = 0.25  # and of those that no point has, however large it is: of inequalities they do not grow with it
+RESTORATION_DOMAIN = (
+    0.25  # and of those that no point has, however large it is: of inequalities they do not grow with it
+)
 
 
 @final
@@ -46,5 +48,5 @@ class ProjectionByNewton(Retraction):
     def retract(self, x: Ambient, v: Ambient) -> Ambient:
         y, _ = jax.lax.scan(lambda y, _: (self.manifold.restore(y), None), vec.add(x, v), length=NEWTON_STEPS)
         worst = jnp.max(jnp.stack([jnp.zeros(()), *self.manifold.violations(y).values()]))
-        allowed = jnp.minimum(tolerance(worst, ON_IT) * (1 + vec.size(y)), tolerance(worst, FAR))
+        allowed = jnp.minimum(tolerance(worst, ON_IT) * (1 + vec.size(y)), tolerance(worst, RESTORATION_DOMAIN))
         return nan_unless(worst <= allowed, y)

@@ -21,7 +21,7 @@ from ..manifolds.numerics.shapes import require_shapes
 from ..module import Module
 
 DERIVED = ("preimage", "domain", "frame", "chart", "both_ways")
-ROUNDING = 8  # units of it in the entries of a point, by which the value of an inverse may miss it anywhere
+INVERSE_ROUNDING = 8  # units of it in the entries of a point, by which the value of an inverse may miss it anywhere
 
 
 class Retraction(Module):
@@ -212,7 +212,7 @@ def is_reached(manifold: Manifold, y: Ambient, z: Ambient, x: Ambient, v: Ambien
     """
     miss = vec.subtract(z, y)
     half = manifold.length(y, miss) <= default_tolerance() * (1 + manifold.length(x, v))
-    rounding = vec.size(miss) <= ROUNDING * jnp.finfo(vec.size(miss).dtype).eps * vec.size((x, y))
+    rounding = vec.size(miss) <= INVERSE_ROUNDING * jnp.finfo(vec.size(miss).dtype).eps * vec.size((x, y))
     # Beside the image v may be as long as one likes, and half of its digits say nothing.
     return same_point(z, y, default_tolerance()) & (half | rounding)
 

@@ -11,7 +11,9 @@ from jaxtyping import Array, Bool, Shaped
 
 from ..manifolds.numerics.tolerances import HALF
 
-EDGE = 8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
+SINGULAR_DISTANCE = (
+    8  # distance from a singular matrix, in rounding units, below which an inverse is taken to have none
+)
 POINT = 4  # rounding units to which a retraction computes a point
 
 
@@ -29,4 +31,4 @@ def length(v: Shaped[Array, "..."]) -> Array:
 def is_seen_beside(v: Shaped[Array, "..."]) -> Bool[Array, ""]:
     """Whether rounding of ``x + v``, ``x`` of size 1, leaves what is of ``x``: where ``v`` is shorter than ``1 / (EDGE
     eps)``."""
-    return length(jax.lax.stop_gradient(v)) * EDGE * jnp.finfo(v.dtype).eps < 1
+    return length(jax.lax.stop_gradient(v)) * SINGULAR_DISTANCE * jnp.finfo(v.dtype).eps < 1

@@ -9,7 +9,7 @@ from zlib import crc32
 import jax
 import pytest
 from hypothesis import HealthCheck, settings
-from retrax.reading import Reading, resumed
+from retrax.tracing import Tracing, resume_tracing
 from retrax.undisturbed import ROOM
 
 jax.config.update("jax_enable_x64", True)
@@ -143,13 +143,13 @@ def few_memory_maps():
 @pytest.fixture(scope="session")
 def reading():
     """One for all modules: in another one JAX would trace its own functions anew too, as all that users call."""
-    return Reading()
+    return Tracing()
 
 
 @pytest.fixture(scope="module")
 def traced_once(reading):
     """For modules whose functions do not change: what one call traces of them is not traced again by the next."""
-    with resumed(reading):
+    with resume_tracing(reading):
         yield
 
 

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.indices import require_indices
+from retrax.index_bounds import require_indices
 from retrax.integrators import (
     DiracIntegrator,
     DiracSystem,
@@ -18,8 +18,8 @@ from retrax.integrators import (
     integrate,
 )
 from retrax.manifolds import Euclidean, InvalidInputError, LevelSet
-from retrax.reading import traced
 from retrax.retractions import CotangentLift, Midpoint, default_retraction
+from retrax.tracing import trace_program
 
 A = np.arange(9.0).reshape(3, 3)
 
@@ -79,7 +79,7 @@ INSIDE: dict[str, Any] = {
 def test_an_index_outside_is_refused_with_its_line(name):
     function, index, axis = OUTSIDE[name]
     with pytest.raises(InvalidInputError) as caught:
-        require_indices(traced(function, np.ones(3)), "the cost")
+        require_indices(trace_program(function, np.ones(3)), "the cost")
     line = inspect.getsourcelines(inspect.unwrap(function))[1]
     assert f"has index {index} on axis {axis} of an array of shape (3" in str(caught.value)
     assert f", line {line} of {__file__}," in str(caught.value)
@@ -87,14 +87,14 @@ def test_an_index_outside_is_refused_with_its_line(name):
 
 @pytest.mark.parametrize("name", INSIDE)
 def test_other_indices_are_not(name):
-    require_indices(traced(INSIDE[name], np.ones(3)), "the cost")
+    require_indices(trace_program(INSIDE[name], np.ones(3)), "the cost")
 
 
 @pytest.mark.parametrize("index", range(-5, 6))
 def test_the_range_that_is_named_is_that_which_is_accepted(index):
     def refused(k: int) -> str:
         try:
-            require_indices(traced(lambda u: u[k] + 0 * (A * u)[k, 0], np.ones(3)), "the cost")
+            require_indices(trace_program(lambda u: u[k] + 0 * (A * u)[k, 0], np.ones(3)), "the cost")
         except InvalidInputError as error:
             return str(error)
         return ""

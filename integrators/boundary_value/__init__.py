@@ -1,24 +1,24 @@
 """Boundary-value problems: stages assembled into a KKT system, its linear algebra, Newton's method, solution and
 report."""
 
-from .batch_file import load_solutions
-from .checks import Checks, RegularChecks, SingularChecks
-from .continuation import Continuation, continuation
-from .differentiable import DifferentiableSolution
+from .audit.discretization_error import DiscretizationError, discretization_error
+from .audit.singular_arcs import ClassifiedArc, find_singular_arcs
+from .audit.step_errors import StepErrors, step_errors
+from .audit.switching_structure import SwitchingStructure, switching_structure
+from .drivers.continuation import Continuation, continuation
+from .drivers.multistart import multistart
+from .drivers.phase_transcription import PhaseEnds
+from .drivers.phases import Phase, solve_phases
 from .guess import Guess, default_guess
-from .multistart import multistart
-from .phased_solution import PhasedSolution
-from .phases import Phase, solve_phases
-from .posed_phase import PhaseEnds
-from .propagation import DiscretizationError, discretization_error
-from .sensitivity import Derivative, Sensitivity
-from .singular_arcs import ClassifiedArc, find_singular_arcs
-from .solution import SingularArc, Solution, Statistics, load_solution
-from .solutions import Solutions
+from .solution.batch import Solutions
+from .solution.batch_file import load_solutions
+from .solution.diagnostics import Checks, RegularChecks, SingularChecks
+from .solution.differentiable_solution import DifferentiableSolution
+from .solution.multiphase_solution import PhasedSolution
+from .solution.record import SingularArc, Solution, Statistics, load_solution
+from .solution.sensitivity import Derivative, Sensitivity
 from .solve import solve
 from .solver import Solver
-from .step_errors import StepErrors, step_errors
-from .structure import SwitchingStructure, switching_structure
 
 __all__ = [
     "Checks",

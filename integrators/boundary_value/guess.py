@@ -10,16 +10,16 @@ from ...manifolds import DomainError, InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_finite_number
 from ...retractions import Gauss
-from ..controls import resting_control, within_bounds
-from ..layout import Layout
-from ..problem import OptimalControlProblem
-from ..records import shapes
-from ..requirements import require_treated
-from ..text import brief
-from .arguments import ALONG, BETWEEN, Method, check_problem, fractions_of
-from .end_points import EndReader
+from ..problem.initial_controls import resting_control, within_bounds
+from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.point_layout import PointLayout
+from ..problem_checks.requirements import require_treated
+from ..reporting.records import shapes
+from ..reporting.text import brief
 from .engine.rollout import RollOut, spans
 from .engine.start import Start
+from .inputs.arguments import ALONG, BETWEEN, Method, check_problem, step_fractions
+from .inputs.boundary_data import BoundaryDataReader
 
 
 class Guess(NamedTuple):
@@ -98,7 +98,7 @@ class Guess(NamedTuple):
         DomainError
             If a state is not finite.
         """
-        return rolled_out(problem, method, start, controls, horizon, steps)
+        return roll_out(problem, method, start, controls, horizon, steps)
 
     @classmethod
     def from_waypoints(
@@ -137,8 +137,8 @@ class Guess(NamedTuple):
             raise InvalidInputError(
                 f"a guess goes through at least two points, got {len(given)}; give the start, the end and more"
             )
-        rows, shares = np.stack([*map(EndReader.of(problem).point, given)]), _shares(times, len(given))
-        return through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
+        rows, shares = np.stack([*map(BoundaryDataReader.of(problem).point, given)]), _shares(times, len(given))
+        return guess_through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
 
     def __repr__(self) -> str:
         return (
@@ -179,17 +179,17 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
     If the points are opposite to each other, such as attitudes half a turn apart, several curves are shortest. The
     guess follows one of them, in a direction that is random but always the same.
     """
-    ends = EndReader.of(problem).ends(start, end, batched=False)
+    ends = BoundaryDataReader.of(problem).ends(start, end, batched=False)
     ends.require_known(start)
     rows, shares = np.concatenate([ends.start, ends.end]), np.array([0.0, 1.0])
-    return through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
+    return guess_through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
 
 
-def through(
+def guess_through(
     problem: OptimalControlProblem, method: Method, rows: np.ndarray, shares: np.ndarray, steps: Any, start: Start
 ) -> Guess:
     """The guess through flat points at these shares of the horizon; ``start`` knows the ways between them."""
-    fractions, layout = fractions_of(steps), Layout.of(problem.manifold)
+    fractions, layout = step_fractions(steps), PointLayout.of(problem.manifold)
     places = stage_places(method, fractions)
     own = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, len(rows) - 2)
     states = np.empty((len(places), layout.size))
@@ -214,7 +214,7 @@ def _shares(times: Any, count: int) -> np.ndarray:
     return (given - given[0]) / (given[-1] - given[0])
 
 
-def rolled_out(
+def roll_out(
     problem: OptimalControlProblem, method: Method, start: Ambient, controls: Any, horizon: float, steps: Any
 ) -> Guess:
     """The guess that controls lead to."""
@@ -222,8 +222,12 @@ def rolled_out(
     require_treated(problem, "Guess.from_controls", *ALONG, *BETWEEN)
     if not (is_finite_number(horizon) and horizon > 0):
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}")
-    begin = EndReader.of(problem).point(start)
-    fractions, layout, control = fractions_of(steps), Layout.of(problem.manifold), Layout.of(problem.controls)
+    begin = BoundaryDataReader.of(problem).point(start)
+    fractions, layout, control = (
+        step_fractions(steps),
+        PointLayout.of(problem.manifold),
+        PointLayout.of(problem.controls),
+    )
     places = stage_places(method, fractions)
     if callable(controls):
         values = [jax.tree.map(np.asarray, controls(float(horizon) * place)) for place in places]

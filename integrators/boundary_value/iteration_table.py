@@ -7,12 +7,12 @@ import numpy as np
 
 from .engine.found import Iteration
 
-TITLES = f"{'iteration':>9} {'cost':>16} {'defect':>9} {'stationarity':>12} {'shift':>8} {'step':>6}"
-LIMITED = f" {'violation':>9} {'barrier':>8}"  # with inequalities
+ITERATION_TITLES = f"{'iteration':>9} {'cost':>16} {'defect':>9} {'stationarity':>12} {'shift':>8} {'step':>6}"
+LIMITED_TITLES = f" {'violation':>9} {'barrier':>8}"  # with inequalities
 
 
 @final
-class Printed:
+class IterationTable:
     """A callback that prints a line for each iteration, and then calls another one."""
 
     def __init__(self, callback: Callable[[Iteration], Any] | None) -> None:
@@ -21,7 +21,7 @@ class Printed:
     def __call__(self, iteration: Iteration) -> Any:
         limited = bool(np.any(iteration.barrier > 0))
         if not iteration.number:
-            print(TITLES + (LIMITED if limited else ""))
+            print(ITERATION_TITLES + (LIMITED_TITLES if limited else ""))
         worst = int(np.argmax(np.maximum(iteration.defect, iteration.stationarity)))
         line = f"{iteration.number:>9} {iteration.cost[worst]:>16.9g} {iteration.defect[worst]:>9.1e}"
         line += (
@@ -34,14 +34,14 @@ class Printed:
         return self._callback(iteration) if self._callback is not None else None
 
 
-def told(callback: Callable[[Iteration], Any] | None, iteration: Iteration, words: str) -> bool:
+def tell(callback: Callable[[Iteration], Any] | None, iteration: Iteration, words: str) -> bool:
     """Show an iteration whose line is one of its own, and whether the user's callback wants it to be the last."""
     say(callback, words)
-    own = callback._callback if isinstance(callback, Printed) else callback
+    own = callback._callback if isinstance(callback, IterationTable) else callback
     return own is not None and bool(own(iteration))
 
 
 def say(callback: Callable[[Iteration], Any] | None, words: str) -> None:
     """Print a line on what is done now, if the callback is one that prints."""
-    if isinstance(callback, Printed):
+    if isinstance(callback, IterationTable):
         print(words, flush=True)

@@ -3,40 +3,40 @@
 from collections.abc import Sequence
 from typing import Any
 
-from .arguments import Options
-from .coupled import Own
+from .audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
 from .engine.found import Found
 from .engine.joint import JointConditions
 from .engine.newton import newton
 from .engine.parallel import newton_of_all
-from .independence import equation_words, qualified, require_independent
+from .inputs.arguments import Options
+from .transcription.linkages import PhaseProblem
 
 
-def extremals(posed: Any, options: Options) -> Found:
+def find_extremals(transcribed: Any, options: Options) -> Found:
     """The extremals of a batch of trajectories, with coupled ends if they are."""
-    traced = posed.traced
+    traced = transcribed.traced
     if traced.coupling is None:
-        return _found(posed, posed.conditions, posed.guess, options)
-    joint: Any = JointConditions((posed.conditions,), traced.coupling)
-    guess = joint.guess((posed.guess,))
+        return _find(transcribed, transcribed.conditions, transcribed.guess, options)
+    joint: Any = JointConditions((transcribed.conditions,), traced.coupling)
+    guess = joint.guess((transcribed.guess,))
     names = equation_words([traced.own])
     require_independent(joint, guess, names)
-    found: Any = _found(posed, joint, guess, options)
-    return phase_of(qualified(joint, found, names), 0, [traced.own])
+    found: Any = _find(transcribed, joint, guess, options)
+    return phase_of(check_independence(joint, found, names), 0, [traced.own])
 
 
-def _found(posed: Any, conditions: Any, guess: Any, options: Options) -> Found:
+def _find(transcribed: Any, conditions: Any, guess: Any, options: Options) -> Found:
     """The result of Newton's method, by parts of the batch if nothing needs the whole batch.
 
     A callback watches all of it, and XLA, which has threads of its own, would compile for each size of a part.
     """
-    if options.callback is not None or posed.traced.evaluator.name != "tape":
+    if options.callback is not None or transcribed.traced.evaluator.name != "tape":
         return newton(conditions, guess, *options)
-    steps, shape = posed.traced.steps, posed.conditions.data.steps.shape
+    steps, shape = transcribed.traced.steps, transcribed.conditions.data.steps.shape
     return newton_of_all(conditions, guess, (shape[0], shape[1] * steps.stages), *options[:2])
 
 
-def phase_of(found: Found, k: int, phases: Sequence[Own]) -> Found:
+def phase_of(found: Found, k: int, phases: Sequence[PhaseProblem]) -> Found:
     """The result for a phase, with the multipliers of its boundary constraints by their names."""
     joint: Any = found
     begin, boundary = sum(sum(phase.sizes.values()) for phase in phases[:k]), {}

@@ -3,30 +3,30 @@
 from collections.abc import Callable
 from typing import Any
 
-from ...reading import reads_once
+from ...former_order import accept_former_order
 from ...retractions import Gauss, default_retraction
-from ..former_order import former_order
-from ..functions import require_concrete
-from ..options import known_options
-from ..problem import OptimalControlProblem
+from ...tracing import reads_once
+from ..problem.argument_errors import require_known_options
+from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.user_functions import require_concrete
 from ..singular import Classification, SingularIntegrator
-from .arguments import Given, Method, Options, check_accuracy, require_problem
-from .differentiable import INSTEAD
+from .drivers.mesh_refinement import MeshRefinement
 from .engine.found import Iteration
 from .guess import Guess
-from .refinement import Refinement
-from .request import Request
-from .solution import Solution
+from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem
+from .inputs.inputs import Inputs
+from .solution.differentiable_solution import INSTEAD
+from .solution.record import Solution
 from .solver import Solver
 
 DEFAULT_ACCURACY = 1e-6  # relative error of the steps, where no steps are given
 DEFAULT_STEPS = 20  # of the first mesh, which is refined to an accuracy
 DEFAULT_STAGES = 3  # of the Gauss method, of order 6, where no method is given
-FORMER = "problem", "discretization", "start", "end", "horizon", "steps", "guess", "tolerance", "max_iterations"
+FORMER_ORDER = "problem", "discretization", "start", "end", "horizon", "steps", "guess", "tolerance", "max_iterations"
 
 
-@former_order(*FORMER)
-@known_options
+@accept_former_order(*FORMER_ORDER)
+@require_known_options
 @reads_once
 def solve(
     problem: OptimalControlProblem,
@@ -118,12 +118,14 @@ def solve(
         steps, accuracy = DEFAULT_STEPS, DEFAULT_ACCURACY if accuracy is None else accuracy
     solver, given = (
         Solver(problem, _default_method(problem) if method is None else method, steps),
-        Given(start, end, horizon, parameters),
+        BoundaryData(start, end, horizon, parameters),
     )
     options = Options.of(tolerance, max_iterations, callback, verbose)
-    request = Request.of(solver._reader, given, guess, options, classification, integrator)
+    inputs = Inputs.of(solver._reader, given, guess, options, classification, integrator)
     found = (
-        solver._solve(request) if accuracy is None else Refinement(solver, request, accuracy, tolerance is None).solve()
+        solver._solve(inputs)
+        if accuracy is None
+        else MeshRefinement(solver, inputs, accuracy, tolerance is None).solve()
     )
     return found.require_success() if throw else found
 

@@ -9,47 +9,47 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ...compute.automatic import choose_evaluator
+from ...compute.closure_guard import ClosureGuard
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import taken
-from ...reading import is_reading, one_reading, reads_once
-from ..evaluator import chosen
-from ..free import Free, is_free
-from ..functions import require_concrete
-from ..options import known_options
-from ..problem import OptimalControlProblem
-from ..requirements import require_treated
+from ...tracing import is_tracing, one_tracing, reads_once
+from ..problem.argument_errors import require_known_options
+from ..problem.free_quantities import Free, is_free
+from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.user_functions import require_concrete
+from ..problem_checks.requirements import require_treated
+from ..reporting.text import brief
 from ..singular import Classification, SingularIntegrator
-from ..text import brief
-from ..unchanged import Unchanged
-from .arguments import ALONG, Given, Method, Options, check_problem, fractions_of, structure_of
-from .differentiable import INSTEAD, DifferentiableSolution, extremal_of
+from .audit.audit import Audit
+from .audit.termination_status import add_compile_time, explain_failure
 from .engine.derivatives import Sensitivities
 from .engine.found import Found, Iteration
 from .engine.stopwatch import Stopwatch
-from .examination import Examination
-from .formulated import SINGULAR, Formulated
-from .formulation import Formulation
 from .guess import Guess
-from .interpolation import Interpolant
-from .outcome import compiled_longer, explained
-from .posed import Posed, Posing
-from .recording import Recording
-from .regular_extremals import extremals
+from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
+from .inputs.inputs import InputReader, Inputs
+from .reformulations.free_quantities import Reformulation
+from .reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationSolver
+from .regular_extremals import find_extremals
 from .regularity import Regularity
-from .request import Request, RequestReader
-from .resampling import Mesh
-from .sensitivity import Sensitivity, require_isolated
 from .shooting import solve_on_final_manifold
-from .solution import Solution
-from .solutions import Solutions
+from .solution.batch import Solutions
+from .solution.builder import SolutionBuilder
+from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
+from .solution.interpolation import Interpolant
+from .solution.record import Solution
+from .solution.resampling import Mesh
+from .solution.sensitivity import Sensitivity, require_isolated
+from .transcription.transcribed_problem import TranscribedProblem, Transcription
 
-HELD = ", or give what changes as parameters"
+HELD_WORDS = ", or give what changes as parameters"
 
 
-class _Kept(NamedTuple):
+class _LastSolution(NamedTuple):
     """The KKT system of a solution, which is one place of a batch."""
 
-    posed: Posed
+    posed: TranscribedProblem
     found: Found
     place: int
     parameters: Any
@@ -82,25 +82,25 @@ class Solver:
     [0.25, 1.0]
     """
 
-    @known_options
+    @require_known_options
     def __init__(
         self, problem: OptimalControlProblem, method: Method, steps: Any, evaluator: Any = "automatic"
     ) -> None:
         require_concrete("Solver", problem)
         check_problem(problem, method)
-        self.problem, self.method, self.fractions = problem, method, fractions_of(steps)
-        self._evaluator = chosen(evaluator)
-        self._posing = Posing(problem, method, self.fractions, self._evaluator)
+        self.problem, self.method, self.fractions = problem, method, step_fractions(steps)
+        self._evaluator = choose_evaluator(evaluator)
+        self._transcription = Transcription(problem, method, self.fractions, self._evaluator)
         interpolant = Interpolant(method.retraction, problem.controls)
-        mesh = Mesh(self.fractions, self._posing.stages, interpolant)
-        self._reader = RequestReader(problem, method, mesh, self._evaluator)
-        self._recording = Recording(problem, self._posing.stages, interpolant)
-        self._formulated = Formulated(self._reader, self._inner)
-        self._regularity, self._examination = Regularity(self._posing), Examination(problem)
-        self._kept: WeakKeyDictionary[Solution, _Kept] = WeakKeyDictionary()
+        mesh = Mesh(self.fractions, self._transcription.stages, interpolant)
+        self._reader = InputReader(problem, method, mesh, self._evaluator)
+        self._builder = SolutionBuilder(problem, self._transcription.stages, interpolant)
+        self._reformulation = ReformulationSolver(self._reader, self._inner)
+        self._regularity, self._audit = Regularity(self._transcription), Audit(problem)
+        self._kept: WeakKeyDictionary[Solution, _LastSolution] = WeakKeyDictionary()
         self._derivatives: dict[Any, Sensitivities] = {}
         # Of a solver that is made where functions are read, whoever made it looks after that.
-        self._unchanged = None if is_reading() else Unchanged("Solver", problem._digest, HELD)
+        self._unchanged = None if is_tracing() else ClosureGuard("Solver", problem._digest, HELD_WORDS)
         if self._unchanged is not None and not problem.takes_parameters:
             with self._unchanged.required(None):
                 self._read()
@@ -108,14 +108,14 @@ class Solver:
     def _read(self) -> None:
         """Trace the functions as they are now."""
         if self.problem.time_dependent:
-            self._formulated.of(1.0, None)[1]._read()
+            self._reformulation.of(1.0, None)[1]._read()
         else:
-            self._posing.traced(None)
+            self._transcription.traced(None)
 
-    def _inner(self, formulation: Formulation) -> "Solver":
+    def _inner(self, formulation: Reformulation) -> "Solver":
         """A solver of the problem in another formulation."""
         solver = Solver(formulation.problem, formulation.method, self.fractions, self._evaluator)
-        solver._regularity.refusal, solver._recording.formulation = SINGULAR, formulation
+        solver._regularity.refusal, solver._builder.formulation = SINGULAR_WORDS, formulation
         return solver
 
     def with_steps(self, steps: Any) -> "Solver":
@@ -127,11 +127,11 @@ class Solver:
             The number of steps, or their relative lengths.
         """
         other = copy(self)
-        other.fractions = fractions_of(steps)
-        other._posing = self._posing.on(other.fractions)
+        other.fractions = step_fractions(steps)
+        other._transcription = self._transcription.on(other.fractions)
         other._reader = self._reader.on(self._reader.mesh._replace(fractions=other.fractions))
-        other._formulated = self._formulated.on(other._reader, other._inner, steps)
-        other._regularity = self._regularity.on(other._posing)
+        other._reformulation = self._reformulation.on(other._reader, other._inner, steps)
+        other._regularity = self._regularity.on(other._transcription)
         return other
 
     def __copy__(self) -> "Solver":
@@ -153,7 +153,7 @@ class Solver:
     @property
     def stages(self) -> np.ndarray:
         """Places of the stages in a step, fractions of it."""
-        return np.array(self._posing.stages)
+        return np.array(self._transcription.stages)
 
     @property
     def evaluator(self) -> str:
@@ -178,7 +178,7 @@ class Solver:
 
     def _compile(self) -> bool:
         """Make machine code of what is traced; whether anything is."""
-        return any([self._posing.compile(), *(inner._compile() for inner in self._formulated.solvers)])
+        return any([self._transcription.compile(), *(inner._compile() for inner in self._reformulation.solvers)])
 
     def __repr__(self) -> str:
         return (
@@ -186,7 +186,7 @@ class Solver:
             f"{self.evaluator})"
         )
 
-    @known_options
+    @require_known_options
     @reads_once
     def solve(
         self,
@@ -214,50 +214,50 @@ class Solver:
         """
         require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
-        given = Given(start, end, horizon, parameters)
-        request = Request.of(self._reader, given, guess, options, classification, integrator)
-        with self._required(request.parameters_of(0)):
-            solution = self._solve(request)
+        given = BoundaryData(start, end, horizon, parameters)
+        inputs = Inputs.of(self._reader, given, guess, options, classification, integrator)
+        with self._required(inputs.parameters_of(0)):
+            solution = self._solve(inputs)
         return solution.require_success() if throw else solution
 
     def _required(self, parameters: Any) -> AbstractContextManager[Any]:
         """A time in which what is traced is what the solver has traced before."""
-        return one_reading() if self._unchanged is None else self._unchanged.required(parameters)
+        return one_tracing() if self._unchanged is None else self._unchanged.required(parameters)
 
-    def _solve(self, request: Request) -> Solution:
+    def _solve(self, inputs: Inputs) -> Solution:
         """The extremal of a request, examined."""
-        return self._examined(self._found(request), request)
+        return self._examined(self._found(inputs), inputs)
 
-    def _found(self, request: Request) -> Solution:
+    def _found(self, inputs: Inputs) -> Solution:
         """The extremal of a request, with only the first-order conditions evaluated."""
-        if request.formulated:
-            return self._formulated.solve(request)
+        if inputs.formulated:
+            return self._reformulation.solve(inputs)
         regularity = self._regularity
-        solution = self._solved(request)[0] if regularity.has_to_be_shown(request) else None
-        if solution is None or not regularity.is_shown(request, solution):
-            known = request.classification
-            request = request.classified(regularity.classification(request) if known is None else known)
-            if request.classification is not None:
-                solution = solve_on_final_manifold(request, request.classification)
+        solution = self._solved(inputs)[0] if regularity.has_to_be_shown(inputs) else None
+        if solution is None or not regularity.is_shown(inputs, solution):
+            known = inputs.classification
+            inputs = inputs.classified(regularity.classification(inputs) if known is None else known)
+            if inputs.classification is not None:
+                solution = solve_on_final_manifold(inputs, inputs.classification)
             elif solution is None:
-                solution = self._solved(request)[0]
-        return solution if solution.success else explained(request.problem, solution)
+                solution = self._solved(inputs)[0]
+        return solution if solution.success else explain_failure(inputs.problem, solution)
 
-    def _examined(self, solution: Solution, request: Request) -> Solution:
+    def _examined(self, solution: Solution, inputs: Inputs) -> Solution:
         """The solution with the results of all checks."""
-        free_horizon = is_free(request.given.horizon)
-        if self._examination.is_silent(solution.parameters, free_horizon):
+        free_horizon = is_free(inputs.given.horizon)
+        if self._audit.is_silent(solution.parameters, free_horizon):
             return solution
         with Stopwatch() as watch:
-            examined = self._examination(solution, free_horizon, request.ends.prescribed)
-            examined = compiled_longer(examined, watch.seconds()[0])
+            examined = self._audit(solution, free_horizon, inputs.ends.prescribed)
+            examined = add_compile_time(examined, watch.seconds()[0])
         if examined is not solution:
             if solution in self._kept:
                 self._kept[examined] = self._kept[solution]
-            self._formulated.keep(examined, solution)
+            self._reformulation.keep(examined, solution)
         return examined
 
-    @known_options
+    @require_known_options
     @reads_once
     def solve_many(
         self,
@@ -283,23 +283,23 @@ class Solver:
         """
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
-        given = Given(starts, ends, horizons, parameters)
-        request = Request.of_many(self._reader, given, guesses, options)
-        with self._required(request.parameters_of(0)):
-            return self._all_examined(self._all_found(request), request)
+        given = BoundaryData(starts, ends, horizons, parameters)
+        inputs = Inputs.of_many(self._reader, given, guesses, options)
+        with self._required(inputs.parameters_of(0)):
+            return self._all_examined(self._all_found(inputs), inputs)
 
-    def _all_found(self, request: Request) -> Solutions:
+    def _all_found(self, inputs: Inputs) -> Solutions:
         """The extremals of a batch, with only the first-order conditions evaluated."""
-        if request.formulated:
-            return self._formulated.solve_many(request)
-        self._regularity.require_regular(request)
-        return self._solved(request)
+        if inputs.formulated:
+            return self._reformulation.solve_many(inputs)
+        self._regularity.require_regular(inputs)
+        return self._solved(inputs)
 
-    def _all_examined(self, solutions: Solutions, request: Request) -> Solutions:
+    def _all_examined(self, solutions: Solutions, inputs: Inputs) -> Solutions:
         """The solutions of a batch with what their conditions do not tell."""
-        if not self._examination.needed(solutions[0].parameters, is_free(request.given.horizon)):
+        if not self._audit.needed(solutions[0].parameters, is_free(inputs.given.horizon)):
             return solutions
-        examined = [self._examined(solution, request) for solution in solutions]
+        examined = [self._examined(solution, inputs) for solution in solutions]
         same = all(one is other for one, other in zip(examined, solutions, strict=True))
         return solutions if same else Solutions.of(examined)
 
@@ -314,7 +314,7 @@ class Solver:
             conjugate.
         """
         require_treated(self.problem, "sensitivity", *ALONG)
-        formulated = self._formulated.sensitivity(solution)
+        formulated = self._reformulation.sensitivity(solution)
         if formulated is not None:
             return formulated
         if not isinstance(solution, Solution) or solution not in self._kept or not solution.success:
@@ -331,10 +331,10 @@ class Solver:
             system = taken((kept.found.iterate, kept.found.assembled), place)
             columns = self._derivatives[key](kept.posed.conditions.of(place), *system)
         require_isolated(columns, solution)
-        layouts = self._posing.state, self._posing.control
+        layouts = self._transcription.state, self._transcription.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
 
-    @known_options
+    @require_known_options
     def extremal(
         self,
         start: Any,
@@ -359,26 +359,28 @@ class Solver:
         the end.
         """
 
-        def solved(given: Given) -> Solution:
+        def solved(given: BoundaryData) -> Solution:
             options = {"tolerance": tolerance, "max_iterations": max_iterations}
             return self.solve(given.start, given.end, float(given.horizon), guess, given.parameters, **options)
 
-        return extremal_of(self.problem.manifold, Given(start, end, horizon, parameters), solved, self.sensitivity)
+        return differentiable_extremal(
+            self.problem.manifold, BoundaryData(start, end, horizon, parameters), solved, self.sensitivity
+        )
 
-    def _solved(self, request: Request) -> Solutions:
+    def _solved(self, inputs: Inputs) -> Solutions:
         """Solutions of regular problems."""
-        posed = self._posing.posed(request)
-        tracing = time.perf_counter() - request.began
+        transcribed = self._transcription.posed(inputs)
+        tracing = time.perf_counter() - inputs.began
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
-            found = extremals(posed, request.options)
+            found = find_extremals(transcribed, inputs.options)
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
-            fields, member = self._recording.of(posed, request.parameters(), found, request.options, seconds)
+            fields, member = self._builder.of(transcribed, inputs.parameters(), found, inputs.options, seconds)
             later = watch.seconds()[0] - compiling
 
         def kept(k: int) -> Solution:
-            solution = compiled_longer(member(k), later)
-            self._kept[solution] = _Kept(posed, found, k, solution.parameters)
+            solution = add_compile_time(member(k), later)
+            self._kept[solution] = _LastSolution(transcribed, found, k, solution.parameters)
             return solution
 
-        return Solutions(fields, kept, range(len(request)))
+        return Solutions(fields, kept, range(len(inputs)))

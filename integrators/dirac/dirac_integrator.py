@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
-from ...indices import require_indices
+from ...compute.jit_cache import compile_function
+from ...index_bounds import require_indices
 from ...manifolds import InvalidInputError, NotOnManifoldError
 from ...manifolds.manifold import same_manifold
 from ...manifolds.numerics import ambient as vec
@@ -16,13 +17,12 @@ from ...manifolds.numerics.precision import default_tolerance
 from ...manifolds.numerics.rank import is_regular, pivotal_values
 from ...manifolds.numerics.root import find_root
 from ...retractions import CotangentLift
-from ..compilation import compiled
-from ..functions import real_number
 from ..initial_value import LiftedIntegrator
 from ..initial_value.integrator import check_hamiltonian
 from ..initial_value.step import StepEquations, StepResult
-from ..initial_value.true_hamiltonian import require_true_hamiltonian
-from ..jumps import program_of
+from ..problem.user_functions import real_number
+from ..problem_checks.smoothness.hamiltonian_derivatives import require_correct_hamiltonian_derivatives
+from ..problem_checks.smoothness.step_primitives import program_of
 from ..stages import HamiltonianStage
 from .dirac_system import DiracSystem, Multipliers
 
@@ -90,7 +90,7 @@ class DiracIntegrator(LiftedIntegrator):
                 f"the lift acts on {self.manifold}, the system on {system.manifold}; use one manifold"
             )
         _check_shapes(system, q, p)
-        require_true_hamiltonian(system.hamiltonian, self.retraction, q, p)
+        require_correct_hamiltonian_derivatives(system.hamiltonian, self.retraction, q, p)
         require_indices(program_of(system.constraint, q, p), "a function of the constraints")
         residual, mobility, parts = jax.device_get(_facts(system, q, self.manifold.projection(q, p)))
         if not (np.all(np.isfinite(mobility)) and np.all(np.isfinite(residual))):
@@ -159,7 +159,7 @@ def _check_shapes(system: DiracSystem, q: Ambient, p: Ambient) -> None:
             )
 
 
-@compiled
+@compile_function
 def _facts(system: DiracSystem, q: Ambient, p: Ambient) -> tuple[Array, Array, Array]:
     """The constraints at ``(q, p)``, their derivatives along impulses there, and the sizes of their parts."""
 

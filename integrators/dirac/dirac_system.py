@@ -8,16 +8,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
+from ...compute.jit_cache import digest
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame, is_traced
 from ...manifolds.numerics.root import find_root
-from ..compilation import digest
-from ..controls import resting_control
-from ..extremal_controls import find_control
-from ..functions import real_number
-from ..problem import OptimalControlProblem
-from ..requirements import require_treated
+from ..problem.initial_controls import resting_control
+from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.pontryagin import find_control
+from ..problem.user_functions import real_number
+from ..problem_checks.requirements import require_treated
 from ..stages.hamiltonian import Hamiltonian
 
 Multipliers = Float[Array, " m"]

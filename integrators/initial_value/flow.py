@@ -5,13 +5,13 @@ from weakref import finalize
 
 from jaxtyping import Array, ArrayLike
 
+from ...compute.closure_guard import ClosureGuard
+from ...compute.jit_cache import digest
 from ...manifolds.numerics.ambient import Ambient
-from ...reading import Reading, resumed
-from ..compilation import digest
-from ..functions import require_concrete
-from ..unchanged import Unchanged
+from ...tracing import Tracing, resume_tracing
+from ..problem.user_functions import require_concrete
+from .batch import integrate_many
 from .integrator import Integrator
-from .many import integrate_many
 from .trajectory import Trajectory, check_call, integrate
 
 
@@ -44,8 +44,8 @@ class Flow:
         check_call(integrator, 1, 1, evaluator)
         require_concrete("Flow", system, integrator)
         self.system, self.integrator = system, integrator
-        self._unchanged = Unchanged("Flow", self._digest)
-        self._evaluator, self._reading = evaluator, Reading()
+        self._unchanged = ClosureGuard("Flow", self._digest)
+        self._evaluator, self._reading = evaluator, Tracing()
         finalize(self, self._reading.end)
 
     def _digest(self) -> bytes | None:
@@ -80,7 +80,7 @@ class Flow:
         'Flow(SymplecticIntegrator on SO(3))'
         """
         require_concrete("Flow.integrate", start, step_size)
-        with resumed(self._reading), self._unchanged.required():
+        with resume_tracing(self._reading), self._unchanged.required():
             return integrate(
                 self.system, self.integrator, start, step_size, steps, save_every, throw, self._evaluator, verbose
             )
@@ -105,7 +105,7 @@ class Flow:
         >>> Flow.integrate_many.__name__
         'integrate_many'
         """
-        with resumed(self._reading), self._unchanged.required():
+        with resume_tracing(self._reading), self._unchanged.required():
             return integrate_many(
                 self.system, self.integrator, starts, step_sizes, steps, save_every, self._evaluator, verbose
             )

@@ -9,26 +9,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from ...compute.jit_cache import compile_function
 from ...errors import TRACEABLE
 from ...manifolds import InvalidInputError, Manifold, RetraxError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.rank import is_regular, pivotal_values
-from ...reading import one_reading
 from ...retractions import CotangentLift, DiscretizationMap, Gauss, Retraction, default_retraction
-from ..compilation import compiled
-from ..controls import resting_control
-from ..extremal_controls import extremal_control
-from ..functions import real_number
-from ..options import require_arguments
-from ..probing import FAILURES
-from ..problem import OptimalControlProblem
-from ..requirements import require_same_manifold, require_treated
+from ...tracing import one_tracing
+from ..problem.argument_errors import require_arguments
+from ..problem.initial_controls import resting_control
+from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.pontryagin import extremal_control
+from ..problem.user_functions import real_number
+from ..problem_checks.control_probing import FAILURES
+from ..problem_checks.requirements import require_same_manifold, require_treated
+from ..problem_checks.smoothness.hamiltonian_derivatives import require_correct_hamiltonian_derivatives
 from ..stages import ControlStage, GaussStage, HamiltonianStage, Stage
 from ..stages.gauss import GaussUnknowns
 from ..stages.hamiltonian import Hamiltonian
-from .step import StepResult, lifted_step, restored
-from .true_hamiltonian import require_true_hamiltonian
+from .step import StepResult, lifted_step, restore
 
 
 class Integrator(eqx.Module):
@@ -167,7 +167,7 @@ class LiftedIntegrator(Integrator):
 
 def check_hamiltonian(hamiltonian: Hamiltonian, q: Ambient, p: Ambient) -> None:
     """Raise unless a function ``H(q, p)`` returns a real number; asked once in a reading."""
-    with one_reading() as reading:
+    with one_tracing() as reading:
         key = "Hamiltonian", id(hamiltonian), str(jax.tree.map(jax.typeof, (q, p)))
         reading.once(key, lambda: (_check_hamiltonian(hamiltonian, q, p), hamiltonian))
 
@@ -221,7 +221,7 @@ class VariationalIntegrator(Integrator):
         """The stage whose stationary points are the steps of ``system``."""
 
     def step(self, system: Any, h: ArrayLike, q: Ambient, p: Ambient, previous: Any) -> StepResult:
-        return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
+        return restore(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
 
 
 @final
@@ -268,7 +268,7 @@ class SymplecticIntegrator(VariationalIntegrator):
         if not callable(system):
             raise InvalidInputError(f"SymplecticIntegrator integrates a Hamiltonian H(q, p), got {system!r}")
         check_hamiltonian(system, q, p)
-        require_true_hamiltonian(system, self.retraction, q, p)
+        require_correct_hamiltonian_derivatives(system, self.retraction, q, p)
 
 
 @final
@@ -327,7 +327,7 @@ class PresymplecticIntegrator(VariationalIntegrator):
             )
 
 
-@compiled
+@compile_function
 def _control_curvature(problem: OptimalControlProblem, q: Ambient, p: Ambient, u: Ambient) -> Array:
     """``d2H/du2``, shape (m, m)."""
     return jax.hessian(lambda c: problem.hamiltonian(q, p, problem._steer(u, c)))(jnp.zeros(problem.controls.dimension))

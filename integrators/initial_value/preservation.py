@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool
 
+from ...compute.jit_cache import compile_function
 from ...manifolds import ConvergenceError, PresymplecticManifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_traced
 from ...manifolds.symplectic import form_matrix
-from ..compilation import compiled
 from .integrator import Integrator
 
 Pair = tuple[Ambient, Ambient]
@@ -60,7 +60,7 @@ def symplecticity_defect(
     return defects
 
 
-@compiled
+@compile_function
 def _defects(
     space: PresymplecticManifold, integrator: Integrator, system: object, z: Pair, sizes: Array
 ) -> tuple[Array, Bool[Array, " ..."]]:

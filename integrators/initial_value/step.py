@@ -23,7 +23,7 @@ class StepResult(NamedTuple):
     converged: Bool[Array, ""]
 
 
-def restored(manifold: Manifold, new: StepResult) -> StepResult:
+def restore(manifold: Manifold, new: StepResult) -> StepResult:
     """The end of a step moved to the manifold, from which rounding takes it."""
     q = manifold.restore(new.q)
     return new._replace(q=q, p=manifold.projection(q, new.p))

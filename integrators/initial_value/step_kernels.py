@@ -9,12 +9,12 @@ import numpy as np
 
 from ...kernels import kernel, kernel_part
 from ...manifolds.numerics.chord_newton import (
-    CURVED,
+    LARGEST_CURVATURE,
     MAX_CHORDS,
     MAX_JACOBIANS,
     PROBE,
     QUADRATIC_POWER,
-    SLOW,
+    SLOW_RATIOS,
     SMALLEST_PART,
     STALLED,
 )
@@ -22,7 +22,7 @@ from ...manifolds.numerics.tolerances import EPS
 from ...tape.machine import LANES, VECTOR
 from .inverse_kernels import copy_to_lanes, invert, multiply
 from .machine_kernels import Machine, evaluate, places_of
-from .step_programs import PLACES
+from .step_programs import MEMORY_PLACES
 
 QUADRATIC, SMALLEST = EPS**QUADRATIC_POWER, SMALLEST_PART * EPS
 # Chord steps that are counted as spent only beyond this many, on a Jacobian that is kept from step to step.
@@ -33,7 +33,7 @@ PREPARE, RESIDUAL, PUSH, END = range(4)
 (
     C, H, STATE, FIRST, SIZES, MISSED, DIRECTION, PUSHED, NEW, CONTROL, FINITE,
     SCALED, CHANGE, STEP, LENGTH, TAKEN, CHORDS, GOING, CONVERGED, GOOD, FRESH, COUNT, STATES, CONTROLS,
-) = range(len(PLACES))  # fmt: skip
+) = range(len(MEMORY_PLACES))  # fmt: skip
 
 # Plain tuples stand for records, because Numba's files on disk would name their classes, and later versions fail to
 # read them: ``programs`` is (machine, codes, operands, values, ranges, sources, targets): what runs the instructions,
@@ -76,9 +76,9 @@ def _judge(places: np.ndarray, v: np.ndarray, n: int, exact: bool) -> bool:
         ratio = step / (np.inf if n == 0 else v[places[STEP], j])
         # The rule of numerics.chord_newton, but that near rounding, where steps shrink as they like, another one is
         # cheaper than a Jacobian.
-        shrinks = (CURVED * step if exact else 1.0) if n == 0 else np.sqrt(ratio) if n == 1 else ratio
+        shrinks = (LARGEST_CURVATURE * step if exact else 1.0) if n == 0 else np.sqrt(ratio) if n == 1 else ratio
         done = step * min(shrinks, 1.0) <= SMALLEST or (step <= QUADRATIC and ratio > STALLED and n > 0)
-        going = not done and (n == 0 or ratio < SLOW or step <= QUADRATIC)
+        going = not done and (n == 0 or ratio < SLOW_RATIOS or step <= QUADRATIC)
         # A step that hardly shrinks is the fault of an old Jacobian, and may lead back.
         v[places[TAKEN], j] = ratio <= STALLED
         v[places[STEP], j], v[places[CHORDS], j] = step, n + 1

@@ -8,6 +8,7 @@ import casadi as ca
 import jax
 import numpy as np
 
+from ...compute.program_digest import content_key
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape
@@ -16,10 +17,9 @@ from ...tape.instructions import CODES
 from ...tape.often import Often
 from ...tape.program import Program, assembled
 from ...tape.trace import flat
-from ..program_keys import content_key
 from ..stages import Stage
 from .integrator import Integrator
-from .step import StepEquations, restored
+from .step import StepEquations, restore
 
 
 def rows(tree: Any) -> int:
@@ -27,7 +27,7 @@ def rows(tree: Any) -> int:
     return sum(leaf.size * (2 if np.iscomplexobj(leaf) else 1) for leaf in jax.tree.leaves(tree))
 
 
-def packed(tree: Any) -> np.ndarray:
+def pack(tree: Any) -> np.ndarray:
     """Arrays with the trajectories along their first axis as one: a row for each real number, a column for each
     trajectory."""
     found = []
@@ -38,7 +38,7 @@ def packed(tree: Any) -> np.ndarray:
     return np.concatenate(found) if found else np.zeros((0, 0))
 
 
-def unpacked(array: np.ndarray, like: Any) -> Any:
+def unpack(array: np.ndarray, like: Any) -> Any:
     """The arrays in the rows of ``array``, shape ``(nodes, rows, trajectories)``: leading axes ``(trajectories,
     nodes)``."""
     leaves, structure = jax.tree.flatten(like)
@@ -55,7 +55,7 @@ def unpacked(array: np.ndarray, like: Any) -> Any:
 
 # Parts of the memory, whose first rows are ``StepPrograms.places``: what programs read and write; what loops keep
 # there; sizes.
-PLACES = (
+MEMORY_PLACES = (
     *("c", "h", "state", "first", "sizes", "residual", "direction", "pushed", "new", "control", "finite"),
     *("scaled", "change", "step", "length", "taken", "chords", "going", "converged", "good", "fresh"),
     *("count", "states", "controls"),
@@ -92,7 +92,7 @@ class InRows(NamedTuple):
 
 
 @final
-class Listed:
+class PackedPrograms:
     """Programs in one list, with the ``ranges`` of each, and of the rows that they read and write.
 
     ``registers``: how many they need; ``native``: whether they call machine code.
@@ -126,7 +126,7 @@ class StepPrograms(Often):
     def __init__(self, programs: list[InRows], places: np.ndarray, rows: int) -> None:
         super().__init__()
         self.places, self.rows, self._programs = places, rows, programs
-        self.code = Listed(programs)
+        self.code = PackedPrograms(programs)
 
     @property
     def instructions(self) -> int:
@@ -136,12 +136,12 @@ class StepPrograms(Often):
         if not self.code.native:
             from ...tape.native import native
 
-            self.code = Listed([own._replace(program=native(own.program)) for own in self._programs])
+            self.code = PackedPrograms([own._replace(program=native(own.program)) for own in self._programs])
 
     @property
     def unknowns(self) -> int:
         """Number of unknowns of a step."""
-        return int(self.places[PLACES.index("count")])
+        return int(self.places[MEMORY_PLACES.index("count")])
 
 
 MOST_KNOWN = 64
@@ -174,7 +174,7 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
 
     def end(c: Any, h: Any, q: Ambient, chart: Any) -> Any:
         result = StepEquations(_stage(integrator, system, h), chart).result(c, q)
-        new = restored(integrator.manifold, result)
+        new = restore(integrator.manifold, result)
         return new.unknowns, new.q, new.p, integrator.control(new.unknowns), result.converged
 
     h = np.zeros(())
@@ -188,7 +188,7 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     if key not in _known:
         before, middle, after = map(Tape.read, calls)
         control = rows(calls[2].zeros()[3])
-        found = _laid_out((before, middle, middle.push(0), after), parts, [*chart._fields], control, substeps)
+        found = _lay_out((before, middle, middle.push(0), after), parts, [*chart._fields], control, substeps)
         if None in digests:
             return found
         if len(_known) >= MOST_KNOWN:
@@ -207,7 +207,7 @@ def _stage(integrator: Integrator, system: Any, h: Any) -> Stage:
     return stage
 
 
-def _laid_out(
+def _lay_out(
     tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str], controls: int, substeps: int
 ) -> StepPrograms:
     """The programs of the four tapes with what they read, arrays by name, and write, in rows of one memory."""
@@ -227,14 +227,14 @@ def _laid_out(
     ]
     writes = charts, ["residual"], ["pushed"], ["new", "control", "finite"]
     read, written = ([np.concatenate([at[name] for name in names]) for names in part] for part in (reads, writes))
-    programs = _merged(tapes, read, written, always={*at["first"].tolist(), *at["sizes"].tolist()})
+    programs = _merge(tapes, read, written, always={*at["first"].tolist(), *at["sizes"].tolist()})
     at |= {"state": at["y"] if at["y"].size else at["q"]}
     counts = {"count": count, "states": states, "controls": controls}
-    places = [counts[name] if name in counts else int(at[name][0]) if at[name].size else 0 for name in PLACES]
+    places = [counts[name] if name in counts else int(at[name][0]) if at[name].size else 0 for name in MEMORY_PLACES]
     return StepPrograms(programs, np.array(places), memory.rows)
 
 
-def _merged(
+def _merge(
     tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.ndarray], always: set[int]
 ) -> list[InRows]:
     """The programs of tapes that follow each other, between these rows.

@@ -9,27 +9,27 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ...compute.at_points import judge_point
+from ...compute.automatic import check_evaluator
+from ...compute.jit_cache import compile_function
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError, Verdict
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
 from ...manifolds.numerics.precision import working_precision
-from ...reading import reads_once
-from ..compilation import compiled
-from ..evaluation import verdict_at
-from ..evaluator import check_evaluator
-from ..functions import is_transformed, require_concrete
-from ..records import Along, RecordFile, not_finite, shapes
-from ..results import Result, warn_about_precision
-from ..text import brief
+from ...tracing import reads_once
+from ..problem.user_functions import is_transformed, require_concrete
+from ..problem_checks.smoothness.along_trajectory import Energy, PassedJump, Segments
+from ..reporting.records import Along, RecordFile, not_finite, shapes
+from ..reporting.results import Result, warn_about_precision
+from ..reporting.text import brief
+from .evaluator_choice import tape_steps
 from .integrator import Integrator
-from .loop import Carry, Nodes, XlaSteps, advance, begin, node
-from .not_finite import not_finite_words
-from .passed_jumps import Energy, Passed, Segments
-from .pieces import run
-from .step_evaluator import tape_steps
+from .interruptible_loop import run
+from .undefined_hamiltonian import not_finite_words
+from .xla_steps import Carry, Nodes, XlaSteps, advance, begin, node
 
 if TYPE_CHECKING:
-    from .lanes import TapeSteps
+    from .tape_steps import TapeSteps
 
 
 @final
@@ -200,7 +200,7 @@ def integrate(
     check_call(integrator, steps, save_every, evaluator)
     if not is_traced(step_size):
         require_finite_step("step_size", step_size)
-    q0, p0 = _checked_start(integrator.manifold, start)
+    q0, p0 = _check_start(integrator.manifold, start)
     count, every = int(steps) // int(save_every), int(save_every)
     # As an array of its kind first: for a number of Python XLA would compile the conversion.
     size = step_size if is_traced(step_size) else np.asarray(step_size, working_precision())
@@ -209,10 +209,10 @@ def integrate(
     if not transformed:
         integrator.check(system, q0, p0)
     whole = transformed or jax.config.jax_disable_jit  # pyright: ignore[reportAttributeAccessIssue]  # made at run time
-    trajectory = scanned(*arguments, _WHOLE) if whole else _in_pieces(*arguments, evaluator, verbose)
+    trajectory = scan(*arguments, _WHOLE) if whole else _in_pieces(*arguments, evaluator, verbose)
     found = ""
     if not transformed:
-        trajectory, found = _examined(system, integrator, trajectory, every)
+        trajectory, found = _check_jumps(system, integrator, trajectory, every)
     if throw and not is_traced(trajectory) and (failed := int(trajectory.failed_step)) >= 0:
         first, last = (vec.taken((trajectory.q, trajectory.p), i) for i in (0, -1))
         reason = found or f"{Result[trajectory.result]}{integrator.hint(system, first, last)}"
@@ -220,7 +220,7 @@ def integrate(
     return trajectory
 
 
-def _examined(system: Any, integrator: Integrator, trajectory: Trajectory, every: int) -> tuple[Trajectory, str]:
+def _check_jumps(system: Any, integrator: Integrator, trajectory: Trajectory, every: int) -> tuple[Trajectory, str]:
     """The trajectory, with another result if the trajectory passes a jump, and words on the failure.
 
     The words are on a jump, or on a Hamiltonian that is not finite where a step was not solved. Raises if that is the
@@ -241,13 +241,13 @@ def _examined(system: Any, integrator: Integrator, trajectory: Trajectory, every
 
 def without_jumps(
     system: Any, integrator: Integrator, batch: Trajectory, every: int
-) -> tuple[Trajectory, dict[int, Passed]]:
+) -> tuple[Trajectory, dict[int, PassedJump]]:
     """Trajectories along a leading axis, with another result where one passes a jump of the Hamiltonian; and these
     jumps."""
     energy, axes = Energy(integrator.energy, system, integrator.retraction), integrator.control_times.ndim
     controls = vec.taken(batch.controls, np.s_[:, :, *axes * (0,)])
     segments, count = Segments.between((batch.q, batch.p), controls), batch.times.shape[1] - 1
-    found, solved = dict[int, Passed](), np.broadcast_to(batch.failed_step < 0, len(batch.times))
+    found, solved = dict[int, PassedJump](), np.broadcast_to(batch.failed_step < 0, len(batch.times))
     for jump in energy.passed(segments, every > 1):
         if solved[jump.segment // count]:
             found.setdefault(jump.segment // count, jump)
@@ -260,7 +260,7 @@ def without_jumps(
     return eqx.tree_at(lambda t: (t.result, t.failed_step), batch, (result, failed)), found
 
 
-def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
+def _check_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
     """``(q0, p0)`` as arrays; raises if they are no point and covector of the manifold."""
     if not (isinstance(start, tuple | list) and len(start) == 2):
         raise InvalidInputError(f"start must be a pair (q0, p0) of a point and a covector, got {start!r}")
@@ -271,7 +271,7 @@ def _checked_start(manifold: Manifold, start: Any) -> tuple[Ambient, Ambient]:
     if not (is_traced(manifold, q0, p0) or is_jitting()):
         # Once more: in single precision numbers may have become infinite.
         wrong = manifold.describe_mismatch(q0, "a point") or manifold.describe_mismatch(p0, "a covector")
-        verdict = Verdict(False, wrong) if wrong else verdict_at(manifold, q0)
+        verdict = Verdict(False, wrong) if wrong else judge_point(manifold, q0)
         if not verdict:
             raise NotOnManifoldError(f"start: {verdict.reason}")
     return q0, p0
@@ -300,8 +300,8 @@ def require_finite_step(name: str, size: Any) -> None:
         raise InvalidInputError(f"{name} must be a finite number other than 0, got {size!r}")
 
 
-@compiled
-def scanned(
+@compile_function
+def scan(
     system: Any,
     integrator: Integrator,
     start: tuple[Ambient, Ambient],
@@ -347,7 +347,7 @@ def _in_pieces(
     steps = XlaSteps(system, integrator, start, step_size, found)
     nodes, failed, interrupt = run(steps, saves, every, verbose)
     nodes = nodes._replace(controls=vec.taken(nodes.controls, np.s_[1:]))
-    return _recorded(integrator, np.asarray(step_size), every, nodes, failed, interrupt, steps.evaluator)
+    return _record(integrator, np.asarray(step_size), every, nodes, failed, interrupt, steps.evaluator)
 
 
 def run_on_tape(
@@ -358,10 +358,10 @@ def run_on_tape(
     nodes, failed = steps.nodes(kept), np.broadcast_to(failed, kept.shape[-1:])
     if not step_size.ndim:
         nodes, failed = vec.taken((nodes, failed), 0)
-    return _recorded(integrator, step_size, every, nodes, failed, interrupt, steps.evaluator)
+    return _record(integrator, step_size, every, nodes, failed, interrupt, steps.evaluator)
 
 
-def _recorded(
+def _record(
     integrator: Integrator,
     step_size: np.ndarray,
     every: int,

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Generic, NamedTuple, Protocol, Self, TypeVar
 
 from ...manifolds import InvalidInputError
-from ..problem import OptimalControlProblem
+from ..problem.optimal_control_problem import OptimalControlProblem
 
 
 class Piece(Protocol):

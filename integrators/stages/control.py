@@ -9,7 +9,7 @@ from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap, default_retraction
-from ..problem import OptimalControlProblem
+from ..problem.optimal_control_problem import OptimalControlProblem
 from .stage import Stage, first_sizes, phase_sizes
 
 Unknowns = tuple[Ambient, Ambient]

@@ -12,8 +12,8 @@ from ...manifolds import Euclidean, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
 from ...retractions import Gauss, default_retraction
-from ..functions import real_number
-from ..problem import OptimalControlProblem
+from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.user_functions import real_number
 from .hamiltonian import Hamiltonian
 from .stage import Stage, first_sizes, phase_sizes
 

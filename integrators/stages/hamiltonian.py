@@ -11,7 +11,7 @@ from ...manifolds import Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
 from ...retractions import DiscretizationMap
-from ..functions import real_number
+from ..problem.user_functions import real_number
 from .stage import Stage, phase_sizes
 
 Hamiltonian = Callable[[Any, Any], Any]

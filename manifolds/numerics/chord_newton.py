@@ -7,14 +7,16 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ...convergence import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_PART
+from ...newton_constants import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_PART
 from . import ambient as vec
 from .tolerances import tolerance
 
 MAX_CHORDS = 16
-CURVED = 1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
+LARGEST_CURVATURE = (
+    1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
+)
 # Ratios of successive steps: renew the Jacobian above the one, do not take the step above the other.
-SLOW, STALLED = 0.2, 0.5
+SLOW_RATIOS, STALLED = 0.2, 0.5
 
 Vector = Float[Array, " k"]
 
@@ -85,14 +87,14 @@ def _chords(
         # What further steps take away. After a Newton step it is quadratic in it, but how curved the equations are is
         # no matter of the sizes of their unknowns. One ratio alone may be that of unknowns that are found at once,
         # beside slower ones.
-        ratios = jnp.stack([CURVED * step if exact else jnp.ones_like(step), jnp.sqrt(ratio), ratio])
+        ratios = jnp.stack([LARGEST_CURVATURE * step if exact else jnp.ones_like(step), jnp.sqrt(ratio), ratio])
         remaining = step * jnp.minimum(ratios[jnp.minimum(s.chords, 2)], 1.0)
         stalled = (step <= quadratic) & (ratio > STALLED) & (s.chords > 0)
         done = (remaining <= smallest) | stalled  # by rounding
         taken = ratio <= STALLED  # a step that hardly shrinks is the fault of an old Jacobian, and may lead back
         new = s._replace(c=jnp.where(taken, s.c - d, s.c), step=step, ratio=ratio, converged=done, chords=s.chords + 1)
         # An unknown may be as small as the rounding of others: its size says nothing of how exactly it can be known.
-        doubted = ~done & (ratio >= SLOW) & (s.chords > 0) if exact else jnp.array(False)
+        doubted = ~done & (ratio >= SLOW_RATIOS) & (s.chords > 0) if exact else jnp.array(False)
         new = new._replace(probed=jnp.where(doubted, 0, -1))
         missed = jnp.where(s.probed > 0, s.missed, d)
         # Each entry by itself: that of an unknown that is next to nothing changes by any amount.
@@ -102,7 +104,7 @@ def _chords(
         return jax.tree.map(lambda a, b: jnp.where(s.probed < 0, a, b), new, probed)
 
     def going(s: _Iteration) -> Array:
-        chords = (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW))
+        chords = (s.chords < MAX_CHORDS) & ((s.chords < 2) | (s.ratio < SLOW_RATIOS))
         return ~s.converged & jnp.where(s.probed < 0, chords, s.probed < len(patterns))
 
     return jax.lax.while_loop(going, chord, _fresh(state.c))

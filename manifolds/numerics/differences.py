@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-FEWEST = 3  # errors that make a slope
+FEWEST_ERRORS = 3  # errors that make a slope
 
 
 def central_nodes(reach: int) -> Float[np.ndarray, " nodes"]:
@@ -36,7 +36,7 @@ def central_difference(values: np.ndarray, h: Any, order: int, axis: int = 0) ->
     return np.tensordot(_weights(order, values.shape[axis] // 2), values, (0, axis)) / h
 
 
-def slope(t: np.ndarray, errors: np.ndarray, floor: float, fewest: int = FEWEST) -> float:
+def slope(t: np.ndarray, errors: np.ndarray, floor: float, fewest: int = FEWEST_ERRORS) -> float:
     """Slope of ``log error`` over ``log t``, where the errors are above the rounding ``floor``.
 
     It is infinite where fewer than ``fewest`` are.

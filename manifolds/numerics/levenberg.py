@@ -15,7 +15,7 @@ Equations = Callable[[Vector], Float[Array, " m"]]
 Step = Callable[[Float[Array, "m k"], Float[Array, " m"], Array], Vector]
 
 
-STEPS = 60
+MOST_ITERATIONS = 60
 
 
 @final
@@ -40,7 +40,7 @@ class Damping(NamedTuple):
 
 
 APPROACH = Damping(grows=4.0, falls=4.0, first=0.1)  # of squares of singular values
-RELATIVE = Damping(grows=10.0, falls=10.0, least=1e-4, largest=1e2)  # in units of the largest singular value
+RELATIVE_DAMPING = Damping(grows=10.0, falls=10.0, least=1e-4, largest=1e2)  # in units of the largest singular value
 SHORTENING = Damping(grows=2.0, falls=float("inf"), least=2.0, largest=1e3)  # what a step is divided by, zero for one
 
 
@@ -63,7 +63,7 @@ def levenberg(
 
     def going(state: tuple[Array, Array, Array, Array]) -> Array:
         _, r, shift, count = state
-        return (vec.largest(r) > solved) & (shift <= damping.largest) & (count < STEPS)
+        return (vec.largest(r) > solved) & (shift <= damping.largest) & (count < MOST_ITERATIONS)
 
     first = equations(start)
     if not first.size:

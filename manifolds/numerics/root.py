@@ -11,7 +11,7 @@ from .chord_newton import Vector
 from .implicit import implicit_root
 from .levenberg import APPROACH, levenberg
 
-NEAR = 1e-3  # where Newton's method takes over
+NEWTON_REGION = 1e-3  # where Newton's method takes over
 
 
 def solve_small(matrix: Float[Array, "m m"], right: Float[Array, " m"]) -> Float[Array, " m"]:
@@ -52,4 +52,4 @@ def approach_root(residual: Callable[[Vector], Float[Array, " m"]], start: Vecto
     def step(j: Float[Array, "m k"], r: Float[Array, " m"], damping: Array) -> Vector:
         return -jnp.linalg.solve(j.T @ j + damping * jnp.eye(start.size, dtype=start.dtype), j.T @ r)
 
-    return levenberg(residual, start, step, APPROACH, NEAR)[0]
+    return levenberg(residual, start, step, APPROACH, NEWTON_REGION)[0]

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Shaped
 
 from ...manifolds import SE, SO, SU, MatrixLieGroup, U, UnknownRetractionError
 from ..retraction import comes_back, nan_unless
-from ..rounding import EDGE
+from ..rounding import SINGULAR_DISTANCE
 from .functions import general, rigid_motions, rotations, unitary
 from .group_map import SymmetricGroupRetraction, is_on_group, on_group
 
@@ -191,4 +191,4 @@ class GroupCayley(SymmetricGroupRetraction):
 
 def _invertible(a: Matrix) -> Bool[Array, ""]:
     """Whether a matrix that would be the identity plus a small one is farther than rounding from a singular one."""
-    return jnp.linalg.norm(a, -2) > EDGE * jnp.finfo(a.dtype).eps
+    return jnp.linalg.norm(a, -2) > SINGULAR_DISTANCE * jnp.finfo(a.dtype).eps

@@ -9,7 +9,7 @@ from jaxtyping import Array, Bool
 from ...manifolds import FixedRank
 from ...manifolds.numerics.precision import default_tolerance
 from ..retraction import Retraction, comes_back, nan_unless
-from ..rounding import EDGE
+from ..rounding import SINGULAR_DISTANCE
 
 
 @final
@@ -85,7 +85,7 @@ def _of_rank(r: int, y: Array) -> Array:
 
 def _rounding(size: Array) -> Array:
     """The bound below which a number is zero up to rounding, for a matrix of this size."""
-    return EDGE * jnp.finfo(size.dtype).eps * size
+    return SINGULAR_DISTANCE * jnp.finfo(size.dtype).eps * size
 
 
 @final

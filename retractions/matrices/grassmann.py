@@ -16,7 +16,7 @@ from ...manifolds import Grassmann
 from ...manifolds.numerics.frames import adapted_frame, polar_factor
 from ..groups.functions import rotations
 from ..retraction import MidpointRetraction, implicit_preimage, nan_unless
-from ..rounding import EDGE, is_seen_beside, keeps_half_the_digits, length
+from ..rounding import SINGULAR_DISTANCE, is_seen_beside, keeps_half_the_digits, length
 
 
 class _RotatedProjector(MidpointRetraction):
@@ -53,7 +53,7 @@ def _angles_are_told(angles: Array) -> Bool[Array, ""]:
     Rounding turns directions of the angles ``s`` and ``t`` into each other, magnified by ``pi / (pi - s - t)``.
     """
     turn = angles[0] + angles[2] if angles.size > 2 else 0 * angles[0]
-    below = jnp.pi / 2 - angles[0] > jnp.pi * EDGE * jnp.finfo(angles.dtype).eps
+    below = jnp.pi / 2 - angles[0] > jnp.pi * SINGULAR_DISTANCE * jnp.finfo(angles.dtype).eps
     return below & keeps_half_the_digits(jnp.pi / (jnp.pi - turn))
 
 
@@ -83,7 +83,7 @@ class _AlignedProjector(_RotatedProjector):
         here, there = jax.lax.stop_gradient((x, y))
         rotation, cosine = _direct_rotation(here, there, self.manifold.p)
         omega = self.generator(rotation)
-        inside = cosine > EDGE * jnp.finfo(x.dtype).eps
+        inside = cosine > SINGULAR_DISTANCE * jnp.finfo(x.dtype).eps
         return nan_unless(inside, implicit_preimage(self, x, y, omega @ here - here @ omega))
 
 
@@ -182,7 +182,7 @@ class GrassmannPolar(_RotatedProjector):
         eye = jnp.eye(x.shape[0], dtype=x.dtype)
         cosines = x + y - eye  # symmetric, with eigenvalues of these sizes
         v = jnp.linalg.solve(cosines, y - x).T @ (2 * x - eye)
-        inside = jnp.min(jnp.abs(jnp.linalg.eigvalsh(cosines))) > EDGE * jnp.finfo(x.dtype).eps
+        inside = jnp.min(jnp.abs(jnp.linalg.eigvalsh(cosines))) > SINGULAR_DISTANCE * jnp.finfo(x.dtype).eps
         return nan_unless(inside, self.manifold.projection(x, v))
 
     def domain(self, x: Array, v: Array) -> Bool[Array, ""]:

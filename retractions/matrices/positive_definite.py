@@ -15,7 +15,7 @@ from ...manifolds import SPD
 from ...manifolds.numerics.matrices import spd_log, spd_sqrt, sym_exp, symmetric
 from ..differential import DifferentiatedRetraction
 from ..retraction import MidpointRetraction, comes_back, nan_unless
-from ..rounding import EDGE, keeps_half_the_digits
+from ..rounding import SINGULAR_DISTANCE, keeps_half_the_digits
 
 
 def _to_identity(factor: Array, a: Array) -> Array:
@@ -33,7 +33,7 @@ def _spread_is_known(logarithm: Array) -> Bool[Array, ""]:
 def _in_cone(y: Array) -> Array:
     """The matrix ``y`` if its eigenvalues exceed the rounding of ``y``, otherwise NaN."""
     fixed = jax.lax.stop_gradient(y)
-    rounding = EDGE * jnp.finfo(y.dtype).eps * jnp.trace(fixed)
+    rounding = SINGULAR_DISTANCE * jnp.finfo(y.dtype).eps * jnp.trace(fixed)
     factor = jnp.linalg.cholesky(fixed - rounding * jnp.eye(y.shape[0], dtype=y.dtype))
     return nan_unless(jnp.all(jnp.isfinite(factor)), y)
 

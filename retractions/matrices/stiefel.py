@@ -15,7 +15,7 @@ from ...manifolds.numerics.frames import polar_factor, qr_factor
 from ...manifolds.numerics.matrices import lyapunov, symmetric, symmetric_factor, triangular_factor
 from ..differential import DifferentiatedRetraction
 from ..retraction import comes_back, nan_unless
-from ..rounding import EDGE, is_seen_beside, keeps_half_the_digits, length
+from ..rounding import SINGULAR_DISTANCE, is_seen_beside, keeps_half_the_digits, length
 
 
 def _right_divide(a: Array, b: Array) -> Array:
@@ -192,7 +192,7 @@ class StiefelCayley(DifferentiatedRetraction):
         w, d = x + y, y - x
         turn = _skew(w.conj().T @ d) / 2
         t = jnp.linalg.solve(w.conj().T @ w / 2 + turn, d.conj().T @ d / 2 - turn)
-        inside = jnp.linalg.norm(w, -2) > EDGE * jnp.finfo(x.dtype).eps
+        inside = jnp.linalg.norm(w, -2) > SINGULAR_DISTANCE * jnp.finfo(x.dtype).eps
         return nan_unless(inside, d + d @ t + 2 * x @ symmetric(t))
 
     def fibre_derivative(self, x: Array, v: Array, w: Array) -> Array:

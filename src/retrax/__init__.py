@@ -4,7 +4,7 @@ import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .threads import ask_for_threads
+from .compute.threads import ask_for_threads
 
 ask_for_threads()  # before anything below makes JAX compute
 
@@ -13,6 +13,7 @@ from .undisturbed import put_off
 
 with put_off():
     from . import integrators, manifolds, retractions
+from .former_names import find_former_modules
 from .integrators import (
     Free,
     Guess,
@@ -65,6 +66,7 @@ __all__ = [
 ]
 LAZY = "plotting", "problems"  # packages that take long to import
 
+find_former_modules()
 logging.getLogger(__name__).addHandler(logging.NullHandler())  # what is heard of it is the user's choice
 
 

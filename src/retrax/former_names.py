@@ -1,10 +1,44 @@
-"""Former public names and fields, which work for one more release with a ``DeprecationWarning``."""
+"""Former public names, fields and modules, which work for one more release with a ``DeprecationWarning``."""
 
+import sys
 import warnings
 from collections.abc import Mapping
+from functools import partial
 from importlib import import_module
+from importlib.abc import Loader, MetaPathFinder
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_loader
 from operator import attrgetter
+from types import ModuleType
 from typing import Any
+
+# The present names of modules with public classes, by the former ones.
+MODULES = {
+    f"retrax.{former}": f"retrax.{present}"
+    for former, present in {
+        "integrators.boundary_value.batch_file": "integrators.boundary_value.solution.batch_file",
+        "integrators.boundary_value.checks": "integrators.boundary_value.solution.diagnostics",
+        "integrators.boundary_value.continuation": "integrators.boundary_value.drivers.continuation",
+        "integrators.boundary_value.differentiable": "integrators.boundary_value.solution.differentiable_solution",
+        "integrators.boundary_value.multistart": "integrators.boundary_value.drivers.multistart",
+        "integrators.boundary_value.phased_solution": "integrators.boundary_value.solution.multiphase_solution",
+        "integrators.boundary_value.phases": "integrators.boundary_value.drivers.phases",
+        "integrators.boundary_value.posed_phase": "integrators.boundary_value.drivers.phase_transcription",
+        "integrators.boundary_value.propagation": "integrators.boundary_value.audit.discretization_error",
+        "integrators.boundary_value.sensitivity": "integrators.boundary_value.solution.sensitivity",
+        "integrators.boundary_value.singular_arcs": "integrators.boundary_value.audit.singular_arcs",
+        "integrators.boundary_value.solution": "integrators.boundary_value.solution.record",
+        "integrators.boundary_value.solutions": "integrators.boundary_value.solution.batch",
+        "integrators.boundary_value.step_errors": "integrators.boundary_value.audit.step_errors",
+        "integrators.boundary_value.structure": "integrators.boundary_value.audit.switching_structure",
+        "integrators.free": "integrators.problem.free_quantities",
+        "integrators.initial_value.many": "integrators.initial_value.batch",
+        "integrators.problem": "integrators.problem.optimal_control_problem",
+        "integrators.quantities": "integrators.problem.quantities",
+        "integrators.results": "integrators.reporting.results",
+        "interop.doors": "interop.adapters",
+    }.items()
+}
 
 
 def former(module: str, names: Mapping[str, str], name: str) -> Any:
@@ -26,3 +60,32 @@ def former_field(owner: str, former_name: str, name: str) -> property:
         return getattr(instance, name)
 
     return property(read, doc=f"The former name of ``{name}``.")
+
+
+def former_module(package: str, name: str) -> Any:
+    """The object of this name in the module that a package was."""
+    present = sys.modules.get(MODULES[package])
+    value = vars(present).get(name) if present else None
+    if getattr(value, "__module__", None) != MODULES[package]:
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+    warnings.warn(f"{package}.{name} is deprecated; use {MODULES[package]}", DeprecationWarning, stacklevel=3)
+    return value
+
+
+class _FormerModule(MetaPathFinder, Loader):
+    """Modules by their former names, with their present names."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        """The module that runs in place of a former one; None for all other names."""
+        return spec_from_loader(fullname, self) if fullname in MODULES else None
+
+    def exec_module(self, module: ModuleType) -> None:
+        """Let the names be found in the present module."""
+        present = MODULES[module.__name__]
+        warnings.warn(f"{module.__name__} is deprecated; use {present}", DeprecationWarning, stacklevel=2)
+        module.__dict__["__getattr__"] = partial(getattr, import_module(present))
+
+
+def find_former_modules() -> None:
+    """Let imports and pickles find modules by their former names."""
+    sys.meta_path.append(_FormerModule())

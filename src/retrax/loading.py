@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from .integrators import load_solution, load_solutions, load_trajectory
-from .integrators.records import record_kind
+from .integrators.reporting.records import record_kind
 from .manifolds import InvalidInputError
 
 READERS = {"Solution": load_solution, "Solutions": load_solutions, "Trajectory": load_trajectory}

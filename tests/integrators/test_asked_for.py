@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
-from retrax.integrators.controls import resting_control
-from retrax.integrators.costs import require_cost
-from retrax.integrators.inspection import probes
+from retrax.integrators.problem.initial_controls import resting_control
+from retrax.integrators.problem_checks.costs import require_cost
+from retrax.integrators.problem_checks.inspection import probes
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Midpoint
 

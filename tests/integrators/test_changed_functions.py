@@ -7,22 +7,15 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.extend.core import Jaxpr
-from retrax.integrators import (
-    OptimalControlProblem,
-    SymplecticIntegrator,
-    classify,
-    compilation,
-    integrate,
-    integrate_many,
-    solve,
-)
-from retrax.integrators.compilation import call_compiled
-from retrax.integrators.jumps import steps_in
-from retrax.integrators.problem import is_same_problem
+from retrax.compute import jit_cache
+from retrax.compute.jit_cache import call_compiled
+from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, classify, integrate, integrate_many, solve
+from retrax.integrators.problem.optimal_control_problem import is_same_problem
+from retrax.integrators.problem_checks.smoothness.step_primitives import find_step_primitives
 from retrax.manifolds import Euclidean, InvalidInputError, LevelSet
-from retrax.reading import traced
 from retrax.retractions import CotangentLift, Exponential, Midpoint, Projection
 from retrax.tape import Tape
+from retrax.tracing import trace_program
 
 from tests.support.changing import WAYS, held
 
@@ -66,7 +59,7 @@ STEPS = {"there": False}
 def test_a_step_that_a_jitted_helper_has_later_is_seen():
     found = []
     for STEPS["there"] in (False, True, False):
-        found.append(steps_in(stepped, 1.0))
+        found.append(find_step_primitives(stepped, 1.0))
     assert found == [[], ["jnp.round"], []]
 
 
@@ -140,9 +133,9 @@ def test_a_root_with_a_rule_of_its_own_is_compiled_once():
         return call_compiled(lambda x: root(x) + jax.grad(root)(x), jnp.array(1.0))[1]
 
     first = seconds()
-    known = len(compilation._compiled)
+    known = len(jit_cache._compiled)
     again = [seconds() for _ in range(3)]
-    assert len(compilation._compiled) == known
+    assert len(jit_cache._compiled) == known
     assert max(again) < first
 
 
@@ -172,7 +165,7 @@ def test_what_was_read_is_released():
 
     def read(times):
         for _ in range(times):
-            traced(lambda x: growing(x), np.zeros(2))
+            trace_program(lambda x: growing(x), np.zeros(2))
         return alive()
 
     before = alive()

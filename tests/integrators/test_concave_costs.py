@@ -16,7 +16,7 @@ from retrax.integrators import (
     solve,
     solve_phases,
 )
-from retrax.integrators.boundary_value.legendre import _way
+from retrax.integrators.boundary_value.audit.legendre_condition import _direction
 from retrax.manifolds import SO, Euclidean, Sphere, hat
 from retrax.retractions import Addition, Exponential, Gauss, Midpoint, default_retraction
 from scipy.spatial.transform import Rotation
@@ -228,7 +228,7 @@ def test_a_strict_minimum_takes_no_other_evaluation():
     for method in METHODS.values():
         solver = Solver(problem, method, 5)
         assert solver.solve(THERE, BACK, 1.0).status == "minimum"
-        assert solver._posing.traced(None).diagnosis._parts is None
+        assert solver._transcription.traced(None).diagnosis._parts is None
 
 
 COSTS = {
@@ -264,4 +264,4 @@ def test_the_sign_of_a_curvature_has_no_units():
         power = draw.standard_normal((m, m))
         both = np.stack([power + power.T, hessian + power + power.T, 0 * power]) / np.outer(units, units)
         if abs(least) > 1e-6:
-            assert (_way(np.zeros((2, m)), both, np.zeros(m), rows / units) is not None) == (least < 0)
+            assert (_direction(np.zeros((2, m)), both, np.zeros(m), rows / units) is not None) == (least < 0)

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, classify, integrate
-from retrax.integrators.boundary_value.end_points import Part, Prescribed
-from retrax.integrators.boundary_value.inequality_rows import InequalityRows
+from retrax.integrators.boundary_value.inputs.boundary_data import EndPart, PrescribedEnd
+from retrax.integrators.boundary_value.transcription.inequality_rows import InequalityRows
 from retrax.integrators.dirac import DiracSystem
-from retrax.integrators.problem import is_same_problem
-from retrax.integrators.requirements import require_treated
+from retrax.integrators.problem.optimal_control_problem import is_same_problem
+from retrax.integrators.problem_checks.requirements import require_treated
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, CotangentLift, Midpoint
 from retrax.tape import Tape
@@ -68,7 +68,7 @@ def test_numbers_of_the_inequalities_come_back_under_their_names():
     np.testing.assert_array_equal(found["control_bounds lower"], [[0, 0, 1], [9, 0, 10]])
     np.testing.assert_array_equal(found["cone"], [[6, 7], [15, 16]])
     assert found["any"].shape == (2, 1)
-    free = (Prescribed.of((Part("", False, 1, 3, 3),), (False,)),) * 2
+    free = (PrescribedEnd.of((EndPart("", False, 1, 3, 3),), (False,)),) * 2
     mask = InequalityRows(LIMITED, None, 3).mask(4, free)
     assert mask.shape == (4, 3, 9)
     assert np.all(mask)

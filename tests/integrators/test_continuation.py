@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Solver, continuation
-from retrax.integrators.boundary_value.continuation import Predictor, problem_at
+from retrax.integrators.boundary_value.drivers.continuation import Predictor, problem_at
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Cayley, Exponential, Gauss, Midpoint, Projection
 

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax.compute import automatic as evaluators
+from retrax.compute.tape_evaluator import TapeEvaluator
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, Solver, SymplecticIntegrator, integrate
-from retrax.integrators import evaluator as evaluators
-from retrax.integrators.tape_evaluator import TapeEvaluator
 from retrax.manifolds import Euclidean, Grassmann, Stiefel, hat
 from retrax.retractions import Addition, Cayley, CotangentLift, Exponential, Gauss, Midpoint
 from retrax.tape import NotTraceableError, Tape

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, load_solution, solve
-from retrax.integrators.boundary_value.end_points import Part, Prescribed
-from retrax.integrators.boundary_value.formulation import Formulation, Kind
-from retrax.integrators.boundary_value.inequality_rows import InequalityRows
+from retrax.integrators.boundary_value.inputs.boundary_data import EndPart, PrescribedEnd
+from retrax.integrators.boundary_value.reformulations.free_quantities import Reformulation, ReformulationKind
+from retrax.integrators.boundary_value.transcription.inequality_rows import InequalityRows
 from retrax.manifolds import SO, Euclidean, InvalidInputError, NotOnManifoldError, hat
 from retrax.retractions import Addition, Adjoint, Cayley, Euler, Gauss, Midpoint, ProductRetraction, Theta
 
@@ -136,12 +136,12 @@ def test_what_is_kept_is_traced_once():
     slew = OptimalControlProblem(BODY, turning, lambda q, u: 1 + u @ u / 2, 3)
     solver = Solver(slew, METHODS["midpoint"], 4)
     solver.solve(START, END, Free(2.0), parameters=INERTIA)
-    ((_, inner),) = solver._formulated._made.values()
-    first = dict(inner._posing._found)
+    ((_, inner),) = solver._reformulation._made.values()
+    first = dict(inner._transcription._found)
     for scale in (0.9, 1.1):
         solver.solve(START, END, Free(2.5 * scale), parameters=scale * INERTIA)
-    assert dict(inner._posing._found) == first
-    assert len(solver._formulated._made) == 1
+    assert dict(inner._transcription._found) == first
+    assert len(solver._reformulation._made) == 1
 
 
 def drift(q, u, given):
@@ -265,14 +265,14 @@ def test_bounds_are_inequalities_at_the_first_point():
     )
     horizon = Free(2.0, lower=1.0, upper=8.0)
     given = {"gain": 3.0, "drift": Free(np.array([0.5]), upper=np.array([0.75]))}
-    formulation = Formulation(limited, Midpoint(Addition(LINE)), Kind.of(horizon, given))
+    formulation = Reformulation(limited, Midpoint(Addition(LINE)), ReformulationKind.of(horizon, given))
     inner = formulation.problem.with_parameters(formulation.parameters(horizon, given))
     names = "control_bounds lower", "far", "horizon lower", "horizon upper", "parameters upper"
     assert inner._inequality_names == tuple(f"{name}[0]" for name in names)
     y = np.ones(1), np.array([0.5, 1 + 0.25])
     expected = [-2 - 4, 1 - 3, np.log(0.5) - 0.25, 0.25 - np.log(4), 0.5 - 0.75]
     np.testing.assert_allclose(inner.inequalities(y, np.full(1, 4.0)), expected)
-    free = (Prescribed.of((Part("", False, 1, 1, 1),), (False,)),) * 2
+    free = (PrescribedEnd.of((EndPart("", False, 1, 1, 1),), (False,)),) * 2
     mask = InequalityRows(inner, None, 2).mask(3, free)
     assert np.all(mask[:, :, :2])
     assert np.all(mask[0, 0])

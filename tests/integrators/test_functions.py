@@ -6,12 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, compilation, integrate, solve
-from retrax.integrators.compilation import call_compiled, call_optimized, digest
-from retrax.integrators.functions import in_precision, is_transformed, require_concrete
+from retrax.compute import jit_cache
+from retrax.compute.jit_cache import call_compiled, call_optimized, digest
+from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
+from retrax.integrators.problem.user_functions import in_precision, is_transformed, require_concrete
 from retrax.manifolds import Euclidean, InvalidInputError, NotDifferentiableError
-from retrax.reading import one_reading, reads_once
 from retrax.retractions import Addition, CotangentLift, Exponential, Gauss, Midpoint
+from retrax.tracing import one_tracing, reads_once
 
 LINE = Euclidean(1)
 MIDPOINT = Midpoint(Exponential(LINE))
@@ -73,8 +74,8 @@ def test_a_compiled_function_is_differentiated_in_what_it_closes_over():
 @pytest.fixture
 def compilations(monkeypatch):
     """How many programs were compiled."""
-    monkeypatch.setattr(compilation, "_compiled", {})
-    return lambda: len(compilation._compiled)
+    monkeypatch.setattr(jit_cache, "_compiled", {})
+    return lambda: len(jit_cache._compiled)
 
 
 def scaled(k):
@@ -176,7 +177,7 @@ def test_programs_of_arrays_of_another_kind_are_compiled(compilations):
 
 
 def test_as_many_programs_are_kept_as_is_said(compilations, monkeypatch):
-    monkeypatch.setattr(compilation, "MOST_COMPILED", 2)
+    monkeypatch.setattr(jit_cache, "MOST_COMPILED", 2)
     for k in (1.0, 2.0, 3.0, 1.0):
         assert call_compiled(lambda x, k=k: k * x, 2.0 * jnp.ones(()))[0] == 2 * k
     assert compilations() == 2
@@ -189,7 +190,7 @@ def test_values_that_are_no_arrays_are_returned():
 
 
 def test_numbers_that_are_equal_are_told_apart_where_they_compute_otherwise():
-    with one_reading():
+    with one_tracing():
         for k in (0.0, -0.0, 0, False):
             value, *_ = call_compiled(lambda k, x: jnp.copysign(x, k), k, THREE)
             np.testing.assert_array_equal(np.signbit(value), np.signbit(np.full(3, float(k))))

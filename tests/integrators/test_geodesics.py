@@ -26,7 +26,7 @@ from retrax.testing import check_retraction
 from scipy.linalg import expm
 
 from tests.support.cases import Ellipsoid
-from tests.support.numerics import NODES, SEEDS, compiled, differences, draw_point, draw_tangent, unflat
+from tests.support.numerics import CENTRAL_NODES, SEEDS, compiled, differences, draw_point, draw_tangent, unflat
 
 LENGTHS = 2.0 ** -np.arange(3)
 
@@ -157,7 +157,7 @@ def test_second_derivatives_forward_over_forward_are_those_of_differences():
     first, second = compiled(along), compiled(lambda z: jax.jvp(along, (z,), (e,))[1])
     for v in (0 * x, np.array([0.0, 0.3, 0.1])):
         z = np.stack([x, v])
-        expected = differences(np.stack([first(z + s * e) for s in 2e-3 * NODES]), 2e-3)
+        expected = differences(np.stack([first(z + s * e) for s in 2e-3 * CENTRAL_NODES]), 2e-3)
         np.testing.assert_allclose(second(z), expected, atol=1e-10)
 
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, solve
-from retrax.integrators.controls import resting_control
-from retrax.integrators.inspection import Inspection
-from retrax.integrators.kinks import kinks_near
+from retrax.integrators.problem.initial_controls import resting_control
+from retrax.integrators.problem_checks.inspection import Inspection
+from retrax.integrators.problem_checks.smoothness.kinks import find_kinks
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 from retrax.retractions import Addition, Midpoint
@@ -210,7 +210,7 @@ CURVED = {
 def test_a_kink_beside_curvature_is_told_from_narrow_curvature(name):
     price, numbers, expected = CURVED[name]
     for a in numbers:
-        words = kinks_near(problem(price, a), stopped(1.0))
+        words = find_kinks(problem(price, a), stopped(1.0))
         assert expected in words, a
         assert bool(words) == bool(expected), (a, words)
 
@@ -223,17 +223,17 @@ def test_a_kink_beside_curvature_has_no_unit(unit):
     def smooth(u: Array, a: Array) -> Array:
         return smoothed(u / a, jnp.asarray(1e-6)) + (u[0] / a) ** 2
 
-    assert "has a kink or a jump in the controls at u = [0.]" in kinks_near(problem(kinked, unit), stopped(unit))
-    assert not kinks_near(problem(smooth, unit), stopped(unit))
+    assert "has a kink or a jump in the controls at u = [0.]" in find_kinks(problem(kinked, unit), stopped(unit))
+    assert not find_kinks(problem(smooth, unit), stopped(unit))
 
 
 def test_a_kink_beside_curvature_is_found_along_every_direction():
     def price(u: Array, a: Array) -> Array:
         return jnp.linalg.norm(u) + a * u @ u  # a cone: along coordinate lines it is smooth
 
-    assert "running_cost has a kink" in kinks_near(problem(price, 0.1, 2), stopped(1.0, 2))
+    assert "running_cost has a kink" in find_kinks(problem(price, 0.1, 2), stopped(1.0, 2))
     clipped = problem(lambda u, a: u @ u, 1.0, dynamics=lambda q, u: jnp.stack([q[1], jnp.clip(u[0], -0.3, 0.3)]))
-    assert "dynamics has a kink" in kinks_near(clipped, stopped(1.0))
+    assert "dynamics has a kink" in find_kinks(clipped, stopped(1.0))
 
 
 @pytest.mark.slow

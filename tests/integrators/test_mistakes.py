@@ -5,7 +5,7 @@ import re
 import traceback
 
 import pytest
-from retrax.integrators.text import LONGEST_VALUE, brief
+from retrax.integrators.reporting.text import LONGEST_VALUE, brief
 
 MOST_LINES = 8
 SETTING = """

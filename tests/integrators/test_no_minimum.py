@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Solver, solve
 from retrax.integrators.boundary_value.engine.falling import FALLEN, FEWEST, Fall
-from retrax.integrators.results import sentence
+from retrax.integrators.reporting.results import sentence
 from retrax.manifolds import SO, Euclidean, Product, hat
 from retrax.retractions import Cayley, Exponential, Gauss, Midpoint
 from scipy.spatial.transform import Rotation

@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax.compute.threads import one_thread, parts_of
 from retrax.integrators import Free, OptimalControlProblem, Result, Solver
 from retrax.integrators.boundary_value.engine import parallel
 from retrax.manifolds import Euclidean, hat
 from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
-from retrax.threads import one_thread, parts_of
 
 from .problems import INERTIA, REST, RIGID, rotation
 

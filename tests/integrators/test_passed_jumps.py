@@ -19,8 +19,8 @@ from retrax.integrators import (
     load_trajectory,
     solve,
 )
-from retrax.integrators.initial_value.passed_jumps import Passed
-from retrax.integrators.jumps import with_margins
+from retrax.integrators.problem_checks.smoothness.along_trajectory import PassedJump
+from retrax.integrators.problem_checks.smoothness.step_primitives import with_margins
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Exponential, Gauss, Midpoint, Projection
 
@@ -209,5 +209,5 @@ def test_singular_problems_with_hidden_derivatives_are_refused():
 
 
 def test_a_jump_is_named_with_six_digits_of_its_place():
-    words = Passed(0, 0.5, -1.0, np.array([1 / 3, 2.0]), ["jnp.floor"]).fact("at")
+    words = PassedJump(0, 0.5, -1.0, np.array([1 / 3, 2.0]), ["jnp.floor"]).fact("at")
     assert words.startswith("the Hamiltonian jumps by -1 at q = [0.333333 2.      ]: it computes jnp.floor from")

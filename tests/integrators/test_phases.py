@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Phase, solve, solve_phases
-from retrax.integrators.boundary_value.phase_guess import guessed_phases
+from retrax.integrators.boundary_value.drivers.phase_guess import guess_phases
 from retrax.manifolds import SO, ConvergenceError, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 from scipy.optimize import minimize_scalar
@@ -52,7 +52,7 @@ def test_a_phase_without_a_guess_begins_where_the_guess_of_the_one_before_ends()
     known = Guess(np.array([[0.5], [2.0]]), np.ones((2, 1)))
     first = Phase(along, Midpoint(Addition(LINE)), 2, 1.0, start=np.zeros(1), guess=known)
     second = Phase(along, Midpoint(Addition(LINE)), 2, 1.0, end=np.array([4.0]))
-    before, after = guessed_phases([first, second], [True])
+    before, after = guess_phases([first, second], [True])
     assert before.guess is known
     np.testing.assert_allclose(after.guess.states[:, 0], [2.5, 3.5], rtol=1e-12)
 

@@ -26,9 +26,9 @@ from retrax.integrators import (
     integrate,
     integrate_many,
 )
-from retrax.integrators.initial_value import pieces
-from retrax.integrators.initial_value.lanes import TapeSteps
-from retrax.integrators.initial_value.loop import XlaSteps
+from retrax.integrators.initial_value import interruptible_loop
+from retrax.integrators.initial_value.tape_steps import TapeSteps
+from retrax.integrators.initial_value.xla_steps import XlaSteps
 from retrax.manifolds import Euclidean
 from retrax.retractions import CotangentLift, Exponential, Midpoint
 
@@ -76,7 +76,7 @@ def taken(monkeypatch):
 
     for kind in (TapeSteps, XlaSteps):
         monkeypatch.setattr(kind, "piece", counted(kind.piece))
-    monkeypatch.setattr(pieces, "PIECE_NODES", NODES)
+    monkeypatch.setattr(interruptible_loop, "PIECE_NODES", NODES)
     return taken
 
 
@@ -104,9 +104,9 @@ def test_pieces_are_the_one_loop_that_is_traced(name, taken, monkeypatch):
     whole = jax.jit(lambda: integrate(system, method, start, 0.1, STEPS))()
     for every, first, growth in product((1, 2, 3, 8, STEPS), (1, 5, 8, STEPS), (0, 2)):
         taken.clear()
-        monkeypatch.setattr(pieces, "FIRST_PIECE", first)
-        monkeypatch.setattr(pieces, "PIECE_SECONDS", 100.0)
-        monkeypatch.setattr(pieces, "MOST_GROWTH", growth)
+        monkeypatch.setattr(interruptible_loop, "FIRST_PIECE", first)
+        monkeypatch.setattr(interruptible_loop, "PIECE_SECONDS", 100.0)
+        monkeypatch.setattr(interruptible_loop, "MOST_GROWTH", growth)
         require_same(integrate(system, method, start, 0.1, STEPS, save_every=every), thinned(whole, every))
         assert sum(taken) == STEPS
         assert taken[0] == min(first, NODES * every, STEPS)
@@ -135,7 +135,7 @@ def test_a_step_that_fails_in_any_piece_ends_the_trajectory_there(taken, monkeyp
     whole = jax.jit(jax.vmap(run))(heights)
     failed = set()
     for (i, height), every in product(enumerate(heights), (1, 4)):
-        monkeypatch.setattr(pieces, "FIRST_PIECE", 1 + i % 7)
+        monkeypatch.setattr(interruptible_loop, "FIRST_PIECE", 1 + i % 7)
         path = run(height, every)
         require_same(path, thinned(jax.tree.map(lambda a, i=i: a[i], whole), every))
         failed.add(int(path.failed_step))
@@ -184,7 +184,7 @@ def test_an_interruption_has_the_trajectory_until_then(piece, taken, monkeypatch
         return value
 
     monkeypatch.setattr(TapeSteps, "piece", interrupted)
-    monkeypatch.setattr(pieces, "FIRST_PIECE", 3)
+    monkeypatch.setattr(interruptible_loop, "FIRST_PIECE", 3)
     with pytest.raises(KeyboardInterrupt) as stopped:
         integrate(quartic, MIDPOINT, START, 0.1, STEPS, save_every=2, throw=piece % 2 == 0)
     path, blocks = stopped.value.args[0], sum(taken[:-1]) // 2

@@ -17,9 +17,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, integrate
-from retrax.integrators.extremal_controls import extremal_control
 from retrax.integrators.initial_value.step import lifted_step
-from retrax.integrators.inspection import Inspection
+from retrax.integrators.problem.pontryagin import extremal_control
+from retrax.integrators.problem_checks.inspection import Inspection
 from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, Sphere, form_matrix, hat
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.tolerances import EPS, REGULAR

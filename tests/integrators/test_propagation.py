@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, discretization_error, solve
-from retrax.integrators.boundary_value.distances import factor_distances
-from retrax.integrators.boundary_value.propagation import DiscretizationError, Propagator, _AtOnce
+from retrax.integrators.boundary_value.audit.discretization_error import DiscretizationError, Propagator, _AtOnce
+from retrax.integrators.boundary_value.solution.factor_distances import factor_distances
 from retrax.manifolds import SE, SO, DomainError, Euclidean, Power, Product, Sphere, hat
 from retrax.retractions import Cayley, Exponential, Gauss, Projection
 from scipy.integrate import solve_ivp

@@ -24,7 +24,7 @@ from retrax.integrators import (
     load_solution,
     load_trajectory,
 )
-from retrax.integrators.boundary_value.interpolation import Interpolant
+from retrax.integrators.boundary_value.solution.interpolation import Interpolant
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Product
 from retrax.retractions import default_retraction
 

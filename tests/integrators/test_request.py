@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, classify, solve, solve_phases
-from retrax.integrators.boundary_value import request
-from retrax.integrators.boundary_value.arguments import Given, Options
-from retrax.integrators.boundary_value.request import Request
+from retrax.integrators.boundary_value.inputs import inputs
+from retrax.integrators.boundary_value.inputs.arguments import BoundaryData, Options
+from retrax.integrators.boundary_value.inputs.inputs import Inputs
 from retrax.integrators.singular.strategies import RattleIntegrator
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint, Theta
@@ -32,7 +32,7 @@ def checks(monkeypatch):
     count = Counter()
 
     def counted(name):
-        check = getattr(request, name)
+        check = getattr(inputs, name)
 
         def call(*arguments):
             count[name] += 1
@@ -41,7 +41,7 @@ def checks(monkeypatch):
         return call
 
     for name in ("check_parameters", "check_classification", "_require_horizon"):
-        monkeypatch.setattr(request, name, counted(name))
+        monkeypatch.setattr(inputs, name, counted(name))
     return count
 
 
@@ -74,7 +74,7 @@ def test_phases_are_checked_once_each(checks):
 def test_what_is_not_given_is_completed():
     """A free end is as the other one, a tolerance ``eps^0.7``, free quantities as they are guessed."""
     solver = Solver(QUICK, METHOD, 6)
-    asked = Request.of(solver._reader, Given(REST, None, Free(2.0), None), None, Options.of(None, 100))
+    asked = Inputs.of(solver._reader, BoundaryData(REST, None, Free(2.0), None), None, Options.of(None, 100))
     assert asked.formulated
     np.testing.assert_array_equal(asked.ends.end[0], REST)
     assert asked.horizons.tolist() == [2.0]

@@ -10,7 +10,7 @@ import pytest
 from jaxtyping import Array
 from retrax import problems
 from retrax.integrators import Guess, OptimalControlProblem, find_singular_arcs, solve
-from retrax.integrators.boundary_value.singular_arcs import _nearest
+from retrax.integrators.boundary_value.audit.singular_arcs import _nearest
 from retrax.manifolds import Euclidean, InvalidInputError, Sphere
 from retrax.retractions import Addition, Gauss, default_retraction
 

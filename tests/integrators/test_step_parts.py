@@ -7,6 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax.compute.automatic import AutomaticEvaluator, XlaEvaluator
+from retrax.compute.tape_evaluator import TapeEvaluator
 from retrax.integrators import (
     KAHAN_LI_6,
     KAHAN_LI_8,
@@ -23,14 +25,12 @@ from retrax.integrators import (
     step_errors,
     switching_structure,
 )
-from retrax.integrators.boundary_value.arcs import Arcs
 from retrax.integrators.boundary_value.engine.collocation import Collocation
 from retrax.integrators.boundary_value.engine.transcription import Data
-from retrax.integrators.evaluator import Automatic, XlaEvaluator
-from retrax.integrators.initial_value.step import StepEquations, StepResult, restored
-from retrax.integrators.probing import flat_directions
+from retrax.integrators.boundary_value.reformulations.switching_arcs import SwitchingArcs
+from retrax.integrators.initial_value.step import StepEquations, StepResult, restore
+from retrax.integrators.problem_checks.control_probing import flat_directions
 from retrax.integrators.stages import ControlStage, GaussStage, HamiltonianStage
-from retrax.integrators.tape_evaluator import TapeEvaluator
 from retrax.manifolds import SO, Euclidean, Sphere
 from retrax.manifolds.numerics.tolerances import EPS, REGULAR
 from retrax.retractions import Addition, Gauss, Midpoint, Projection, Theta
@@ -98,7 +98,7 @@ def test_a_step_ends_on_the_manifold_from_beside_it():
     rotations = SO(3)
     beside = jnp.eye(3) + 1e-9 * jnp.array([[1.0, 2.0, 0.0], [2.0, -1.0, 3.0], [0.0, 3.0, 0.5]])
     covector = rotations.projection(beside, jnp.arange(9.0).reshape(3, 3))
-    new = restored(rotations, StepResult(beside, covector, None, jnp.array(True)))
+    new = restore(rotations, StepResult(beside, covector, None, jnp.array(True)))
     assert rotations.contains(new.q, 1e-15)
     assert rotations.is_tangent(new.q, new.p, 1e-15)
 
@@ -151,7 +151,7 @@ def test_directions_are_flat_through_the_power_of_the_rounding(share):
 
 def test_points_are_guessed_between_the_costates_of_the_nodes():
     method = Gauss(3, Addition(LINE))
-    steps = Collocation(INTEGRATOR, method, None, Automatic())
+    steps = Collocation(INTEGRATOR, method, None, AutomaticEvaluator())
     times = np.arange(3)[None, :, None] + 0.0
     between = (np.arange(2)[:, None] + method.nodes)[None, ..., None]
     data = Data(np.ones((1, 2)), np.zeros((1, 0)), None)
@@ -229,7 +229,7 @@ def test_vanished_arcs_are_left_out(duration):
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.999])
 def test_the_last_arc_lasts_what_the_others_leave_of_a_given_horizon(share):
     durations = 3.0 * share * np.array([0.25, 0.75])
-    arcs = Arcs(BOUNDED, np.array([[1], [-1], [0]]), 3.0, 1.0)
+    arcs = SwitchingArcs(BOUNDED, np.array([[1], [-1], [0]]), 3.0, 1.0)
     found = np.asarray(arcs.durations(jnp.asarray(durations)))
     np.testing.assert_array_equal(found[:2], durations)
     assert found[2] == pytest.approx(3.0 * (1 - share), rel=1e-12)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, continuation, solve, solve_phases
-from retrax.integrators.boundary_value.refinement import Estimator
+from retrax.integrators.boundary_value.drivers.mesh_refinement import StepErrorEstimator
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss
 
@@ -66,11 +66,11 @@ def test_no_mesh_follows_the_one_that_is_stopped(name, interrupted):
 
 def test_an_interrupt_between_two_meshes_leaves_the_last_solution(monkeypatch):
     problem, start, end, horizon, steps, accuracy = CASES["steps"]
-    estimate = Estimator.__call__
+    estimate = StepErrorEstimator.__call__
 
     def solved(at):
         stop = Stop(at, interrupted=True)
-        monkeypatch.setattr(Estimator, "__call__", lambda *given: (stop(), estimate(*given))[1])
+        monkeypatch.setattr(StepErrorEstimator, "__call__", lambda *given: (stop(), estimate(*given))[1])
         return solve(
             problem, start, end, horizon, method=METHOD, steps=steps, accuracy=accuracy, throw=False
         ), stop.calls

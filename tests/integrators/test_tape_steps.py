@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax import threads
+from retrax.compute import threads
 from retrax.integrators import (
     KAHAN_LI_6,
     Composition,
@@ -18,7 +18,7 @@ from retrax.integrators import (
     integrate,
     integrate_many,
 )
-from retrax.integrators.initial_value import lanes, step_programs
+from retrax.integrators.initial_value import step_programs, tape_steps
 from retrax.manifolds import SE, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, U
 from retrax.retractions import Cayley, CotangentLift, Gauss, Projection, Theta, default_retraction
 from retrax.tape import often
@@ -107,7 +107,7 @@ def test_both_fail_at_the_same_step_or_both_succeed(name):
     assert np.array_equal(*failed)
 
 
-@pytest.mark.parametrize("count", [1, 3, lanes.FEW + 1, 130])
+@pytest.mark.parametrize("count", [1, 3, tape_steps.FEW_TRAJECTORIES + 1, 130])
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.usual("rotations-1", "unitary-7", "optimal control-130")
 def test_machine_code_computes_the_same_numbers(name, count, monkeypatch):
@@ -137,11 +137,11 @@ def test_machine_code_computes_the_same_numbers(name, count, monkeypatch):
 @pytest.mark.parametrize("steps", [1, 4, 5, 20])
 def test_steps_become_machine_code_once_they_are_many(steps, monkeypatch):
     """Through the number of steps after which they do."""
-    monkeypatch.setattr(often, "OFTEN", 4 * lanes.EVALUATIONS * often.SHORT)
+    monkeypatch.setattr(often, "OFTEN", 4 * tape_steps.EVALUATIONS * often.SHORT)
     method = SymplecticIntegrator(lifted(default_retraction(PLANE), 0.25 + steps / 100))
-    traced = lanes.TracedSteps(quartic, method)
+    traced = tape_steps.TracedSteps(quartic, method)
     for _ in range(steps):
-        carried = lanes.TapeSteps(traced, jax.tree.map(lambda a: a[None], start_of(method)), np.array([0.1]))
+        carried = tape_steps.TapeSteps(traced, jax.tree.map(lambda a: a[None], start_of(method)), np.array([0.1]))
         carried.piece(0, often.SHORT, 0, 1, often.SHORT)
     threads.settled()
     assert traced.programs.code.native == (steps > 4)
@@ -227,7 +227,7 @@ def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
         integrate(quartic, method, start, 0.1, 2, evaluator="gpu")
 
 
-@pytest.mark.parametrize("count", [1, lanes.FEW, 130])
+@pytest.mark.parametrize("count", [1, tape_steps.FEW_TRAJECTORIES, 130])
 def test_many_trajectories_are_those_of_one_after_the_other(count):
     """One after the other, and on lanes with two full blocks; with step sizes of their own."""
     method = CASES["sphere"][1]
@@ -295,13 +295,13 @@ def test_starts_and_step_sizes_of_many_are_checked():
 def test_pieces_grow_until_they_take_as_long_as_nobody_waits_for(monkeypatch):
     """Between two of them progress is told and Ctrl-C is heard: some ten times in a second, not after each step."""
     system, integrator = CASES["plane, backward Euler"]
-    counts, piece = [], lanes.TapeSteps.piece
+    counts, piece = [], tape_steps.TapeSteps.piece
 
     def counted(self, done, count, *rest):
         counts.append(count)
         return piece(self, done, count, *rest)
 
-    monkeypatch.setattr(lanes.TapeSteps, "piece", counted)
+    monkeypatch.setattr(tape_steps.TapeSteps, "piece", counted)
     integrate(system, integrator, (np.ones(2), np.zeros(2)), 1e-3, 4000)
     assert sum(counts) == 4000
     assert len(counts) <= 40

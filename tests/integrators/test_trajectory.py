@@ -11,7 +11,7 @@ from retrax.manifolds import ConvergenceError, CotangentBundle, Euclidean, Inval
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint, Projection
 
-from tests.support.numerics import NODES as DIFFERENCE_NODES
+from tests.support.numerics import CENTRAL_NODES as DIFFERENCE_NODES
 from tests.support.numerics import SEEDS, differences, norm
 
 from .problems import SPHERE, at, pendulum_energy

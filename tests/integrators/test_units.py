@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, PresymplecticIntegrator, Solution, solve
-from retrax.integrators.extremal_controls import extremal_control
+from retrax.integrators.problem.pontryagin import extremal_control
 from retrax.manifolds import Euclidean, hat
 from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint
 

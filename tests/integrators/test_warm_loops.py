@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from retrax import problems
 from retrax.integrators import Guess, OptimalControlProblem, Solver
-from retrax.integrators.free import is_free, near
+from retrax.integrators.problem.free_quantities import is_free, with_guess
 from retrax.manifolds import Euclidean, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 
@@ -96,7 +96,7 @@ def test_a_neighbour_s_solution_is_a_guess_that_saves_iterations(name, share):
         start = tuple(None if own is None else place for own, place in zip(start, reached, strict=True))
     elif start is not None:
         start = reached
-    horizon = near(horizon, plan.horizon) if is_free(horizon) else horizon * (1 - share)
+    horizon = with_guess(horizon, plan.horizon) if is_free(horizon) else horizon * (1 - share)
     own = plan.guess()
     cold = solver.solve(start, known.end, horizon, guess=known.guess) if share else plan
     warm, bare = (solver.solve(start, known.end, horizon, guess=one) for one in (plan, Guess(own.states, own.controls)))

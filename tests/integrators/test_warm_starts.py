@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from retrax import problems
 from retrax.integrators import Free, Guess, OptimalControlProblem, Phase, Solver, continuation, solve_phases
-from retrax.integrators.free import near
+from retrax.integrators.problem.free_quantities import with_guess
 from retrax.manifolds import Euclidean, InvalidInputError, hat
 from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
 
@@ -46,7 +46,7 @@ def test_a_solution_is_found_again_from_itself(name):
     known = problems.get(name)
     solver = Solver(known.problem, known.discretization, known.steps)
     first = solver.solve(known.start, known.end, known.horizon, guess=known.guess)
-    again = solver.solve(known.start, known.end, near(known.horizon, first.horizon), guess=first)
+    again = solver.solve(known.start, known.end, with_guess(known.horizon, first.horizon), guess=first)
     assert again.statistics.iterations < first.statistics.iterations / 2
     assert again.cost == pytest.approx(first.cost, rel=1e-8, abs=1e-9)
 

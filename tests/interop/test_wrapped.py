@@ -13,12 +13,12 @@ from retrax.integrators.initial_value.step import lifted_step
 from retrax.interop import from_geomstats, from_pymanopt
 from retrax.interop.isolated_import import import_peer
 from retrax.interop.wrapped import WrappedManifold, wrap
-from retrax.interop.wrapped.differences import NODES as DIFFERENCE_NODES
+from retrax.interop.wrapped.differences import HOST_NODES as DIFFERENCE_NODES
 from retrax.interop.wrapped.differences import host_function
 from retrax.retractions import CotangentLift, Midpoint
 from retrax.testing import check_cotangent_lift, check_manifold, check_retraction
 
-from tests.support.numerics import NODES, SEEDS, compiled, differences
+from tests.support.numerics import CENTRAL_NODES, SEEDS, compiled, differences
 
 theirs = import_peer("pymanopt.manifolds")
 SPACING = 1e-2
@@ -85,7 +85,7 @@ def midpoint_steps(name):
         return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *parts)
 
     def facts(p):
-        starts = jax.vmap(lambda s: around(manifold.projection(q, p), s))(SPACING * NODES)
+        starts = jax.vmap(lambda s: around(manifold.projection(q, p), s))(SPACING * CENTRAL_NODES)
         return starts, *jax.vmap(jax.vmap(step))(*starts)
 
     return compiled(facts)(np.random.default_rng(0).standard_normal(q.shape))

@@ -11,7 +11,7 @@ from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import BundleRetraction, Polar, Projection
 
 from tests.support.cases import MANIFOLDS
-from tests.support.numerics import NODES, SEEDS, compiled, differences, draw_point, draw_tangent, flat, unflat
+from tests.support.numerics import CENTRAL_NODES, SEEDS, compiled, differences, draw_point, draw_tangent, flat, unflat
 
 BASES = {"S2": Projection(MANIFOLDS["S2"]), "SO3": Polar(MANIFOLDS["SO3"])}
 STEP = 4e-3
@@ -42,8 +42,8 @@ def _forms(base: str):
             "two_form": bundle.two_form(z, a, b),
             "reversed": bundle.two_form(z, b, a),
             "one_form": bundle.one_form(z, a),
-            "theta_s over t": jax.vmap(lambda t: theta_along(0.0, t)[0])(STEP * NODES),
-            "theta_t over s": jax.vmap(lambda s: theta_along(s, 0.0)[1])(STEP * NODES),
+            "theta_s over t": jax.vmap(lambda t: theta_along(0.0, t)[0])(STEP * CENTRAL_NODES),
+            "theta_t over s": jax.vmap(lambda s: theta_along(s, 0.0)[1])(STEP * CENTRAL_NODES),
         }
 
     return compiled(facts)

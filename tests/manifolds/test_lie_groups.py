@@ -26,7 +26,7 @@ from retrax.manifolds.groups.lie_algebra import lie_algebra
 from retrax.manifolds.numerics import ambient as vec
 
 from tests.support.cases import MANIFOLDS, Heisenberg
-from tests.support.numerics import NODES, SEEDS, compiled, differences, draw_point, unflat
+from tests.support.numerics import CENTRAL_NODES, SEEDS, compiled, differences, draw_point, unflat
 
 GROUPS = ["SO3", "SE3", "SU2", "SL2", "heisenberg"]
 STEP = 2e-3
@@ -58,7 +58,7 @@ def _kernel(name: str):
     def facts(x, y, v, p, coordinates):
         x, y, v, p = map(unravel, (x, y, v, p))
         a, b, c, mu = coordinates
-        curve = jax.vmap(lambda s: group.Ad(jax.scipy.linalg.expm(s * group.hat(a))) @ b)(STEP * NODES)
+        curve = jax.vmap(lambda s: group.Ad(jax.scipy.linalg.expm(s * group.hat(a))) @ b)(STEP * CENTRAL_NODES)
         q, w = group.compose(y, x), group.compose(y, v)
         pushed = group.covector(q, group.body(x, p))
         return {

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from retrax.manifolds.numerics.matrices import determinant, exponential, spd_log, sym_exp, symmetric
 
-from tests.support.numerics import NODES, SEEDS, compiled, differences
+from tests.support.numerics import CENTRAL_NODES, SEEDS, compiled, differences
 
 STEP = 5e-3
 FUNCTIONS = {"exp": sym_exp, "log": lambda a: spd_log(a + 4 * jnp.eye(3)), "general exp": exponential}
@@ -29,7 +29,7 @@ def _kernel(function: Callable) -> Callable:
         def along(a):
             return jax.jvp(function, (a,), (d,))[1]
 
-        line = STEP * NODES[:, None, None]
+        line = STEP * CENTRAL_NODES[:, None, None]
         return {
             "value": function(a),
             "values": jax.vmap(function)(a + line * d),

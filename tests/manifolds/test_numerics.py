@@ -12,7 +12,7 @@ from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics import series
 from retrax.manifolds.numerics.compiler import known_options
 from retrax.manifolds.numerics.differences import central_difference, central_nodes, slope
-from retrax.manifolds.numerics.levenberg import APPROACH, RELATIVE, SHORTENING, levenberg
+from retrax.manifolds.numerics.levenberg import APPROACH, RELATIVE_DAMPING, SHORTENING, levenberg
 from retrax.manifolds.numerics.rank import null_space, numerical_rank
 from retrax.manifolds.numerics.root import find_root
 
@@ -229,7 +229,7 @@ def test_find_root_says_where_it_found_none(residual):
     ("damping", "values"),
     [
         (APPROACH, [0.1, 0.4, 0.1, 0.025]),
-        (RELATIVE, [0.0, 1e-4, 0.0, 0.0]),
+        (RELATIVE_DAMPING, [0.0, 1e-4, 0.0, 0.0]),
         (SHORTENING, [0.0, 2.0, 0.0, 0.0]),
     ],
     ids=["approach", "relative", "shortening"],
@@ -245,7 +245,7 @@ def test_a_damping_grows_after_a_step_that_is_not_taken_and_falls_after_one_that
     assert damping.after(3 * damping.least + 1, True) == (3 * damping.least + 1) / damping.falls
 
 
-@pytest.mark.parametrize("damping", [APPROACH, RELATIVE], ids=["approach", "relative"])
+@pytest.mark.parametrize("damping", [APPROACH, RELATIVE_DAMPING], ids=["approach", "relative"])
 def test_damped_steps_arrive_from_where_those_of_gauss_and_newton_go_ever_further(damping):
     def step(j, r, shift):
         return -jnp.linalg.solve(j.T @ j + shift * jnp.eye(1), j.T @ r)

@@ -7,10 +7,10 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from retrax import plotting
-from retrax.channels import Channel, rotation_vectors, rotations, view
 from retrax.integrators import OptimalControlProblem, Quantities, Quantity, Result, Trajectory, solve
 from retrax.interop import to_casadi
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Sphere, hat
+from retrax.named_columns import NamedColumn, rotation_vectors, rotations, view
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Theta
 from scipy.spatial.transform import Rotation
 
@@ -193,7 +193,7 @@ def test_the_sphere_is_round():
 
 def test_entries_without_names_are_x_y_z_where_there_are_three_and_nothing_where_there_is_one():
     def labels(entries, units=("m",)):
-        return Channel("q", entries, units, np.zeros((2, len(entries)))).labels
+        return NamedColumn("q", entries, units, np.zeros((2, len(entries)))).labels
 
     assert labels(("0", "1", "2")) == ["x", "y", "z"]
     assert labels(("0", "1", "2"), ("m", "m", "m")) == ["x", "y", "z"]

@@ -7,7 +7,6 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 from retrax import plotting
-from retrax.channels import Channel
 from retrax.integrators import (
     OptimalControlProblem,
     PhasedSolution,
@@ -18,6 +17,7 @@ from retrax.integrators import (
     solve,
 )
 from retrax.manifolds import SO, Euclidean, InvalidInputError, hat
+from retrax.named_columns import NamedColumn
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 from scipy.spatial.transform import Rotation
 
@@ -152,12 +152,12 @@ def test_a_distant_bound_does_not_change_the_scale(bounds, two_stages):
 )
 def test_units_of_angles_become_degrees_with_their_numbers(unit, expected):
     bounds = ((-1.0, 2.0), (-np.inf, 0.5))
-    found = Channel("q", ("0", "1"), (unit,), np.array([[1.0, -2.0]]), bounds).in_degrees
+    found = NamedColumn("q", ("0", "1"), (unit,), np.array([[1.0, -2.0]]), bounds).in_degrees
     factor = 1 if unit == expected else 180 / np.pi
     assert found.units == (expected,)
     np.testing.assert_allclose(found.values, factor * np.array([[1.0, -2.0]]))
     np.testing.assert_allclose(found.bounds, factor * np.array(bounds))
-    mixed = Channel("q", ("a", "b"), ("m", unit), np.array([[1.0, -2.0]])).in_degrees
+    mixed = NamedColumn("q", ("a", "b"), ("m", unit), np.array([[1.0, -2.0]])).in_degrees
     np.testing.assert_allclose(mixed.values, [[1.0, -2.0 * factor]])
     assert mixed.units == ("m", expected)
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax import problems
-from retrax.integrators.evaluation import at_each
+from retrax.compute.at_points import evaluate_at_each
 from retrax.manifolds import InvalidInputError, Product, RetraxError
 
 pytestmark = pytest.mark.usefixtures("traced_once")
@@ -90,7 +90,7 @@ def test_ends_and_guesses_are_on_the_manifold(name):
     for factor, point in (*fixed(manifold, entry.start), *fixed(manifold, entry.end)):
         assert max(factor.violations(jax.tree.map(np.asarray, point)).values(), default=0.0) < 1e-14
     if entry.guess is not None:
-        violations = at_each(manifold.violations, entry.guess.states)
+        violations = evaluate_at_each(manifold.violations, entry.guess.states)
         assert max((float(np.max(v)) for v in violations.values()), default=0.0) < 1e-12
 
 

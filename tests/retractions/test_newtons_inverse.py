@@ -13,8 +13,8 @@ from retrax.testing.checks.derivatives import flat_retraction
 
 from tests.support.cases import REPRESENTATIVES, RETRACTIONS, reach
 from tests.support.numerics import (
+    CENTRAL_NODES,
     FRACTIONS,
-    NODES,
     SEEDS,
     compiled,
     differences,
@@ -63,7 +63,7 @@ def _newton_derivatives(name: str) -> Callable:
             """The inverse between the points ``R(x, s_0 a)`` and ``R(y, s_1 b)``."""
             return flat(newton_preimage(retraction, unravel(move(x, s[0] * a)), unravel(move(y, s[1] * b))))
 
-        lines = jnp.eye(2)[:, None, :] * (STEP * NODES)[None, :, None]
+        lines = jnp.eye(2)[:, None, :] * (STEP * CENTRAL_NODES)[None, :, None]
         return {
             "forward": jax.jacfwd(between)(jnp.zeros(2)),
             "reverse": jax.grad(lambda s: c @ between(s))(jnp.zeros(2)),

@@ -10,12 +10,12 @@ from retrax.manifolds import CotangentBundle, Manifold, TangentBundle
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.differences import slope
 from retrax.testing.draws import direction
-from retrax.testing.numerics import NODES, compiled, differences, flat, unflat
+from retrax.testing.numerics import CENTRAL_NODES, compiled, differences, flat, unflat
 from retrax.testing.numerics import largest as norm
 
 __all__ = [
+    "CENTRAL_NODES",
     "FRACTIONS",
-    "NODES",
     "SEEDS",
     "bundle_frame",
     "compiled",

@@ -10,12 +10,12 @@ from functools import cache, partial
 
 import numpy as np
 import pytest
+from retrax.compute.threads import in_threads, one_thread
 from retrax.integrators import Solver
 from retrax.manifolds import InvalidInputError, RetraxError
 from retrax.sweeps import Study, load_sweep, sweep
 from retrax.sweeps.sweep import AHEAD
 from retrax.sweeps.worker import run
-from retrax.threads import in_threads, one_thread
 
 from ..support.sweeping import REFUSED, UNREACHED, cases, drift, peaks, study
 

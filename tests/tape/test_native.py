@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax import threads
+from retrax.compute import threads
 from retrax.integrators import Free, OptimalControlProblem, Solver
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
@@ -282,7 +282,7 @@ def test_a_trial_is_made_anew_of_machine_code():
     way = np.array([1.0, 0.0]), np.zeros(2), 1.5
     for compiled in (False, True, True):
         solver.solve(*way)
-        (steps,) = [traced.steps for traced in solver._posing._found.values()]
+        (steps,) = [traced.steps for traced in solver._transcription._found.values()]
         trial = steps._trial[1]
         assert trial.is_current
         assert all(own.code.engine is not None for own in trial._tapes) or not compiled
@@ -309,7 +309,7 @@ def test_what_casadi_calls_is_no_machine_code():
 PROCESS = """
 import os, threading, time
 import jax.numpy as jnp, numpy as np
-from retrax import threads
+from retrax.compute import threads
 from retrax.tape import Tape, often
 often.OFTEN = 1
 

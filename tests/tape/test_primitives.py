@@ -4,12 +4,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.equations import called
+from retrax.jaxpr_tools import called_program
 from retrax.tape import Tape
-from retrax.tape.elementwise import KINDS
-from retrax.tape.fixed import BY_MARKS
+from retrax.tape.elementwise import ELEMENTWISE_PRIMITIVES
+from retrax.tape.guarded_rules import BY_MARKS
 from retrax.tape.linear import LINEAR
-from retrax.tape.moves import MOVES
+from retrax.tape.structural_rules import STRUCTURAL_RULES
 
 from .functions import SMOOTH, SPECIAL
 
@@ -110,7 +110,7 @@ def primitives(jaxpr, found):
     for eqn in jaxpr.eqns:
         found.add(eqn.primitive.name)
         for value in jax.tree.leaves(
-            [*eqn.params.values(), called(eqn)], is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")
+            [*eqn.params.values(), called_program(eqn)], is_leaf=lambda v: hasattr(v, "eqns") or hasattr(v, "jaxpr")
         ):
             if hasattr(value, "eqns") or hasattr(value, "jaxpr"):
                 primitives(getattr(value, "jaxpr", value), found)
@@ -122,4 +122,6 @@ NEWER = {"log2", "one_minus_square", "polynomial"}  # since JAX 0.11
 
 def test_every_rule_is_used_by_one_of_these_functions():
     used = set().union(*(primitives(jax.make_jaxpr(f)(POINTS[:, 0]).jaxpr, set()) for f, _ in CASES.values()))
-    assert {*MOVES, *LINEAR, *KINDS, *BY_MARKS} - used == (NEWER if jax.__version_info__ < (0, 11) else set())
+    assert {*STRUCTURAL_RULES, *LINEAR, *ELEMENTWISE_PRIMITIVES, *BY_MARKS} - used == (
+        NEWER if jax.__version_info__ < (0, 11) else set()
+    )

@@ -9,7 +9,7 @@ import pytest
 from jaxtyping import Array
 from retrax.manifolds.numerics.root import find_root, known_root
 from retrax.tape import NotTraceableError, Tape, roots
-from retrax.tape.roots import EPS, SETTLED
+from retrax.tape.roots import EPS, SETTLED_STEP
 
 RANDOM = np.random.default_rng(0)
 A, B = RANDOM.uniform(0.5, 2.0, (2, 7)), RANDOM.uniform(0.5, 2.0, 7)
@@ -159,7 +159,7 @@ def test_a_root_does_not_depend_on_the_points_that_it_is_computed_with():
             np.testing.assert_array_equal(one[..., 0], all_of_them[..., k])
 
 
-@pytest.mark.parametrize("settled", [0.0, EPS, 8 * EPS, SETTLED, 1e3 * EPS])
+@pytest.mark.parametrize("settled", [0.0, EPS, 8 * EPS, SETTLED_STEP, 1e3 * EPS])
 def test_where_a_loop_ends_changes_no_root_and_no_claim(settled, monkeypatch):
     """It is that of all the steps that there may be, from no step that leaves rounding to a thousand times as long
     ones; those of a tenth lose digits."""
@@ -167,7 +167,7 @@ def test_where_a_loop_ends_changes_no_root_and_no_claim(settled, monkeypatch):
     several = RANDOM.normal(size=(3, 40))
 
     def found(least: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        monkeypatch.setattr(roots, "SETTLED", least)
+        monkeypatch.setattr(roots, "SETTLED_STEP", least)
         own = Tape.trace(ring(3), several[:, 0])(several)
         return *Tape.trace(circle, np.zeros(()))(sideways), own
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax import threads
+from retrax.compute import threads
 from retrax.manifolds import SE, SO, SU, Hyperbolic, InvalidInputError, Oblique, Sphere, Stiefel
 from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
@@ -20,7 +20,7 @@ from retrax.tape import tape as module
 from retrax.tape.arrays import column
 from retrax.tape.instructions import CODES, NAMES
 from retrax.tape.machine import run_one
-from retrax.tape.program import SUMS, assembled
+from retrax.tape.program import FUSED_SUMS, assembled
 
 from tests.support.numerics import compiled
 
@@ -113,7 +113,7 @@ def test_sums_of_any_number_of_products():
     x, y = draw((9, 20)), draw((80, 20))
     tape = Tape.trace(sums, x[:, 0], y[:, 0])
     names = {NAMES[code] for code in tape.program.codes}
-    assert names >= {"MUL_ADD", "SUB_MUL", *SUMS.values()}
+    assert names >= {"MUL_ADD", "SUB_MUL", *FUSED_SUMS.values()}
     np.testing.assert_allclose(tape(x, y), jax.vmap(sums, (-1, -1), -1)(x, y), atol=1e-13)
 
 

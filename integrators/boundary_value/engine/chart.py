@@ -8,10 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....compute.base import Evaluator, PointwiseFunction
 from ....manifolds.numerics import ambient as vec
 from ....retractions import Retraction
-from ...evaluated import Evaluated, Evaluator
-from ...layout import Layout
+from ...problem.point_layout import PointLayout
 
 ROUNDS = 30  # of Newton's method, which takes three to five
 
@@ -36,7 +36,11 @@ class Chart:
     """
 
     def __init__(self, retraction: Retraction, evaluator: Evaluator) -> None:
-        self.retraction, self.manifold, self.state = retraction, retraction.manifold, Layout.of(retraction.manifold)
+        self.retraction, self.manifold, self.state = (
+            retraction,
+            retraction.manifold,
+            PointLayout.of(retraction.manifold),
+        )
         self._values, self._derivatives = evaluator.values, evaluator.derivatives
 
     def centres(self, near: np.ndarray, begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
@@ -91,7 +95,7 @@ class Chart:
         return np.einsum("...be,...b->...e", np.where(finite, frames, np.nan), found)
 
     @cached_property
-    def _uneven(self) -> Evaluated:
+    def _uneven(self) -> PointwiseFunction:
         """Sum and difference of the coordinates of two points, with the derivatives by those of the centre."""
 
         def uneven(d: Array, x: Array, begin: Array, end: Array) -> tuple[Array, Array]:
@@ -105,7 +109,7 @@ class Chart:
         return self._derivatives(uneven, self.manifold.dimension, size, size, size)
 
     @cached_property
-    def _coordinates(self) -> Evaluated:
+    def _coordinates(self) -> PointwiseFunction:
         def coordinates(x: Array, q: Array) -> tuple[Array]:
             centre = self.state.point(x)
             return (vec.components(self.manifold.basis(centre), self.retraction.preimage(centre, self.state.point(q))),)
@@ -113,7 +117,7 @@ class Chart:
         return self._values(coordinates, self.state.size, self.state.size)
 
     @cached_property
-    def _at(self) -> Evaluated:
+    def _at(self) -> PointwiseFunction:
         def at(x: Array, c: Array) -> tuple[Array, Array, Array]:
             centre = self.state.point(x)
             frame = self.manifold.basis(centre)
@@ -125,7 +129,7 @@ class Chart:
         return self._values(at, self.state.size, self.manifold.dimension)
 
 
-def _each(function: Evaluated, *arguments: np.ndarray) -> tuple[np.ndarray, ...]:
+def _each(function: PointwiseFunction, *arguments: np.ndarray) -> tuple[np.ndarray, ...]:
     return function.at(arguments[0].ndim - 1, *arguments)
 
 

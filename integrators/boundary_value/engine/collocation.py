@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....compute.base import Arrays, Evaluator
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Gauss, default_retraction
-from ...evaluated import Arrays, Evaluator
-from ...layout import Layout, parameter_layout
-from ...problem import OptimalControlProblem
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.point_layout import PointLayout, parameter_layout
 from .arrays import plain
 from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope, slopes
@@ -66,8 +66,8 @@ class Collocation:
         self.dimension = n + self.stages * m
         self.tableau = Tableau(np.array(method.centred), np.array(method.weights))
         self.state, self.control, self.parameter = (
-            Layout.of(self.manifold),
-            Layout.of(self.controls),
+            PointLayout.of(self.manifold),
+            PointLayout.of(self.controls),
             parameter_layout(parameters),
         )
         e, u, k = self.state.size, self.control.size, self.parameter.size

@@ -6,7 +6,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ...evaluated import Placed
+from ....compute.base import ProgramPlacement
 from .arrays import whole
 from .collocation import Collocation, GaussUnknowns, Inner
 from .condensing import Ends, Points
@@ -46,7 +46,7 @@ LIMITED = {"columns": "pushed:", "whole": "slopes"}
 class CollocationTrial(Trial):
     """That of a Gauss method, without inequalities at nodes."""
 
-    def __init__(self, programs: list[Placed], steps: Collocation, count: int) -> None:
+    def __init__(self, programs: list[ProgramPlacement], steps: Collocation, count: int) -> None:
         self.tableau = steps.tableau.matrix, steps.tableau.weights
         super().__init__(programs, steps, count)
 

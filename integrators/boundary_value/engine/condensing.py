@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ....aligned import aligned, scratch
-from ....threads import in_threads
+from ....compute.threads import in_threads
 from .arrays import plain, whole
 from .elimination import BlockSystem
 

@@ -18,7 +18,7 @@ from ....compute.transcription import (
     Transcription,
 )
 from ....manifolds.numerics.ambient import joined, taken
-from ...layout import Layout
+from ...problem.point_layout import PointLayout
 from .acceptance import WIDE
 from .aside import aside
 from .barrier import Barrier
@@ -86,7 +86,7 @@ def made(conditions: Conditions, instruction_set: int | None = None) -> Transcri
     )
 
 
-def _groups(layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+def _groups(layout: PointLayout) -> tuple[np.ndarray, np.ndarray]:
     """The column and the array of each entry of a point."""
     return layout.columns.astype(np.intp), layout.arrays.astype(np.intp)
 

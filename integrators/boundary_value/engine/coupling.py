@@ -8,12 +8,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....compute.base import Evaluator
 from ....manifolds import Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ...evaluated import Evaluator
-from ...layout import Layout, parameter_layout
-from ...problem import OptimalControlProblem
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.point_layout import PointLayout, parameter_layout
 from .transcription import Terminal
 
 
@@ -61,11 +61,11 @@ class Coupling:
         evaluator: Evaluator,
     ) -> None:
         self.problems, self.equations, self.links = problems, equations, tuple(links)
-        self.layouts = [Layout.of(problem.manifold) for problem in problems for _ in range(2)]
+        self.layouts = [PointLayout.of(problem.manifold) for problem in problems for _ in range(2)]
         self.given = [parameter_layout(own) for own in parameters]
         self.dimensions = [problem.manifold.dimension for problem in problems for _ in range(2)]
         self.count = self._count()
-        self.sizes = [self.count, *(Layout.of(link.manifold).size for link in self.links)]
+        self.sizes = [self.count, *(PointLayout.of(link.manifold).size for link in self.links)]
         sizes = [*(layout.size for layout in self.layouts), *(layout.size for layout in self.given), sum(self.sizes)]
         self._function = evaluator.derivatives(self._of, sum(self.dimensions), *sizes)
 
@@ -126,7 +126,7 @@ class Coupling:
         derivative = vec.gradient(lambda ends: lagrangian(ends)[0], points)
         flat_derivative = jnp.concatenate([layout.flat(p) for layout, p in zip(self.layouts, derivative, strict=True)])
         apart = jnp.concatenate(
-            [jnp.zeros(0), *(Layout.of(k.manifold).flat(self._apart(k, points, given)) for k in self.links)]
+            [jnp.zeros(0), *(PointLayout.of(k.manifold).flat(self._apart(k, points, given)) for k in self.links)]
         )
         return value, rows, flat_derivative, apart, self._costs(points, given), held
 
@@ -134,7 +134,7 @@ class Coupling:
         """Multipliers of the equations, and of the links in frames at their targets."""
         own, begin = [multipliers[: self.count]], self.count
         for link, frame, size in zip(self.links, frames, self.sizes[1:], strict=True):
-            covector = Layout.of(link.manifold).point(multipliers[begin : begin + size])
+            covector = PointLayout.of(link.manifold).point(multipliers[begin : begin + size])
             own.append(vec.components(frame, covector))
             begin += size
         return jnp.concatenate(own)

@@ -13,10 +13,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....compute.base import Evaluator
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
-from ...evaluated import Evaluator
 from .augmented import of_lagrangian, solved
 from .collocation import Collocation
 from .condensing import Condensed, condense

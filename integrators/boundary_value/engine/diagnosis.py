@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....compute.base import Evaluator, PointwiseFunction
 from ....manifolds import Manifold, MatrixLieGroup
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.tolerances import EPS, ROUNDING
 from ....manifolds.product import homogeneous_factors
-from ...evaluated import Evaluated, Evaluator
-from ...layout import Layout, parameter_layout
-from ...probing import flat_directions
-from ...problem import OptimalControlProblem
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.point_layout import PointLayout, parameter_layout
+from ...problem_checks.control_probing import flat_directions
 from ...stages.stage import positive
 
 SAMPLES = 3  # stages at which symmetry and rounding are looked at
@@ -54,9 +54,9 @@ class Diagnosis:
 
     def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
         self.problem, self._evaluator = problem, evaluator
-        self._parts: tuple[Evaluated, ...] | None = None  # each traced where it is asked for
-        self._limits: Evaluated | None = None
-        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self._parts: tuple[PointwiseFunction, ...] | None = None  # each traced where it is asked for
+        self._limits: PointwiseFunction | None = None
+        self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
         self.parameter = parameter_layout(parameters)
         states, controls, given = self.state.size, self.control.size, self.parameter.size
         example = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), problem.manifold.ambient)
@@ -119,7 +119,7 @@ class Diagnosis:
             self._limits = self._by_controls(self._limit_of, at[2].shape[2])
         return self._limits.at(2, *at, parameters[:, None])[0]
 
-    def _by_controls(self, part: Any, covectors: int) -> Evaluated:
+    def _by_controls(self, part: Any, covectors: int) -> PointwiseFunction:
         """Derivatives of a part of the Hamiltonian by the controls."""
         sizes = self.state.size, self.control.size, covectors, self.parameter.size
         return self._evaluator.derivatives(part, self.problem.controls.dimension, *sizes)

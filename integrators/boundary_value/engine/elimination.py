@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 from ....aligned import scratch
 from ....compute.block_elimination import BlockArrays, BlockResult, solve_blocks
 from ....compute.core import PARTS_ON_CORE
+from ....compute.threads import in_threads
 from ....manifolds.numerics.tolerances import EPS, REGULAR
-from ....threads import in_threads
 from .arrays import plain, whole
 from .scaling import Units
 

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple, final
 import numpy as np
 from jaxtyping import Bool, Float
 
+from ....compute.threads import in_threads
 from ....manifolds.numerics.tolerances import EPS, HALF
-from ....threads import in_threads
-from ...layout import Layout
+from ...problem.point_layout import PointLayout
 from .arrays import plain
 from .transcription import Blocks
 
@@ -52,7 +52,7 @@ class Extent(NamedTuple):
         """Sizes in the coordinates of the nodes from sizes in the entries."""
         return (self.support * entries[:, None]).max(axis=2, initial=0.0)
 
-    def moved(self, layout: Layout) -> tuple[np.ndarray, np.ndarray]:
+    def moved(self, layout: PointLayout) -> tuple[np.ndarray, np.ndarray]:
         """What each coordinate of the nodes moves by, zero where that is rounding, and its size, shape (B, n).
 
         Beside the size of its column it may be rounding, as the tilt of an attitude that turns about one axis.

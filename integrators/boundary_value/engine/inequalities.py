@@ -16,8 +16,8 @@ from typing import Any, NamedTuple, final
 
 import numpy as np
 
+from ....compute.threads import in_threads
 from ....manifolds.numerics.tolerances import EPS, HALF
-from ....threads import in_threads
 from .arrays import plain
 
 BOUNDARY = 0.99  # share of the way to the boundary that a step may go

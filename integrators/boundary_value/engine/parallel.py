@@ -8,8 +8,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from ....compute.threads import on_its_own, parts_of
 from ....manifolds.numerics.ambient import joined, taken
-from ....threads import on_its_own, parts_of
 from .found import Found
 from .newton import newton
 from .own_units import outgrown, own_units

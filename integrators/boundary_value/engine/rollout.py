@@ -8,11 +8,11 @@ import numpy as np
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Array
 
+from ....compute.automatic import AutomaticEvaluator
 from ....manifolds.numerics import ambient as vec
 from ....retractions import Gauss, Retraction
-from ...evaluator import Automatic
-from ...layout import Layout
-from ...problem import OptimalControlProblem
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.point_layout import PointLayout
 
 
 @final
@@ -20,11 +20,17 @@ class RollOut:
     """The classical Runge-Kutta method in the chart of a retraction around the beginning of each step, the control
     constant; the problem has parameters of this layout, if it takes any."""
 
-    def __init__(self, problem: OptimalControlProblem, retraction: Retraction, parameter: Layout | None = None) -> None:
+    def __init__(
+        self, problem: OptimalControlProblem, retraction: Retraction, parameter: PointLayout | None = None
+    ) -> None:
         self.problem, self.retraction, self.manifold = problem, retraction, problem.manifold
-        self.state, self.control, self.parameter = Layout.of(problem.manifold), Layout.of(problem.controls), parameter
+        self.state, self.control, self.parameter = (
+            PointLayout.of(problem.manifold),
+            PointLayout.of(problem.controls),
+            parameter,
+        )
         given = 0 if parameter is None else parameter.size
-        self._step = Automatic().values(self._step_of, self.state.size, self.control.size, 2, given)
+        self._step = AutomaticEvaluator().values(self._step_of, self.state.size, self.control.size, 2, given)
 
     def states(
         self, start: np.ndarray, controls: np.ndarray, spans: tuple[np.ndarray, np.ndarray], parameters: Any = ()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
-from ...layout import Layout
+from ...problem.point_layout import PointLayout
 from .extent import Extent
 from .kkt_system import Assembled, Iterate, Step
 from .transcription import Data, Moves, Nodes
@@ -51,7 +51,7 @@ def followed(
     return DIAMETER / np.maximum(_turns(parts, kept), DIAMETER)
 
 
-def _all_small(layout: Layout, extent: Extent, moves: np.ndarray) -> bool:
+def _all_small(layout: PointLayout, extent: Extent, moves: np.ndarray) -> bool:
     """Whether no coordinate moves by its share of a diameter, but for those that move nothing but arrays that are zero
     all along, as rates at rest: then nothing else is to be found out."""
     small = moves <= DIAMETER / np.sqrt(max(moves.shape[1], 1)) * extent.sizes
@@ -62,7 +62,9 @@ def _all_small(layout: Layout, extent: Extent, moves: np.ndarray) -> bool:
     return bool(np.all(small | idle))
 
 
-Part = tuple[Layout, np.ndarray, np.ndarray, np.ndarray]  # points, their support, and what their coordinates move by
+Part = tuple[
+    PointLayout, np.ndarray, np.ndarray, np.ndarray
+]  # points, their support, and what their coordinates move by
 
 
 def _turns(parts: list[Part], same: list[np.ndarray]) -> np.ndarray:
@@ -83,20 +85,20 @@ def _turns(parts: list[Part], same: list[np.ndarray]) -> np.ndarray:
     return largest
 
 
-def _sizes(layout: Layout, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _sizes(layout: PointLayout, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Sizes of the columns of points, and of the arrays that they are in: (columns, B, ...)."""
     squares = np.einsum("...e,ce->c...", points * points, layout.in_columns)
     together = np.equal.outer(layout.array_of_columns, layout.array_of_columns).astype(float)
     return np.sqrt(squares), np.sqrt(np.einsum("ac,c...->a...", together, squares))
 
 
-def _steady(layout: Layout, points: np.ndarray) -> np.ndarray:
+def _steady(layout: PointLayout, points: np.ndarray) -> np.ndarray:
     """Which columns have the same sizes along the trajectory, by themselves or as a whole array: (columns, B)."""
     both = [sizes.reshape(*sizes.shape[:2], -1) for sizes in _sizes(layout, points)]
     return np.any([np.ptp(sizes, axis=2) <= UNCHANGED * sizes.max(axis=2, initial=0.0) for sizes in both], axis=0)
 
 
-def _kept(layout: Layout, points: np.ndarray, moved: np.ndarray) -> np.ndarray:
+def _kept(layout: PointLayout, points: np.ndarray, moved: np.ndarray) -> np.ndarray:
     """Which columns of points, by themselves or as a whole array, have the sizes that they had: (columns, B)."""
     pairs = zip(_sizes(layout, points), _sizes(layout, moved), strict=True)
     same = [np.abs(after - before) <= UNCHANGED * before for before, after in pairs]

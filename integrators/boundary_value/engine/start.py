@@ -8,22 +8,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....compute.automatic import AutomaticEvaluator
+from ....compute.base import Evaluator, PointwiseFunction
+from ....compute.tape_evaluator import TapeEvaluator
 from ....manifolds import DomainError, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import default_tolerance
 from ....retractions import Retraction, default_retraction
-from ...evaluated import Evaluated, Evaluator
-from ...evaluator import Automatic
-from ...layout import Layout
-from ...tape_evaluator import TapeEvaluator
+from ...problem.point_layout import PointLayout
 
 ASIDE = 0.05  # of the chord
 PIECES = 8  # of a curve, in which its unevenness is measured: it does not depend on the steps of a method
 ENDS = np.linspace(0.0, 1.0, PIECES + 1)  # of these
 UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps
 
-Curve = tuple[Evaluated, Evaluated]  # the vector from a start to an end, with its size; points along it
+Curve = tuple[PointwiseFunction, PointwiseFunction]  # the vector from a start to an end, with its size; points along it
 
 
 @final
@@ -38,8 +38,12 @@ class Start:
     """
 
     def __init__(self, manifold: Manifold, retraction: Retraction) -> None:
-        self.manifold, self.layout, self.retraction = manifold, Layout.of(manifold), retraction
-        self._default, self._tapes, self._evaluator = default_retraction(manifold), TapeEvaluator(), Automatic()
+        self.manifold, self.layout, self.retraction = manifold, PointLayout.of(manifold), retraction
+        self._default, self._tapes, self._evaluator = (
+            default_retraction(manifold),
+            TapeEvaluator(),
+            AutomaticEvaluator(),
+        )
         self._walk: Curve | None = None
 
     def compile(self) -> None:

@@ -6,8 +6,8 @@ from functools import cache
 from types import TracebackType
 from typing import Any, Self, final
 
+from ....compute.compile_time import listen, stop_listening
 from ....optional import numba_is_there
-from ...compiling import ignore, listen
 
 _COMPILING: Any = "numba:compile"
 
@@ -30,7 +30,7 @@ class Stopwatch:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        ignore(self._add)
+        stop_listening(self._add)
         if self._event:
             self._event.unregister(_COMPILING, self._heard)
 

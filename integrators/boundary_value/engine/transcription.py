@@ -8,14 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....compute.automatic import AutomaticEvaluator
+from ....compute.base import Arrays, Evaluator, PointwiseFunction
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....retractions import DiscretizationMap, default_retraction
-from ...constraints import entry_words
-from ...evaluated import Arrays, Evaluated, Evaluator
-from ...evaluator import Automatic
-from ...layout import Layout, parameter_layout
-from ...problem import OptimalControlProblem
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.path_constraints import entry_words
+from ...problem.point_layout import PointLayout, parameter_layout
 from ...stages import ControlStage
 from .inequalities import Held, Slacks, raised
 from .rollout import RollOut
@@ -119,8 +119,8 @@ class OneStage:
         self.manifold, self.controls = problem.manifold, problem.controls
         self.dimension = self.manifold.dimension + self.controls.dimension
         self.state, self.control, self.parameter = (
-            Layout.of(self.manifold),
-            Layout.of(self.controls),
+            PointLayout.of(self.manifold),
+            PointLayout.of(self.controls),
             parameter_layout(parameters),
         )
         sizes = self.state.size, self.control.size
@@ -268,8 +268,12 @@ class Nodes:
     """What belongs to the nodes: frames, the terminal cost at the last, and the initial cost at the first."""
 
     def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
-        self.problem, self.layout, self.parameter = problem, Layout.of(problem.manifold), parameter_layout(parameters)
-        self.control = Layout.of(problem.controls)
+        self.problem, self.layout, self.parameter = (
+            problem,
+            PointLayout.of(problem.manifold),
+            parameter_layout(parameters),
+        )
+        self.control = PointLayout.of(problem.controls)
         self.dimension, e = problem.manifold.dimension, self.layout.size
         self._in_frame = evaluator.values(self._in_frame_of, e, self.dimension, e, e)
         costs = {"first_cost": problem.initial_cost, "final_cost": problem.terminal_cost}
@@ -334,9 +338,9 @@ class Nodes:
         return found, arcs @ columns, (arcs * np.cos(angle)) @ columns
 
     @cached_property
-    def _middle(self) -> Evaluated:
+    def _middle(self) -> PointwiseFunction:
         """Traced where ends are far apart for the first time; it reads nothing but the manifold."""
-        return Automatic().values(self._middle_of, self.layout.size, self.layout.size)
+        return AutomaticEvaluator().values(self._middle_of, self.layout.size, self.layout.size)
 
     @cached_property
     def roll_out(self) -> RollOut:

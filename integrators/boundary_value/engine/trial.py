@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from ....aligned import scratch
-from ...evaluated import Evaluated, Placed
+from ....compute.base import PointwiseFunction, ProgramPlacement
 from .barrier import LAST, LOWERING, PRICES
 from .elimination import WEIGHT, clear_pivot, positive_definite
 from .extent import Extent
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from .conditions import Conditions
 
 Share = Callable[[Callable[[range], Iterator[None]], int], None]
-Called = tuple[Evaluated, int, list[tuple[int, ...]]]  # leading axes, and shapes of what it is evaluated for
+Called = tuple[PointwiseFunction, int, list[tuple[int, ...]]]  # leading axes, and shapes of what it is evaluated for
 
 
 class Setting(NamedTuple):
@@ -123,7 +123,7 @@ class Trial(ABC):
 
     tableau: tuple[np.ndarray, np.ndarray] = np.zeros((0, 0)), np.zeros(0)
 
-    def __init__(self, programs: list[Placed], steps: Any, count: int) -> None:
+    def __init__(self, programs: list[ProgramPlacement], steps: Any, count: int) -> None:
         from . import pursuit_kernels
 
         self._kernels, self.limited = pursuit_kernels, steps.inequalities > 0

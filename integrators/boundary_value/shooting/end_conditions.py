@@ -10,20 +10,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from ....compute.jit_cache import compile_function
 from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....retractions import Retraction
-from ...compilation import compiled
-from ...problem import OptimalControlProblem
+from ...problem.optimal_control_problem import OptimalControlProblem
 from ...singular import Classification
 from ...singular.integrability import FinalEquations
-from ..end_points import NodeCondition, Part
+from ..inputs.boundary_data import EndPart, NodeCondition
 from .least_squares import least_squares
 from .segments import Pair
 
 MOST_STARTS = 8
-VANISHING = 1e-6  # of the equations of P_f, of order one: their rounding at a point of it
+FINAL_ROUNDING = 1e-6  # of the equations of P_f, of order one: their rounding at a point of it
 CONTRADICTED = 1e-9  # residual of the equations of P_f, over their terms
 RANDOM = 5  # points at which a terminal cost is looked at
 
@@ -50,7 +50,7 @@ class EndConditions(eqx.Module):
         s = c.stratum
         slopes, at_zero = jax.device_get(_scales(self.problem, c.equations, s.q, s.p, self.start.point, self.end.point))
         size = np.max(slopes)
-        if not np.max(np.abs(at_zero), initial=0.0) <= VANISHING:
+        if not np.max(np.abs(at_zero), initial=0.0) <= FINAL_ROUNDING:
             leaves = jax.tree.leaves(s.states[1])
             size = max(size, *(np.median(np.max(np.abs(a.reshape(len(a), -1)), axis=1, initial=0.0)) for a in leaves))
         return replace(self, unit=jnp.asarray(size if size > 0 else 1.0))
@@ -71,15 +71,15 @@ class EndConditions(eqx.Module):
         """The conditions at the end."""
         return _rows(self.problem.manifold, self.end, z[0], vec.scale(1 / self.unit, self.costate_at_end(z)))
 
-    def at(self, first: Pair, frame: Frame, last: Pair, moves: Frame) -> "AtEnds":
+    def at(self, first: Pair, frame: Frame, last: Pair, moves: Frame) -> "EndValues":
         """The conditions at both ends, and their derivatives along frames there."""
         start, by_first = _along(self.at_start, first, frame)
         end, by_last = _along(self.at_end, last, moves)
         missed = *_violations(self.start, first, start, self.unit), *_violations(self.end, last, end, self.unit)
-        return AtEnds(start, by_first, end, by_last, dict(missed))
+        return EndValues(start, by_first, end, by_last, dict(missed))
 
 
-class AtEnds(NamedTuple):
+class EndValues(NamedTuple):
     """The boundary conditions, shape (n,) each, with their derivatives, (n, vectors of a frame).
 
     ``violations``: for each part of both ends, in words, by how much it is missed in the ambient space, relative to 1 +
@@ -104,7 +104,7 @@ def _rows(manifold: Manifold, condition: NodeCondition, q: Ambient, costate: Amb
     return mask * vec.components(frame, vec.subtract(q, node)) + (1 - mask) * vec.components(frame, costate)
 
 
-@compiled
+@compile_function
 def _scales(
     problem: OptimalControlProblem, equations: FinalEquations, q: Ambient, p: Ambient, *ends: Ambient
 ) -> tuple[Array, Array]:
@@ -128,7 +128,7 @@ def _violations(condition: NodeCondition, z: Pair, rows: Array, unit: ArrayLike)
         leaf, row = leaf + part.leaves, row + part.dimension
 
 
-def part_name(part: Part) -> str:
+def part_name(part: EndPart) -> str:
     """A condition in words: ``start, factor 1: state``."""
     return f"{part.name}: {'state' if part.fixed else 'costate'}"
 
@@ -152,11 +152,11 @@ def points_at_ends(c: Classification, conditions: EndConditions, move: Retractio
     for condition, terminal in ((conditions.start, 0.0), (conditions.end, 1.0)):
         data = condition.point, condition.mask(), jnp.asarray(terminal)
         nodes = jax.device_get(_nearest(c.problem, c.equations, move, starts, jnp.asarray(conditions.unit), *data))
-        found.append(_chosen(c, condition, nodes))
+        found.append(_choose(c, condition, nodes))
     return found[0], found[1]
 
 
-@compiled
+@compile_function
 def _nearest(
     problem: OptimalControlProblem,
     equations: FinalEquations,
@@ -203,7 +203,7 @@ def _nearest(
     return jax.vmap(one)(covectors)
 
 
-def _chosen(c: Classification, condition: NodeCondition, nodes: Node) -> Pair:
+def _choose(c: Classification, condition: NodeCondition, nodes: Node) -> Pair:
     """The first of the points that lies on ``P_f``; raises if there is none."""
     worst = np.nan_to_num(np.max(np.abs(nodes.values), axis=1, initial=0.0), nan=np.inf)
     met = np.flatnonzero(worst <= CONTRADICTED)

@@ -10,50 +10,50 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....compute.automatic import AutomaticEvaluator
+from ....compute.jit_cache import compile_function
 from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ...compilation import compiled
-from ...evaluator import Automatic
-from ...initial_value.passed_jumps import Energy, Segments
-from ...layout import Layout
-from ...problem import OptimalControlProblem
-from ...results import Result
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.point_layout import PointLayout
+from ...problem_checks.smoothness.along_trajectory import Energy, Segments
+from ...reporting.results import Result
+from ...reporting.text import counted
 from ...singular import Classification, SingularIntegrator, singular_integrator
 from ...singular.integrability import FinalEquations
 from ...stages import ControlStage
-from ...text import many
-from ..arguments import copied
-from ..checks import SingularChecks
 from ..engine.diagnosis import Diagnosis
 from ..guess import default_guess
+from ..inputs.arguments import copy_parameters
+from ..inputs.inputs import Inputs
 from ..iteration_table import say
-from ..request import Request
-from ..solution import SingularArc, Solution, Statistics
-from .claims import Stationarity, broken_claim, broken_end, stationarity
+from ..solution.diagnostics import SingularChecks
+from ..solution.record import SingularArc, Solution, Statistics
 from .end_conditions import EndConditions, points_at_ends
-from .gauss_newton import Found, meet_conditions
+from .gauss_newton import ShootingResult, meet_conditions
 from .least_squares import least_squares
-from .legendre import second_order
+from .legendre_clebsch import generalised_legendre_clebsch
 from .segments import Iterate, Nodes, Pair, Shooting, StepwiseGauge
+from .verification import Stationarity, find_end_violation, find_violation, stationarity
 
 MOST_SEGMENTS = 12
 
 
-def solve_on_final_manifold(request: Request, c: Classification) -> Solution:
+def solve_on_final_manifold(inputs: Inputs, c: Classification) -> Solution:
     """An interior singular extremal between two boundary conditions, by multiple shooting on ``P_f``, piece after
     piece.
 
     Without an integrator the classification chooses one, and gauge controls are the unknowns of least norm, constant on
     every step. Raises ``InvalidInputError`` if the data of one end contradict the equations of ``P_f``.
     """
-    conditions = EndConditions(request.problem, *request.conditions_of(0)).in_units_of(c)
-    if request.integrator is not None or not c.stratified:
-        return _on_piece(request, conditions, c)
+    conditions = EndConditions(inputs.problem, *inputs.conditions_of(0)).in_units_of(c)
+    if inputs.integrator is not None or not c.stratified:
+        return _on_piece(inputs, conditions, c)
     failed, refused = list[Solution](), list[str]()
     for i in range(len(c.strata)):
         try:
-            solution = _on_piece(request, conditions, c.choose(i))
+            solution = _on_piece(inputs, conditions, c.choose(i))
         except InvalidInputError as error:
             refused.append(f"piece {i} of P_f: {error}")
             continue
@@ -65,25 +65,27 @@ def solve_on_final_manifold(request: Request, c: Classification) -> Solution:
     raise InvalidInputError("\n".join(refused))
 
 
-def _on_piece(request: Request, conditions: EndConditions, c: Classification) -> Solution:
+def _on_piece(inputs: Inputs, conditions: EndConditions, c: Classification) -> Solution:
     """An extremal on the first piece of ``P_f``."""
-    began, shown = time.perf_counter(), partial(say, request.options.callback)
-    if request.integrator is None:
+    began, shown = time.perf_counter(), partial(say, inputs.options.callback)
+    if inputs.integrator is None:
         shown(f"an integrator on P_f, of dimension {c.dimension}, is chosen, and compiled; integrator=... saves it")
-    shooting, strategy = _shooting(request, c)
+    shooting, strategy = _shooting(inputs, c)
     shown("points of P_f are looked for that meet the ends")
-    first, last = points_at_ends(c, conditions, request.discretization.retraction)
+    first, last = points_at_ends(c, conditions, inputs.discretization.retraction)
     _require_choice(conditions, c)
-    guess = Iterate(_first_points(shooting, c, request, first, last), _no_gauge(shooting, c, request.integrator))
+    guess = Iterate(_first_points(shooting, c, inputs, first, last), _no_gauge(shooting, c, inputs.integrator))
     prepared = time.perf_counter()
-    shown(f"shooting over {many(shooting.segments, 'segment')} of {many(shooting.length, 'step')} is compiled")
-    found = meet_conditions(shooting, conditions, guess, *request.options)
+    shown(f"shooting over {counted(shooting.segments, 'segment')} of {counted(shooting.length, 'step')} is compiled")
+    found = meet_conditions(shooting, conditions, guess, *inputs.options)
     shown("the trajectory is examined")
-    outcome: Any = jax.device_get(_outcome()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes)))
+    outcome: Any = jax.device_get(
+        _trajectory_of()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes))
+    )
     seconds = prepared - began, time.perf_counter() - prepared
     with np.errstate(all="ignore"):  # what is not finite is judged
-        arc = _arc(request, c, shooting, strategy, found, outcome)
-        return _record(request, conditions, arc, shooting, found, outcome, seconds)
+        arc = _arc(inputs, c, shooting, strategy, found, outcome)
+        return _record(inputs, conditions, arc, shooting, found, outcome, seconds)
 
 
 def _require_choice(conditions: EndConditions, c: Classification) -> None:
@@ -103,22 +105,22 @@ def _require_choice(conditions: EndConditions, c: Classification) -> None:
         )
 
 
-def _shooting(request: Request, c: Classification) -> tuple[Shooting, str]:
+def _shooting(inputs: Inputs, c: Classification) -> tuple[Shooting, str]:
     """Segments of about one twelfth of the steps; a single one where nodes leave ``P_f``, or a given gauge counts the
     time.
 
     With the choice of the integrator in words.
     """
-    length, h = -(-request.steps // min(MOST_SEGMENTS, request.steps)), jnp.asarray(request.h)
-    integrator = request.integrator
+    length, h = -(-inputs.steps // min(MOST_SEGMENTS, inputs.steps)), jnp.asarray(inputs.h)
+    integrator = inputs.integrator
     if integrator is None:
-        still = StepwiseGauge(jnp.zeros((length, c.gauge_controls)), h, float(request.discretization.theta))
-        method, choice = singular_integrator(c, request.discretization, gauge=still if c.gauge_controls else None)
+        still = StepwiseGauge(jnp.zeros((length, c.gauge_controls)), h, float(inputs.discretization.theta))
+        method, choice = singular_integrator(c, inputs.discretization, gauge=still if c.gauge_controls else None)
     else:
         method, choice = integrator, f"{type(integrator).__name__}, as given"
     if not method.keeps_nodes or (integrator is not None and c.gauge_controls):
-        length = request.steps
-    return Shooting(request.problem, method, c.manifold, h, request.steps, length), str(choice)
+        length = inputs.steps
+    return Shooting(inputs.problem, method, c.manifold, h, inputs.steps, length), str(choice)
 
 
 def _no_gauge(shooting: Shooting, c: Classification, integrator: SingularIntegrator | None) -> Array:
@@ -126,19 +128,19 @@ def _no_gauge(shooting: Shooting, c: Classification, integrator: SingularIntegra
     return jnp.zeros((shooting.segments, shooting.length, c.gauge_controls if integrator is None else 0))
 
 
-def _first_points(shooting: Shooting, c: Classification, request: Request, first: Pair, last: Pair) -> Pair:
+def _first_points(shooting: Shooting, c: Classification, inputs: Inputs, first: Pair, last: Pair) -> Pair:
     """Points of ``P_f`` near the guess, or near the curve of the retraction, with costates between the costates at the
     ends."""
     at = shooting.length * np.arange(shooting.segments)
-    known = request.guess_of(0)
+    known = inputs.guess_of(0)
     if known is None:
-        states = default_guess(request.problem, request.discretization, first[0], last[0], request.steps).states
-        fractions = at / request.steps
+        states = default_guess(inputs.problem, inputs.discretization, first[0], last[0], inputs.steps).states
+        fractions = at / inputs.steps
         costates = jax.tree.map(lambda a, b: _blend(fractions, a, b), first[1], last[1])
     else:
         states, costates = known.states, vec.entries(known.costates, at)
     states = vec.entries(states, at)
-    points = _near_final(request.problem.manifold, c.equations, states, costates)
+    points = _near_final(inputs.problem.manifold, c.equations, states, costates)
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(jax.device_get(points))):
         raise InvalidInputError(
             "no points of P_f found near the guess of the trajectory; pass a guess with states and costates near P_f, "
@@ -153,7 +155,7 @@ def _blend(fractions: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (1 - s) * a + s * b
 
 
-@compiled
+@compile_function
 def _near_final(manifold: Manifold, equations: FinalEquations, states: Ambient, costates: Ambient) -> Pair:
     """States with costates moved to where they violate the equations of ``P_f`` least."""
 
@@ -165,7 +167,7 @@ def _near_final(manifold: Manifold, equations: FinalEquations, states: Ambient, 
     return jax.vmap(one)(states, costates)
 
 
-class _Outcome(NamedTuple):
+class _ShootingTrajectory(NamedTuple):
     """An iterate: nodes, stages, cost, the largest violation of the equations of ``P_f`` at the nodes, and
     ``dH/du``."""
 
@@ -188,10 +190,10 @@ def _at_stages(shooting: Shooting, nodes: Nodes) -> Any:
 
 
 @lru_cache
-def _outcome() -> Callable[..., _Outcome]:
+def _trajectory_of() -> Callable[..., _ShootingTrajectory]:
     """States at the stages are base points of the discretization map between the nodes."""
 
-    def outcome(shooting: Shooting, equations: FinalEquations, nodes: Nodes) -> _Outcome:
+    def outcome(shooting: Shooting, equations: FinalEquations, nodes: Nodes) -> _ShootingTrajectory:
         problem, discretization = shooting.problem, shooting.integrator.lift.discretization
         z, controls = nodes[0], _at_stages(shooting, nodes)
         before, after = (vec.entries(z[0], s) for s in (slice(None, -1), slice(1, None)))
@@ -203,32 +205,36 @@ def _outcome() -> Callable[..., _Outcome]:
         first, last = (vec.entries(z, s) for s in (slice(None, -1), slice(1, None)))
         stages = states, jax.vmap(stage.covector)((states, controls), first[1], last[1])
         claims = stationarity(problem, (first, stages, last), controls)
-        return _Outcome(z, stages, controls, cost, residual, claims)
+        return _ShootingTrajectory(z, stages, controls, cost, residual, claims)
 
-    return compiled(outcome)
+    return compile_function(outcome)
 
 
-def _diagnostics(problem: OptimalControlProblem, outcome: _Outcome) -> Any:
+def _diagnostics(problem: OptimalControlProblem, outcome: _ShootingTrajectory) -> Any:
     """The diagnostics of the trajectory."""
-    state, control = Layout.of(problem.manifold), Layout.of(problem.controls)
+    state, control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
     first, second, states, costates = (state.rows(part, 1)[None] for part in (*outcome.nodes, *outcome.stages))
     stages = states, control.rows(outcome.controls, 1)[None], costates
     with np.errstate(all="ignore"):  # of an iterate that is no solution
-        diagnosis = Diagnosis(problem, None, Automatic())
+        diagnosis = Diagnosis(problem, None, AutomaticEvaluator())
         found = diagnosis(diagnosis.at_nodes(first, second), stages, np.zeros((1, 0)))
     return vec.entries(found, 0)
 
 
-def _judged(
-    request: Request, conditions: EndConditions, method: SingularIntegrator, found: Found, outcome: _Outcome
+def _judge(
+    inputs: Inputs,
+    conditions: EndConditions,
+    method: SingularIntegrator,
+    found: ShootingResult,
+    outcome: _ShootingTrajectory,
 ) -> tuple[bool, str]:
     """Whether the iteration succeeded and every claim holds where it is evaluated, and the result in words."""
     if found.result != Result.successful:
         return False, Result[found.result]
-    stage_times = float(request.h) * (np.arange(request.steps) + request.discretization.theta)
-    broken = broken_claim(request.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
-    broken = broken or broken_end(conditions, found.ends, *outcome.nodes)
-    energy = Energy(method.energy, request.problem, method.retraction)
+    stage_times = float(inputs.h) * (np.arange(inputs.steps) + inputs.discretization.theta)
+    broken = find_violation(inputs.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
+    broken = broken or find_end_violation(conditions, found.ends, *outcome.nodes)
+    energy = Energy(method.energy, inputs.problem, method.retraction)
     jumps = [] if broken else energy.passed(Segments.between(*vec.taken((outcome.nodes, outcome.controls), None)))
     if jumps:
         return False, f"The conditions hold at the points, but {jumps[0].words()}."
@@ -236,22 +242,22 @@ def _judged(
 
 
 def _record(
-    request: Request,
+    inputs: Inputs,
     conditions: EndConditions,
     arc: SingularArc,
     shooting: Shooting,
-    found: Found,
-    outcome: _Outcome,
+    found: ShootingResult,
+    outcome: _ShootingTrajectory,
     seconds: tuple[float, float],
 ) -> Solution:
-    (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(request.problem, outcome)
-    times = np.linspace(0.0, float(request.h) * request.steps, request.steps + 1)
-    success, result = _judged(request, conditions, shooting.integrator, found, outcome)
+    (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(inputs.problem, outcome)
+    times = np.linspace(0.0, float(inputs.h) * inputs.steps, inputs.steps + 1)
+    success, result = _judge(inputs, conditions, shooting.integrator, found, outcome)
     return Solution(
         times=times,
         states=states,
         costates=costates,
-        stage_times=times[:-1] + request.discretization.theta * float(request.h),
+        stage_times=times[:-1] + inputs.discretization.theta * float(inputs.h),
         stage_states=outcome.stages[0],
         stage_costates=outcome.stages[1],
         controls=controls,
@@ -269,14 +275,19 @@ def _record(
         ),
         statistics=Statistics(found.iterations, *seconds, bool(found.result == Result.stopped)),
         singular=arc,
-        interpolant=request.reader.mesh.interpolant,
-        parameters=copied(request.known.parameters),
-        quantities=request.problem.quantities,
+        interpolant=inputs.reader.mesh.interpolant,
+        parameters=copy_parameters(inputs.known.parameters),
+        quantities=inputs.problem.quantities,
     )
 
 
 def _arc(
-    request: Request, c: Classification, shooting: Shooting, strategy: str, found: Found, outcome: _Outcome
+    inputs: Inputs,
+    c: Classification,
+    shooting: Shooting,
+    strategy: str,
+    found: ShootingResult,
+    outcome: _ShootingTrajectory,
 ) -> SingularArc:
     """The record of the singular arc."""
     return SingularArc(
@@ -287,5 +298,7 @@ def _arc(
         presymplectic=shooting.integrator.presymplectic,
         conditions={name: float(value) for name, value in found.ends.violations.items()},
         independent=found.independent,
-        second_order=second_order(request.problem, vec.entries(outcome.nodes, slice(-1)), outcome.controls),
+        second_order=generalised_legendre_clebsch(
+            inputs.problem, vec.entries(outcome.nodes, slice(-1)), outcome.controls
+        ),
     )

@@ -9,33 +9,36 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ....compute.jit_cache import compile_function
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Frame
-from ....manifolds.numerics.levenberg import RELATIVE
-from ...compilation import compiled
-from ...results import Result
+from ....manifolds.numerics.levenberg import RELATIVE_DAMPING
+from ...reporting.results import Result
 from ..engine.found import Iteration
-from ..iteration_table import say, told
-from .end_conditions import AtEnds, EndConditions
+from ..iteration_table import say, tell
+from .end_conditions import EndConditions, EndValues
 from .least_squares import shortest_step
-from .segments import Iterate, Linearised, Shooting
+from .segments import Iterate, Linearisation, Shooting
 
 MATCHING = 100.0  # weight of the gaps: what cannot be met shows in the boundary conditions
 FREEDOM = 10.0  # weight of the states beside the gauge controls, whose norm is to be least
-STATIONARY, NEARLY_STATIONARY = 1e-8, 1e-4  # largest derivative of the residual's square, relative to its parts
+STATIONARY_RESIDUAL, NEARLY_STATIONARY = (
+    1e-8,
+    1e-4,
+)  # largest derivative of the residual's square, relative to its parts
 DECREASE = 1e-6  # of the conditions: what a step takes away at least
-PATIENCE, PROGRESS = 20, 0.1  # iterations in which the conditions have to come nearer by this fraction
-SETTLED = 1e-9  # last change of the gauge controls, relative to 1 + size
-TITLES = f"{'iteration':>9} {'conditions':>10} {'defect':>9} {'damping':>8}"
+SHOOTING_PATIENCE, PROGRESS = 20, 0.1  # iterations in which the conditions have to come nearer by this fraction
+SETTLED_GAUGE = 1e-9  # last change of the gauge controls, relative to 1 + size
+SHOOTING_TITLES = f"{'iteration':>9} {'conditions':>10} {'defect':>9} {'damping':>8}"
 
 
-class Found(NamedTuple):
+class ShootingResult(NamedTuple):
     """The last iterate with its conditions, and how the iteration ended. ``independent``: rank of the boundary
     conditions."""
 
     iterate: Iterate
-    at: Linearised
-    ends: AtEnds
+    at: Linearisation
+    ends: EndValues
     iterations: int
     independent: int
     result: Result
@@ -46,8 +49,8 @@ class _State(NamedTuple):
 
     iterate: Iterate
     frames: Frame
-    at: Linearised
-    ends: AtEnds
+    at: Linearisation
+    ends: EndValues
 
     @property
     def rows(self) -> np.ndarray:
@@ -74,7 +77,7 @@ def meet_conditions(
     tolerance: float,
     max_iterations: int,
     callback: Callable[[Iteration], Any] | None,
-) -> Found:
+) -> ShootingResult:
     """Close the gaps and meet the boundary conditions from a guess, with gauge controls of least norm.
 
     Damped Gauss-Newton with steps of least norm. It ends with ``Result.no_extremal`` where the residual is stationary
@@ -82,7 +85,7 @@ def meet_conditions(
     returns something true, and at an interrupt.
     """
     search = _Search(shooting, conditions, guess)
-    say(callback, TITLES)
+    say(callback, SHOOTING_TITLES)
     try:
         search.run(tolerance, max_iterations, callback)
     except KeyboardInterrupt:
@@ -104,7 +107,7 @@ class _Search:
 
     def run(self, tolerance: float, max_iterations: int, callback: Callable[[Iteration], Any] | None) -> None:
         """Iterate to the end."""
-        weights, damping, better, sizes = self.weights, RELATIVE.first, True, list[float]()
+        weights, damping, better, sizes = self.weights, RELATIVE_DAMPING.first, True, list[float]()
         for self.count in range(max_iterations + 1):
             state = self.state
             if _is_last(callback, self.count, state, damping, better):
@@ -117,22 +120,22 @@ class _Search:
             d, self.rank = shortest_step(matrix * weights.reshape(-1), state.rows, excess, damping)
             slope = _slope(matrix, state.rows)
             sizes.append(state.size)
-            exhausted = damping > RELATIVE.largest or (
-                self.count >= PATIENCE and sizes[-1] > (1 - PROGRESS) * sizes[-1 - PATIENCE]
+            exhausted = damping > RELATIVE_DAMPING.largest or (
+                self.count >= SHOOTING_PATIENCE and sizes[-1] > (1 - PROGRESS) * sizes[-1 - SHOOTING_PATIENCE]
             )
             change = np.max(np.abs(d)) if self.controlled else 0.0
-            self.result = _verdict(state, tolerance, slope, change, exhausted)
+            self.result = _result(state, tolerance, slope, change, exhausted)
             if self.result != Result.too_many_iterations or self.count == max_iterations:
                 return
             step = weights * d.reshape(weights.shape)
             tried = _evaluate(self.shooting, self.conditions, state.iterate, state.frames, step)
             better = tried.meets(tolerance) or tried.size < (1 - DECREASE) * state.size
-            self.state, damping = tried if better else state, RELATIVE.after(damping, better)
+            self.state, damping = tried if better else state, RELATIVE_DAMPING.after(damping, better)
 
-    def found(self) -> Found:
+    def found(self) -> ShootingResult:
         """The last iterate that was taken."""
         state, independent = self.state, max(self.rank - self.state.at.gaps.size, 0)
-        return Found(state.iterate, state.at, state.ends, self.count, independent, self.result)
+        return ShootingResult(state.iterate, state.at, state.ends, self.count, independent, self.result)
 
 
 def _is_last(
@@ -146,15 +149,15 @@ def _is_last(
     unknown, none, one = np.array([np.nan]), np.zeros(1), np.ones(1)
     sizes = np.array([gap]), np.array([state.size]), np.array([damping]), one, np.array([accepted])
     seen = Iteration(count, np.arange(1), unknown, *sizes, none, none)
-    return told(callback, seen, f"{count:>9} {state.size:>10.1e} {gap:>9.1e} {damping:>8.0e}")
+    return tell(callback, seen, f"{count:>9} {state.size:>10.1e} {gap:>9.1e} {damping:>8.0e}")
 
 
-def _verdict(state: _State, tolerance: float, slope: float, change: float, exhausted: bool) -> Result:
+def _result(state: _State, tolerance: float, slope: float, change: float, exhausted: bool) -> Result:
     """Whether the iteration ends here, and how; ``too_many_iterations`` while it has to go on."""
     if state.meets(tolerance):
-        settled = change <= SETTLED * (1 + np.max(np.abs(np.asarray(state.iterate.gauge)), initial=0.0))
+        settled = change <= SETTLED_GAUGE * (1 + np.max(np.abs(np.asarray(state.iterate.gauge)), initial=0.0))
         return Result.successful if settled else Result.too_many_iterations
-    if slope <= (NEARLY_STATIONARY if exhausted else STATIONARY):
+    if slope <= (NEARLY_STATIONARY if exhausted else STATIONARY_RESIDUAL):
         return Result.no_extremal
     return Result.no_improvement if exhausted else Result.too_many_iterations
 
@@ -164,7 +167,7 @@ def _kernels() -> tuple[Callable[..., Any], ...]:
     """The kernels that place points on ``P_f``, run the segments from these points, and evaluate the boundary
     conditions."""
     methods = Shooting.place, Shooting.linearise, EndConditions.at
-    return tuple(compiled(lambda *arguments, f=f: f(*arguments)) for f in methods)
+    return tuple(compile_function(lambda *arguments, f=f: f(*arguments)) for f in methods)
 
 
 def _evaluate(shooting: Shooting, conditions: EndConditions, iterate: Iterate, frames: Frame, d: np.ndarray) -> _State:

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ....manifolds.numerics.levenberg import RELATIVE, levenberg
+from ....manifolds.numerics.levenberg import RELATIVE_DAMPING, levenberg
 
 CUTOFF = 1e-11  # singular values below this fraction of the largest are taken for zero
 SOLVED = 1e-13
@@ -27,7 +27,7 @@ def least_squares(
         scales = jnp.where(kept, s / jnp.where(kept, s * s + (damping * s[0]) ** 2, 1.0), 0.0)
         return -vt.T @ (scales * (u.T @ r))
 
-    return levenberg(residual, start, step, RELATIVE, SOLVED)
+    return levenberg(residual, start, step, RELATIVE_DAMPING, SOLVED)
 
 
 def shortest_step(

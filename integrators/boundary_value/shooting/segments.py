@@ -11,7 +11,7 @@ from ....manifolds import Manifold, Submanifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient, Frame
 from ....retractions import BundleRetraction
-from ...problem import OptimalControlProblem
+from ...problem.optimal_control_problem import OptimalControlProblem
 from ...singular import SingularIntegrator
 
 Pair = tuple[Ambient, Ambient]
@@ -51,7 +51,7 @@ class Nodes(NamedTuple):
     controls: Any
 
 
-class Linearised(NamedTuple):
+class Linearisation(NamedTuple):
     """The segments from an iterate, and their derivatives by its coordinates.
 
     ``nodes`` have the segments and their steps along the first two axes; ``end`` is ``z_N``, and ``end_moves`` the
@@ -118,7 +118,7 @@ class Shooting(eqx.Module):
         (q, p, _, solved), nodes = jax.lax.scan(step, begin, first + jnp.arange(self.length))
         return (q, p), (nodes, solved)
 
-    def linearise(self, iterate: Iterate, frames: Frame) -> Linearised:
+    def linearise(self, iterate: Iterate, frames: Frame) -> Linearisation:
         """The segments from an iterate, and their derivatives along the frames and by the gauge controls."""
         points, gauge = iterate
         firsts = self.length * jnp.arange(self.segments)
@@ -129,7 +129,7 @@ class Shooting(eqx.Module):
         )
         gap = vec.subtract(before, after)
         end, end_moves = vec.entries((ends, pushes), -1)
-        return Linearised(
+        return Linearisation(
             nodes=nodes,
             end=end,
             end_moves=end_moves,

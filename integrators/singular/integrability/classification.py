@@ -18,13 +18,13 @@ from ....manifolds import (
     Submanifold,
 )
 from ....manifolds.numerics.ambient import Ambient
-from ...problem import OptimalControlProblem, is_same_problem
+from ...problem.optimal_control_problem import OptimalControlProblem, is_same_problem
 from ..integrability_result import IntegrabilityResult, Signature
-from .final import FinalEquations
-from .hulls import PieceEquations
+from .affine_hulls import PieceEquations
+from .algorithm_stages import Level
+from .final_equations import FinalEquations
 from .lagrangian_submanifolds import immersed_dynamics
-from .levels import Level
-from .points import APPROACHED
+from .sample_points import APPROACHED
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,10 @@ import jax
 import numpy as np
 
 from ....manifolds import Manifold
-from ...text import Line, many, table
-from .. import words
+from ...reporting.text import Line, counted, table
+from .. import wording
+from .algorithm_stages import Level
 from .classification import Classification, Stratum
-from .levels import Level
 
 SHOWN = 1e-9  # of the size of numbers: smaller ones are shown as zeros
 
@@ -22,20 +22,20 @@ def report_text(classification: Classification) -> str:
 
 
 def _problem(c: Classification) -> Iterator[Line]:
-    yield "problem", words.problem_words(c.problem)
+    yield "problem", wording.problem_words(c.problem)
     if c.zero_costate_excluded:
-        yield "costate", words.EXCLUDED + (f": {c.excluded} of the points found had it" if c.excluded else "")
+        yield "costate", wording.EXCLUDED + (f": {c.excluded} of the points found had it" if c.excluded else "")
 
     if c.jump:
-        yield "JUMP", f"{c.jump}; {words.ON_EACH_SIDE}"
+        yield "JUMP", f"{c.jump}; {wording.ON_EACH_SIDE}"
 
 
 def _morse(c: Classification) -> Iterator[Line]:
     if c.morse is None:
         return
-    where = f"{many(c.morse.count, 'point')} with dH/du = 0"
+    where = f"{counted(c.morse.count, 'point')} with dH/du = 0"
     values = f"smallest singular values {_values(c.morse.family_singular_values)} at {where}"
-    yield "H", f"{words.family_words(c.morse.family)} ({values})"
+    yield "H", f"{wording.family_words(c.morse.family)} ({values})"
     kind = "regular" if c.morse.regular else "singular"
     yield "kind", f"{kind}: d2H/du2 has singular values {_values(c.morse.hessian_singular_values)}; {_gap(c.morse.gap)}"
 
@@ -49,7 +49,7 @@ def _level(level: Level) -> str:
     if level.empty:
         return f"no consistent point from {level.tried} starts, smallest residual {level.residual:.1e} (relative)"
     strata = "; ".join(
-        words.level_words(*signature) + (f" ({many(count, 'point')})" if len(level.strata) > 1 else "")
+        wording.level_words(*signature) + (f" ({counted(count, 'point')})" if len(level.strata) > 1 else "")
         for signature, count in level.strata.items()
     )
     return f"{strata} [{level.consistent} of {level.tried} points, {_gap(level.gap)}{_irregular(level)}]"
@@ -74,19 +74,19 @@ def _gap(gap: float) -> str:
 
 def _empty(c: Classification) -> Iterator[Line]:
     if c.excluded:
-        yield "P_f", words.EMPTY_WITHOUT_IT
+        yield "P_f", wording.EMPTY_WITHOUT_IT
     else:
         level = c.levels[-1]
-        text = words.unmet_words(level.index) if c.contradictory else words.approached_words(level.residual)
-        yield "P_f", text + (words.WITH_IT if c.zero_costate_excluded else "")
+        text = wording.unmet_words(level.index) if c.contradictory else wording.approached_words(level.residual)
+        yield "P_f", text + (wording.WITH_IT if c.zero_costate_excluded else "")
 
 
 def _final(c: Classification) -> Iterator[Line]:
     if c.sparse:
         worst = max(c.levels, key=lambda level: level.missing)
-        yield "LEFT OUT", words.sparse_words(worst.missing, worst.tried)
+        yield "LEFT OUT", wording.sparse_words(worst.missing, worst.tried)
     if c.stratified:
-        yield "strata", words.strata_words(len(c.strata))
+        yield "strata", wording.strata_words(len(c.strata))
     for i, stratum in enumerate(c.strata):
         prefix = f"[{i}] " if c.stratified else ""
         for name, text in _stratum(c, stratum):
@@ -96,35 +96,35 @@ def _final(c: Classification) -> Iterator[Line]:
 def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     total, codimension = 2 * c.problem.manifold.dimension, s.codimension
     kernel = total - codimension - s.rank
-    seen = f", {many(s.count, 'point')}" if c.stratified else ""
+    seen = f", {counted(s.count, 'point')}" if c.stratified else ""
     if not c.reliable:
         yield (
             "NOT RELIABLE",
-            words.UNRELIABLE
+            wording.UNRELIABLE
             if any(level.unknown and level.slow == level.consistent for level in c.levels)
-            else words.UNDECIDED,
+            else wording.UNDECIDED,
         )
-    yield "P_f", words.final_words(total - codimension, total, s.equations.names) + seen
+    yield "P_f", wording.final_words(total - codimension, total, s.equations.names) + seen
     if c.irregular and c.reliable and not s.flat:
-        yield "pieces", words.CURVED
+        yield "pieces", wording.CURVED_PIECES
     if c.stratified:
         yield "point", f"q = {_point(s.q)}, p = {_point(s.p)}"
-    yield "k_f", words.stop_words(s.k_f, s.k_f_base)
-    yield "omega_f", words.form_words(s.rank, kernel)
+    yield "k_f", wording.stop_words(s.k_f, s.k_f_base)
+    yield "omega_f", wording.form_words(s.rank, kernel)
     for i in range(kernel):
         yield (
             "kernel",
             f"({_vector(s.kernel[0], i)}; {_vector(s.kernel[1], i)}) at q = {_point(s.q)}, p = {_point(s.p)}",
         )
-    yield "constraints", words.class_words(codimension, kernel)
+    yield "constraints", wording.class_words(codimension, kernel)
     yield (
         "controls",
-        _controls(c.problem.controls, s) + words.chart_words(c.problem.controls, _point(s.feedback.center)),
+        _controls(c.problem.controls, s) + wording.chart_words(c.problem.controls, _point(s.feedback.center)),
     )
 
 
 def _controls(controls: Manifold, s: Stratum) -> str:
-    free, names = s.free_controls, [words.component_words(controls, a) for a in range(len(s.determined_at))]
+    free, names = s.free_controls, [wording.component_words(controls, a) for a in range(len(s.determined_at))]
     levels = zip(names, s.determined_at, strict=True)
     known = ", ".join(f"{name} by level {level}" for name, level in levels if level is not None)
     determined = f"{len(s.determined_at) - free} determined" + (f" ({known})" if known else "")

@@ -9,29 +9,29 @@ import numpy as np
 from ....manifolds import CotangentBundle, InvalidInputError, NotOnManifoldError
 from ....manifolds.numerics import ambient as vec
 from ....progress import Advance, progress
-from ....reading import reads_once
 from ....retractions import default_retraction
-from ...controls import resting_control
-from ...costs import is_steep
-from ...functions import require_concrete
-from ...initial_value.passed_jumps import Energy, Segments
-from ...inspection import Inspection
-from ...problem import OptimalControlProblem
-from ...requirements import require_treated
-from ...results import warn_about_precision
+from ....tracing import reads_once
+from ...problem.initial_controls import resting_control
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.user_functions import require_concrete
+from ...problem_checks.costs import is_steep
+from ...problem_checks.inspection import Inspection
+from ...problem_checks.requirements import require_treated
+from ...problem_checks.smoothness.along_trajectory import Energy, Segments
+from ...reporting.results import warn_about_precision
 from ..integrability_result import Signature
+from .algorithm_stages import Level, PointRanks, point_ranks, summarise
 from .classification import Classification, MorseTest, Stratum
-from .jets import Pair
-from .levels import Level, PointRanks, point_ranks, summarise
-from .points import Points, select, with_order
+from .derivative_array import Pair
+from .random_points import random_starts
+from .sample_points import Points, select, with_order
 from .search import make_consistent, points_beside
-from .starts import random_starts
-from .strata import Found, found_strata
+from .strata import StoppedPoints, find_strata
 
 if TYPE_CHECKING:
     from ..symbolic import SymbolicClassification
 
-ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
+ARRAY_ORDERS = (2, 4, 8, 15)  # of the derivative array: each is compiled only if the one before did not suffice
 MOST_PAIRED = 22  # points between each two of which a jump is looked for
 
 
@@ -136,14 +136,14 @@ def classify(
 def _classify(
     problem: OptimalControlProblem, starts: int, seed: int, exclude: bool | None, near: Pair | None, verbose: bool
 ) -> Classification:
-    first = random_starts(problem, ORDERS[0], starts, seed, near)
+    first = random_starts(problem, ARRAY_ORDERS[0], starts, seed, near)
     homogeneous = problem.abnormal or float(np.ptp(first.at.cost_rate)) == 0  # a constant is part of no condition
     if exclude is None:
         exclude = problem.abnormal or (homogeneous and is_steep(problem))
     with progress("classify", len(first.slow), "points", verbose) as advance:
         levels, morse, found = _run(first, exclude and homogeneous, advance)
     kept = [item for item in found if not (exclude and item.trivial)]
-    strata = found_strata(kept)
+    strata = find_strata(kept)
     jump = _jump(problem, first, strata)
     return Classification(
         problem, strata, morse, tuple(levels), len(found) - len(kept), bool(exclude), problem._digest(), jump
@@ -197,7 +197,9 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
     Inspection(problem, q, resting_control(problem.controls)).require_smooth()
 
 
-def _run(first: Points, unit_costate: bool, advance: Advance) -> tuple[list[Level], MorseTest | None, list[Found]]:
+def _run(
+    first: Points, unit_costate: bool, advance: Advance
+) -> tuple[list[Level], MorseTest | None, list[StoppedPoints]]:
     """The levels until ``P^k`` stops around each of its points or none is consistent, and the points where it stopped.
 
     ``P^k = P^{k-1}`` around a point makes ``S^{k+1}``, the part of ``S^k`` in ``T P^k``, all of ``S^k`` there: nothing
@@ -213,13 +215,13 @@ def _run(first: Points, unit_costate: bool, advance: Advance) -> tuple[list[Leve
 
 def _through(
     first: Points, unit_costate: bool, levels: list[Level], advance: Advance
-) -> tuple[list[Level], MorseTest | None, list[Found]]:
+) -> tuple[list[Level], MorseTest | None, list[StoppedPoints]]:
     """The result of ``_run`` with ``levels`` extended."""
-    points, morse, found = first, None, list[Found]()
+    points, morse, found = first, None, list[StoppedPoints]()
     while True:
         level = len(levels)
         if level > points.array.order:
-            points = _lengthened(points, first, levels)
+            points = _lengthen(points, first, levels)
         points = _known(make_consistent(points, level, unit_costate))
         if level == 0 and points.consistent.any():
             morse = _morse(points)
@@ -231,7 +233,9 @@ def _through(
         _require_finite(points, levels[-1])
         settled = [level > 0 and _new_equations(history) == 0 for history in histories]
         ended = [
-            Found(select(points, [i]), h) for i, h, stops in zip(reliable, histories, settled, strict=True) if stops
+            StoppedPoints(select(points, [i]), h)
+            for i, h, stops in zip(reliable, histories, settled, strict=True)
+            if stops
         ]
         found += ended
         left = np.setdiff1d(np.arange(len(points.slow)), reliable[settled])
@@ -292,9 +296,9 @@ def _new_equations(history: list[PointRanks]) -> int:
     return history[-1].signature.codimension - history[-2].signature.codimension
 
 
-def _lengthened(points: Points, first: Points, levels: list[Level]) -> Points:
+def _lengthen(points: Points, first: Points, levels: list[Level]) -> Points:
     """The points with an array of the next order, in the units that it has at the starts."""
-    higher = [order for order in ORDERS if order >= len(levels)]
+    higher = [order for order in ARRAY_ORDERS if order >= len(levels)]
     if not higher:
         raise InvalidInputError(
             f"the integrability algorithm still finds new conditions after {len(levels)} levels: "

@@ -13,8 +13,8 @@ from ....manifolds.numerics.tolerances import EPS
 
 COUNTED = 1e3  # an entry is not zero if it is this many times what it changes by
 # Ranks are decided where all that counts is at least the first, and all else at most the second.
-CERTAIN, ZERO = 1e4, 1e2
-MOST = 1 / EPS
+CERTAIN, RANK_GAP = 1e4, 1e2
+LARGEST_RATIO = 1 / EPS
 # Relative changes of all entries, so that the rounding of the elimination itself is not the same in a stack.
 JITTER = 1e-13
 BALANCED = 4  # sweeps that scale rows and columns
@@ -35,7 +35,7 @@ class Echelon(NamedTuple):
     @property
     def decided(self) -> np.ndarray:
         """Where the ranks are clear."""
-        return (self.smallest >= CERTAIN) & (self.largest <= ZERO)
+        return (self.smallest >= CERTAIN) & (self.largest <= RANK_GAP)
 
     def steps(self) -> np.ndarray:
         """Largest component of the least step to where the equations hold whose values are the last column,
@@ -67,7 +67,7 @@ class Echelon(NamedTuple):
 def significance(stack: np.ndarray) -> np.ndarray:
     """Sizes of the entries at the point over what they change by, zero for zeros; shape ``(batch, ...)``."""
     size, change = np.abs(stack[:, 0]), np.max(np.abs(stack[:, 1:] - stack[:, :1]), axis=1)
-    return size / np.where(size > 0, np.maximum(change, size / MOST), 1.0)
+    return size / np.where(size > 0, np.maximum(change, size / LARGEST_RATIO), 1.0)
 
 
 def without_small(stack: np.ndarray, least: np.ndarray, steady: float) -> np.ndarray:
@@ -85,7 +85,7 @@ def eliminate(stack: np.ndarray, blocks: tuple[slice, ...], level: np.ndarray) -
     matrix[:, 1:] *= 1 + JITTER * np.random.default_rng(0).standard_normal(matrix[0, 1:].shape)
     scale, (count, _, height, width) = _balance(matrix), matrix.shape
     rows, free = np.full((count, width), -1), np.ones((count, height), bool)
-    smallest, largest = np.where(finite, MOST, 0.0), np.zeros(count)
+    smallest, largest = np.where(finite, LARGEST_RATIO, 0.0), np.zeros(count)
     for block in blocks:
         while True:
             known = significance(matrix[..., block]) * free[..., None]

@@ -23,8 +23,8 @@ from ....manifolds import (
 )
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ...problem import OptimalControlProblem
-from .jets import Pair, hamiltonian_field
+from ...problem.optimal_control_problem import OptimalControlProblem
+from .derivative_array import Pair, hamiltonian_field
 
 
 def critical_set(problem: OptimalControlProblem) -> Submanifold:

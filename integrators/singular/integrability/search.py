@@ -7,7 +7,7 @@ import jax
 import numpy as np
 
 from ....manifolds.numerics.levenberg import SHORTENING
-from .points import CONVERGED, Linearised, Points, in_units, moved, relative, tiny_steps
+from .sample_points import CONVERGED_VALUE, Linearisation, Points, in_units, move, relative, tiny_steps
 from .units import Units, units_at
 
 ITERATIONS = 100
@@ -20,9 +20,9 @@ DESCENTS = 30  # steps of descent
 EASE = 10.0
 # Tiny residuals that shrink slower, this often: an irregular constraint.
 SLOW_RATIO, SLOW_STEPS, SLOW_BELOW = 0.1, 4, 1e-8
-LONG = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
-STATIONARY = 0.3  # of the equations that a step of size one takes away, where they contradict each other
-BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
+LONG_STEP = 1e-2  # steps, in units, of points that go to infinity while residuals are that tiny
+CONTRADICTED_SHARE = 0.3  # of the equations that a step of size one takes away, where they contradict each other
+DISTANCE_BESIDE = 1e-3  # how far, in units, points are taken beside others to see whether their ranks are the same
 
 
 def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
@@ -32,11 +32,11 @@ def make_consistent(points: Points, level: int, unit_costate: bool) -> Points:
     equations that are small there, as ``x^2 y`` is beside ``x y^2`` on ``x = 0``, then with ``DESCENTS`` steps of
     descent before as well.
     """
-    best = _moved(points, _Search(points, level, unit_costate, False), np.ones(len(points.slow), bool), 0)
+    best = _move(points, _Search(points, level, unit_costate, False), np.ones(len(points.slow), bool), 0)
     for descents in (0, DESCENTS):
         stuck = (best.slow & best.consistent & ~points.slow) | ~best.consistent
         if stuck.any():
-            again = _moved(points, _Search(points, level, unit_costate, True), stuck, descents)
+            again = _move(points, _Search(points, level, unit_costate, True), stuck, descents)
             best = _better(stuck & again.consistent & ~again.slow, again, best)
     return best
 
@@ -50,24 +50,24 @@ def _better(which: np.ndarray, again: Points, points: Points) -> Points:
     return replace(points, at=at, beside=beside, slow=points.slow & ~which, away=points.away & ~which)
 
 
-def _moved(points: Points, search: "_Search", which: np.ndarray, descents: int) -> Points:
+def _move(points: Points, search: "_Search", which: np.ndarray, descents: int) -> Points:
     """Steps are taken if the equations shrink in the units of the point before."""
     at, going, slow = points.at, which, np.zeros(len(which), int)
     damping = np.full(len(which), SHORTENING.first)
     residual = search.residual(at, at)
     for i in range(ITERATIONS):
-        active = going & (residual > FURTHER * CONVERGED) & (damping <= SHORTENING.largest)
+        active = going & (residual > FURTHER * CONVERGED_VALUE) & (damping <= SHORTENING.largest)
         if not active.any():
             break
         length = 1 / np.maximum(damping, 1.0)
         d = np.where(active, length, 0.0)[:, None] * search.directions(at, i < descents)
-        tried = moved(points.array, at.z, points.centers, at.jet, d)
+        tried = move(points.array, at.z, points.centers, at.jet, d)
         now, own = search.residual(tried, at), search.residual(tried, tried)
         better = active & (now < (1 - ARMIJO * length) * residual)
         at = jax.tree.map(lambda a, b, better=better: _where(better, a, b), tried, at)
         slow += better & (damping == 0) & (now > SLOW_RATIO * residual) & (now < SLOW_BELOW)
         residual = np.where(better, own, residual)
-        going = going & (better | (residual > CONVERGED))
+        going = going & (better | (residual > CONVERGED_VALUE))
         damping = SHORTENING.after(damping, better)
     return search.ended(at, slow >= SLOW_STEPS)
 
@@ -80,9 +80,9 @@ def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def points_beside(points: Points, level: int, unit_costate: bool) -> Points:
     """Consistent points at a random short distance from a batch, where pieces that cross lie apart."""
     count, reach = len(points.slow), points.at.velocity.shape[1] + (level + 1) * points.at.jet.shape[-1]
-    d = BESIDE * points.units.both * np.random.default_rng(0).standard_normal(points.units.both.shape)
+    d = DISTANCE_BESIDE * points.units.both * np.random.default_rng(0).standard_normal(points.units.both.shape)
     d[:, reach:] = 0.0  # derivatives of the control that do not enter
-    at = moved(points.array, points.at.z, points.centers, points.at.jet, d)
+    at = move(points.array, points.at.z, points.centers, points.at.jet, d)
     return make_consistent(replace(points, at=at, slow=np.zeros(count, bool)), level, unit_costate)
 
 
@@ -94,12 +94,12 @@ class _Search(NamedTuple):
     unit_costate: bool
     coarse: bool
 
-    def units(self, at: Linearised) -> Units:
+    def units(self, at: Linearisation) -> Units:
         """In which equations and steps are measured at points."""
         units = units_at(at, self.points.sizes)
         return replace(units, rows=np.maximum(units.rows, self.points.sizes.rows)) if self.coarse else units
 
-    def ended(self, at: Linearised, slow: np.ndarray) -> Points:
+    def ended(self, at: Linearisation, slow: np.ndarray) -> Points:
         """The points where the search ended."""
         points, units = self.points, units_at(at, self.points.sizes)
         steps = np.linalg.norm(self.directions(at, False) / units.both, axis=1)
@@ -107,19 +107,19 @@ class _Search(NamedTuple):
         return replace(
             points,
             slow=points.slow | slow,
-            away=points.away | (slow & (steps > LONG)),
+            away=points.away | (slow & (steps > LONG_STEP)),
             unclear=np.zeros_like(slow),
-            opposed=self.slopes(at) <= STATIONARY,
+            opposed=self.slopes(at) <= CONTRADICTED_SHARE,
         )
 
-    def residual(self, at: Linearised, before: Linearised) -> np.ndarray:
+    def residual(self, at: Linearisation, before: Linearisation) -> np.ndarray:
         """Norm of the equations in the units of a point; infinite where one, or a function of the problem, is not
         finite."""
         values = relative(at, self.units(before).rows, self.level)
         with np.errstate(over="ignore"):
             return np.linalg.norm(np.concatenate([values, np.abs(self.normalisation(at)[0])], axis=1), axis=1)
 
-    def slopes(self, at: Linearised) -> np.ndarray:
+    def slopes(self, at: Linearisation) -> np.ndarray:
         """How much of the equations, in the sizes that they have at the starts, a step of size one can take away."""
         rows = np.broadcast_to(self.points.sizes.rows, at.array.shape)
         units = replace(units_at(at, self.points.sizes), rows=rows)
@@ -134,7 +134,7 @@ class _Search(NamedTuple):
             slopes[:, : tilt.shape[2]] += np.einsum("br,bri->bi", size / sizes, tilt * units.state[:, None])
             return np.where(np.isfinite(sizes[:, 0]), np.linalg.norm(slopes, axis=1), np.inf)
 
-    def normalisation(self, at: Linearised) -> tuple[np.ndarray, np.ndarray]:
+    def normalisation(self, at: Linearisation) -> tuple[np.ndarray, np.ndarray]:
         """``(|p|^2 - 1) / 2`` in typical sizes, and its derivatives by the coordinates of ``T*Q``; no rows if it is not
         asked."""
         sizes, n = self.points.sizes.state, at.costate.shape[1]
@@ -142,7 +142,7 @@ class _Search(NamedTuple):
         value = (np.sum(slope**2, axis=1, keepdims=True) - 1) / 2
         return value[:, : int(self.unit_costate)], (slope / sizes)[:, None][:, : int(self.unit_costate)]
 
-    def directions(self, at: Linearised, descent: bool) -> np.ndarray:
+    def directions(self, at: Linearisation, descent: bool) -> np.ndarray:
         """Steps of Levenberg and Marquardt, zero for derivatives of the control that do not enter; ``(batch, 2n +
         jet)``.
 
@@ -168,11 +168,11 @@ class _Search(NamedTuple):
         ease = np.where(descent & (column >= 2 * n), EASE, 1.0)
         ease = np.where(self.points.stiff[:, None] & (column >= n) & (column < 2 * n), 1 / EASE, ease)
         scale = np.concatenate([units.state, units.jet[:, :k].reshape(len(matrix), -1)], axis=1)
-        step = -ease * _regularised(matrix * ease[:, None], values, descent) * scale
+        step = -ease * _regularise(matrix * ease[:, None], values, descent) * scale
         return np.pad(step, ((0, 0), (0, units.both.shape[1] - step.shape[1])))
 
 
-def _regularised(matrix: np.ndarray, values: np.ndarray, descent: bool) -> np.ndarray:
+def _regularise(matrix: np.ndarray, values: np.ndarray, descent: bool) -> np.ndarray:
     """``J' (J J' + d)^+ F`` with ``d`` the square of ``F``, at most ``LARGEST_SHIFT``, in a batch.
 
     Converges quadratically wherever ``F`` bounds the distance to its zeros, though the rank of ``J`` may drop on them

@@ -9,16 +9,16 @@ import numpy as np
 
 from ....manifolds.numerics import ambient as vec
 from ..integrability_result import Signature
+from .affine_hulls import APART, FEWEST_POINTS, SAME_DIRECTION, AffineHull, piece_equations
+from .algorithm_stages import PointRanks
 from .classification import Stratum
-from .final import final_equations
-from .hulls import APART, FEWEST, SAME_DIRECTION, AffineHull, piece_equations
-from .levels import PointRanks
-from .points import Points
+from .final_equations import final_equations
+from .sample_points import Points
 
 VANISHING_COSTATE = 1e-6
 
 
-class Found(NamedTuple):
+class StoppedPoints(NamedTuple):
     """A point around which ``P^k`` stopped, in a batch of its own, and its ranks at all levels."""
 
     points: Points
@@ -36,20 +36,20 @@ class Found(NamedTuple):
         return bool(np.max(np.abs(self.points.at.costate) * sizes.lengths) <= VANISHING_COSTATE * sizes.action)
 
 
-def found_strata(found: list[Found]) -> tuple[Stratum, ...]:
+def find_strata(found: list[StoppedPoints]) -> tuple[Stratum, ...]:
     """Points clustered by piece, each cluster with the equations through its best conditioned point.
 
     Pieces differ in their ranks at the last level, in the controls that they determine, or in their tangent spaces.
     """
-    groups: dict[tuple[Signature, tuple[bool, ...]], list[Found]] = {}
+    groups: dict[tuple[Signature, tuple[bool, ...]], list[StoppedPoints]] = {}
     for item in found:
         groups.setdefault((item.ranks.signature, tuple(item.ranks.determined)), []).append(item)
-    told = ([group] if any(item.points.slow for item in group) else _told_apart(group) for group in groups.values())
+    told = ([group] if any(item.points.slow for item in group) else _separate(group) for group in groups.values())
     made = [_stratum(members) for pieces in told for members in pieces]
     return tuple(sorted(made, key=lambda stratum: (stratum.signature.codimension, -stratum.count)))
 
 
-def _told_apart(group: list[Found]) -> list[list[Found]]:
+def _separate(group: list[StoppedPoints]) -> list[list[StoppedPoints]]:
     """The pieces that points of equal ranks lie on, as far as their tangent spaces tell them apart.
 
     The rank of two tangent spaces together is the same for almost all pairs of points of one analytic piece. Where it
@@ -68,7 +68,7 @@ def _told_apart(group: list[Found]) -> list[list[Found]]:
                 break
         else:
             clusters.append([i])
-    told = [cluster for cluster in clusters if len(cluster) >= FEWEST]
+    told = [cluster for cluster in clusters if len(cluster) >= FEWEST_POINTS]
     if sum(map(len, told)) <= len(group) / 2 and len(told) < 2:
         return [group]
     rest = [i for i in range(len(group)) if not any(i in cluster for cluster in told)]
@@ -88,7 +88,7 @@ def _joint_ranks(tangents: list[np.ndarray]) -> tuple[np.ndarray, bool]:
     return joint, not np.any((values > SAME_DIRECTION) & (values <= APART))
 
 
-def _stratum(members: list[Found]) -> Stratum:
+def _stratum(members: list[StoppedPoints]) -> Stratum:
     # Few points may lie where pieces cross, or close: the levels are those of most, at the best conditioned of them.
     ((usual, _),) = Counter(_stops(item.history) for item in members).most_common(1)
     (points, history), (k_f, base) = (

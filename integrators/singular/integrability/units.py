@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from .points import Linearised
+    from .sample_points import Linearisation
 
-FAR = 1e-3  # of a coordinate of Q: its unit is not smaller, so that steps of it are no rounding
+SMALLEST_LENGTH = 1e-3  # of a coordinate of Q: its unit is not smaller, so that steps of it are no rounding
 LEAST = 1e-13  # of an equation's terms: its unit is not smaller, since that is their rounding
 
 
@@ -61,7 +61,7 @@ def typical(sizes: np.ndarray) -> np.ndarray:
     return np.where(medians > 0, medians, np.nanmax(known, axis=0))
 
 
-def sizes_at_starts(at: "Linearised", lengths: np.ndarray, vanishing: np.ndarray) -> Sizes:
+def sizes_at_starts(at: "Linearisation", lengths: np.ndarray, vanishing: np.ndarray) -> Sizes:
     """Sizes from the velocity, the cost, the costate and the control at the starts."""
     n = len(lengths)
     rate = float(typical(np.max(np.abs(at.velocity[:, :n]) / lengths, axis=1))) or 1.0
@@ -73,33 +73,33 @@ def sizes_at_starts(at: "Linearised", lengths: np.ndarray, vanishing: np.ndarray
     return Sizes(lengths, first.action, rate, first.control, typical(units_at(at, first).rows), vanishing)
 
 
-def units_at(at: "Linearised", sizes: Sizes) -> Units:
+def units_at(at: "Linearisation", sizes: Sizes) -> Units:
     """The unit of each equation at each point: the sum of its partial derivatives, each times the size of its variable.
 
     A value is then the distance, relative to such sizes, at which the equation holds. Variables far larger than at the
     starts have the size that they have. Of a row that is rounding everywhere, ``D_t F = <dF, field>``, the terms of
     this sum are.
     """
-    lengths = np.maximum(sizes.lengths, FAR * np.abs(at.position))
+    lengths = np.maximum(sizes.lengths, SMALLEST_LENGTH * np.abs(at.position))
     action = np.maximum(sizes.action, np.max(np.abs(at.costate) * lengths, axis=1))[:, None]
     state = np.concatenate([lengths, action / lengths], axis=1)
     orders = np.arange(at.jet.shape[1])[:, None]
     jet = np.maximum(sizes.control * sizes.rate**orders, np.abs(at.jet))
     with np.errstate(all="ignore"):  # functions that overflow are told by values that are not finite
-        rows = _weighed(at, state, jet)
+        rows = _weigh(at, state, jet)
         along = np.concatenate([np.abs(at.jet[:, 1:]), np.zeros_like(at.jet[:, :1])], axis=1)
-        terms = _weighed(at, np.abs(at.velocity), along)
+        terms = _weigh(at, np.abs(at.velocity), along)
         first = np.max(rows[:, :1] * jet[:, :1], axis=2, keepdims=True) / jet[:, :1]
         terms = np.concatenate([first, terms[:, :-1]], axis=1)
         rows, terms = np.maximum(rows, np.where(sizes.vanishing, 1.0, LEAST) * terms), np.maximum(rows, terms)
     return Units(np.where(np.isfinite(rows) & (rows > 0), rows, 1.0), terms, state, jet)
 
 
-def own_sizes(at: "Linearised") -> np.ndarray:
+def own_sizes(at: "Linearisation") -> np.ndarray:
     """The size of each equation from the values of the variables at the point, ``(batch, order + 1, m)``."""
     with np.errstate(all="ignore"):
-        return np.nan_to_num(_weighed(at, np.abs(np.concatenate([at.position, at.costate], axis=1)), np.abs(at.jet)))
+        return np.nan_to_num(_weigh(at, np.abs(np.concatenate([at.position, at.costate], axis=1)), np.abs(at.jet)))
 
 
-def _weighed(at: "Linearised", state: np.ndarray, jet: np.ndarray) -> np.ndarray:
+def _weigh(at: "Linearisation", state: np.ndarray, jet: np.ndarray) -> np.ndarray:
     return np.einsum("bkms,bs->bkm", np.abs(at.by_state), state) + np.einsum("bkmln,bln->bkm", np.abs(at.by_jet), jet)

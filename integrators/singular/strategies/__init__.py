@@ -1,14 +1,14 @@
 """Integrators on the final constraint manifold ``P_f`` of singular problems."""
 
-from .affine import ControlAffineSplitting
-from .chain import ReductionChain, reduce_until_regular
-from .direct import DirectIntegrator
-from .dynamics import FinalDynamics
-from .leaves import leaf_flow
-from .project import ProjectedIntegrator
+from .control_affine_splitting import ControlAffineSplitting
+from .final_dynamics import FinalDynamics
+from .final_manifold_stages import DirectIntegrator
+from .goh_chain import ReductionChain, reduce_until_regular
+from .goh_reduced_integrator import ReducedIntegrator
+from .goh_reduction import GohReduction
+from .hamiltonian_leaf_flow import leaf_flow
+from .projection import ProjectedIntegrator
 from .rattle import RattleIntegrator
-from .reduced import ReducedIntegrator
-from .reduction import GohReduction
 from .stage_integrator import StageIntegrator
 from .strategy import NotApplicableError, SingularIntegrator
 from .strategy_choice import STRATEGIES, Choice, singular_integrator

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from ....compute.jit_cache import compile_function
 from ....manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
@@ -16,17 +17,16 @@ from ....manifolds.numerics.precision import default_tolerance
 from ....manifolds.numerics.root import find_root
 from ....manifolds.numerics.tolerances import HALF, tolerance
 from ....retractions import CotangentLift
-from ...compilation import compiled
-from ...controls import resting_control
-from ...extremal_controls import extremal_control
-from ...initial_value.step import StepEquations, StepResult, restored
-from ...problem import OptimalControlProblem
-from ...requirements import require_same_manifold
+from ...initial_value.step import StepEquations, StepResult, restore
+from ...problem.initial_controls import resting_control
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.pontryagin import extremal_control
+from ...problem_checks.requirements import require_same_manifold
+from ...reporting.text import counted
 from ...stages import ControlStage
 from ...stages.stage import positive
-from ...text import many
 from ..integrability import Classification
-from .affine import (
+from .control_affine_splitting import (
     Brackets,
     ControlAffineSplitting,
     affine_tolerance,
@@ -36,7 +36,7 @@ from .affine import (
     regular_places,
     relative_curvature,
 )
-from .leaves import Point, ambient_field, bracket_size, leaf_flow
+from .hamiltonian_leaf_flow import Point, ambient_field, bracket_size, leaf_flow
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
 
@@ -139,7 +139,7 @@ class RattleIntegrator(SingularIntegrator):
         q2, p2 = flow(near, last)
         begun = equations.begins(root[m:], flow(begin, root[:m])[0])
         memory = _Memory(unknowns, (2 * moved + last) / h)
-        new = restored(self.manifold, StepResult(q2, p2, memory, landed & begun & arrived))
+        new = restore(self.manifold, StepResult(q2, p2, memory, landed & begun & arrived))
         # A move along a leaf too long for the accuracy of its flow, as by a control without bound, leaves Q.
         stayed = vec.size(vec.subtract(new.q, q2)) <= default_tolerance() * (1 + vec.size(new.q))
         return new._replace(converged=new.converged & stayed)
@@ -218,11 +218,11 @@ def _finite(found: list[Any], what: str) -> list[Any]:
     """The values at points where all is finite. Raises ``NotApplicableError`` if there are none."""
     finite = [one for one in found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(one))]
     if not finite:
-        raise NotApplicableError(f"the {what} are finite at none of {many(len(found), 'point')} of P_f")
+        raise NotApplicableError(f"the {what} are finite at none of {counted(len(found), 'point')} of P_f")
     return finite
 
 
-@compiled
+@compile_function
 def _facts(split: ControlAffineSplitting, z: Point, u: Array) -> _Facts:
     """Facts at a point, with the extremal control near ``u``."""
     places = np.asarray(split.singular)
@@ -238,7 +238,7 @@ def _facts(split: ControlAffineSplitting, z: Point, u: Array) -> _Facts:
     )
 
 
-@compiled
+@compile_function
 def _curvature(problem: OptimalControlProblem, z: Point, u: Array) -> Array:
     """Largest second derivative of H by each control, relative to H."""
     return jnp.max(jnp.abs(relative_curvature(problem, z, u)), axis=1)

@@ -6,11 +6,11 @@ from jaxtyping import ArrayLike
 
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import CotangentLift
-from ...initial_value.step import StepResult, lifted_step, restored
-from ...problem import OptimalControlProblem
+from ...initial_value.step import StepResult, lifted_step, restore
+from ...problem.optimal_control_problem import OptimalControlProblem
 from ...stages import ControlStage
 from ..integrability import Classification
-from .dynamics import DynamicsIntegrator, FinalDynamics
+from .final_dynamics import DynamicsIntegrator, FinalDynamics
 from .strategy import Gauge, NotApplicableError
 
 
@@ -62,7 +62,7 @@ class StageIntegrator(DynamicsIntegrator):
     def unchecked_step(
         self, system: OptimalControlProblem, h: ArrayLike, q: Ambient, p: Ambient, previous: Any
     ) -> StepResult:
-        return restored(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
+        return restore(self.manifold, lifted_step(self.stage(system, h), q, p, previous))
 
     def control(self, unknowns: Any) -> Ambient:
         return unknowns[1]

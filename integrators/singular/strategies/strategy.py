@@ -12,7 +12,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ....retractions import CotangentLift
 from ...initial_value.integrator import LiftedIntegrator
 from ...initial_value.step import StepResult
-from ...problem import OptimalControlProblem
+from ...problem.optimal_control_problem import OptimalControlProblem
 from ..integrability import AffineHull, Classification
 
 Gauge = Callable[[Array, Any, Any], Any]

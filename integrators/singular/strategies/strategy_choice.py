@@ -7,17 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds import InvalidInputError
-from ....reading import reads_once
 from ....retractions import CotangentLift, DiscretizationMap
-from ...functions import require_concrete
-from ...requirements import require_same_manifold
-from ...text import clauses
+from ....tracing import reads_once
+from ...problem.user_functions import require_concrete
+from ...problem_checks.requirements import require_same_manifold
+from ...reporting.text import clauses
 from ..integrability import Classification
-from ..words import chart_words, component_words
-from .direct import DirectIntegrator
-from .project import ProjectedIntegrator
+from ..wording import chart_words, component_words
+from .final_manifold_stages import DirectIntegrator
+from .goh_reduced_integrator import ReducedIntegrator
+from .projection import ProjectedIntegrator
 from .rattle import RattleIntegrator
-from .reduced import ReducedIntegrator
 from .stage_integrator import StageIntegrator
 from .strategy import Gauge, NotApplicableError, SingularIntegrator
 
@@ -54,7 +54,7 @@ class Choice:
     refusals: dict[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        return clauses([f"{self.strategy}: {self.reason}", *self.remarks, *_refused(self.refusals)])
+        return clauses([f"{self.strategy}: {self.reason}", *self.remarks, *_refusal_words(self.refusals)])
 
 
 @reads_once
@@ -112,9 +112,9 @@ def singular_integrator(
     if strategy is not None:
         found, others = _first([name for name in STRATEGIES if name != strategy], classification, lift, gauge)
         if found is not None:
-            raise InvalidInputError(f"{clauses(_refused(refusals))};\nwhat applies is\n{found[1]}")
+            raise InvalidInputError(f"{clauses(_refusal_words(refusals))};\nwhat applies is\n{found[1]}")
         refusals |= others
-    raise InvalidInputError(f"no strategy applies:\n{clauses(_refused(refusals))}")
+    raise InvalidInputError(f"no strategy applies:\n{clauses(_refusal_words(refusals))}")
 
 
 def _first(
@@ -136,7 +136,7 @@ def _first(
     return None, refusals
 
 
-def _refused(refusals: dict[str, str]) -> list[str]:
+def _refusal_words(refusals: dict[str, str]) -> list[str]:
     """Sentences on strategies that do not apply."""
     return [f"not {name}: {why}" for name, why in refusals.items()]
 

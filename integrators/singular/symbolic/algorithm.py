@@ -12,7 +12,7 @@ from ..integrability_result import Signature
 from .field import Expression, UntreatableError, field_of, normal_form
 
 PRECISION = 40  # digits
-LONG = 20  # terms of an equation at which a branch of smaller dimension is left
+LONG_EQUATION = 20  # terms of an equation at which a branch of smaller dimension is left
 
 Equation = tuple[Expression, int]  # to be made zero, and the level of the algorithm that asks for it
 History = tuple[tuple[Expression, Expression, int], ...]  # symbols, their values by those found later, and the levels
@@ -61,7 +61,7 @@ class SymbolicStratum:
     @property
     def solution(self) -> dict[Expression, Expression]:
         """The determined coordinates and controls as functions of the free coordinates and controls."""
-        return _inserted(self.history)
+        return _insert(self.history)
 
     @property
     def treatable(self) -> bool:
@@ -191,19 +191,19 @@ class SymbolicStratum:
 
 
 @lru_cache(maxsize=1024)  # pieces share the beginnings of their histories
-def _inserted(history: History) -> dict[Expression, Expression]:
+def _insert(history: History) -> dict[Expression, Expression]:
     """The solved expressions, each with all later solutions inserted."""
     if not history:
         return {}
     *_, (symbol, value, _) = history
-    known = _inserted(history[:-1])
+    known = _insert(history[:-1])
     return {s: normal_form(e.xreplace({symbol: value})) if e.has(symbol) else e for s, e in known.items()} | {
         symbol: value
     }
 
 
 @dataclass(frozen=True)
-class Ended:
+class SearchResult:
     """Equations at which branches ended: without a real solution, and without one in closed form. Filled by the search.
 
     ``last``: the level at which the search itself ends.
@@ -214,9 +214,9 @@ class Ended:
     unsolved: list[Equation] = field(default_factory=list)
 
 
-def strata(phase: Phase, last: float = math.inf) -> tuple[list[SymbolicStratum], Ended]:
+def strata(phase: Phase, last: float = math.inf) -> tuple[list[SymbolicStratum], SearchResult]:
     """The pieces of ``P_f``, or of ``P^last``, and how the other branches ended."""
-    ended = Ended(last)
+    ended = SearchResult(last)
     start = [(sympy.diff(phase.hamiltonian, u), 0) for u in phase.u]
     return list(_explore(SymbolicStratum(phase), start, ended)), ended
 
@@ -245,7 +245,7 @@ def generic_rank(matrix: sympy.Matrix) -> int:
     return values.rank(iszerofunc=lambda a: abs(a.evalf(PRECISION)) < 10 ** -(PRECISION // 2))
 
 
-def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> Iterator[SymbolicStratum]:
+def _explore(piece: SymbolicStratum, pending: list[Equation], ended: SearchResult) -> Iterator[SymbolicStratum]:
     """All pieces on which the pending equations hold as well."""
     if not pending:
         yield piece
@@ -253,14 +253,14 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
     (expression, level), rest = pending[0], pending[1:]
     piece = replace(piece, conditions=(*piece.conditions, (expression, level)))
     try:
-        terms, contradiction, factors = _factored(expression, piece)
+        terms, contradiction, factors = _factor(expression, piece)
     except UntreatableError:  # by what was inserted
         ended.unsolved.append((expression, level))
         return
     if terms == 0:
         yield from _explore(piece, rest, ended)
         return
-    if piece.degenerate is not None and terms > LONG:
+    if piece.degenerate is not None and terms > LONG_EQUATION:
         ended.unsolved.append((piece.degenerate, level))
         return
     if not factors:
@@ -269,7 +269,7 @@ def _explore(piece: SymbolicStratum, pending: list[Equation], ended: Ended) -> I
         yield from _with(piece, (factor, level), rest, ended)
 
 
-def _factored(expression: Expression, piece: SymbolicStratum) -> tuple[int, Expression, list[Expression]]:
+def _factor(expression: Expression, piece: SymbolicStratum) -> tuple[int, Expression, list[Expression]]:
     """The number of terms of an expression on a piece, its numerator, and the irreducible factors that may vanish."""
     reduced = piece.reduce(expression)
     field = field_of(reduced)
@@ -312,7 +312,9 @@ def _contradict(equations: list[Expression], piece: SymbolicStratum) -> bool:
     return sympy.groebner(polynomials, *symbols, order="grevlex").exprs == [1]
 
 
-def _with(piece: SymbolicStratum, equation: Equation, rest: list[Equation], ended: Ended) -> Iterator[SymbolicStratum]:
+def _with(
+    piece: SymbolicStratum, equation: Equation, rest: list[Equation], ended: SearchResult
+) -> Iterator[SymbolicStratum]:
     """The pieces on which one more irreducible equation holds: it determines a control, or else is an equation of
     ``P_f``."""
     expression, level = equation

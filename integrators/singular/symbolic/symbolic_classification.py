@@ -7,16 +7,16 @@ import numpy as np
 import sympy
 
 from ....manifolds import Euclidean, InvalidInputError
-from ...costs import is_steep
-from ...problem import OptimalControlProblem
-from ...text import Line, table
-from .. import words
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem_checks.costs import is_steep
+from ...reporting.text import Line, table
+from .. import wording
 from ..integrability_result import IntegrabilityResult
 from .algorithm import Equation, Expression, Phase, SymbolicStratum, generic_ranks, strata
 from .field import normal_form
 from .symbolic_trace import trace
 
-LONGEST = 300  # characters of an expression that is printed
+LONGEST_EXPRESSION = 300  # characters of an expression that is printed
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,16 +56,17 @@ class SymbolicClassification(IntegrabilityResult[SymbolicStratum]):
 
 
 def _problem(c: SymbolicClassification) -> Iterator[Line]:
-    yield "problem", words.problem_words(c.problem)
+    yield "problem", wording.problem_words(c.problem)
     yield "H", str(c.phase.hamiltonian)
     if c.zero_costate_excluded:
-        yield "costate", words.EXCLUDED
+        yield "costate", wording.EXCLUDED
     if c.ranks is not None:
         family, hessian = c.ranks
         size = len(c.phase.u)
         yield (
             "H",
-            f"{words.family_words(c.family)} (D(dH/du) has rank {family} of {size} almost everywhere where dH/du = 0)",
+            f"{wording.family_words(c.family)} "
+            f"(D(dH/du) has rank {family} of {size} almost everywhere where dH/du = 0)",
         )
         yield "kind", f"{'regular' if c.regular else 'singular'}: d2H/du2 has rank {hessian} of {size} there"
 
@@ -73,18 +74,18 @@ def _problem(c: SymbolicClassification) -> Iterator[Line]:
 def _levels(c: SymbolicClassification) -> Iterator[Line]:
     for level in range(max((piece.k_f for piece in c.strata), default=-1) + 1):
         found = dict.fromkeys(piece.up_to(level).signature for piece in c.strata)
-        yield f"P^{level}", "; ".join(words.level_words(*signature) for signature in found)
+        yield f"P^{level}", "; ".join(wording.level_words(*signature) for signature in found)
 
 
 def _empty(c: SymbolicClassification) -> Iterator[Line]:
-    yield "P_f", words.EMPTY_WITHOUT_IT if c.excluded else "empty"
+    yield "P_f", wording.EMPTY_WITHOUT_IT if c.excluded else "empty"
     for expression, level in c.contradictions:
         yield "contradiction", f"{_short(expression)} = 0 at level {level}"
 
 
 def _final(c: SymbolicClassification) -> Iterator[Line]:
     if c.stratified:
-        yield "strata", words.strata_words(len(c.strata))
+        yield "strata", wording.strata_words(len(c.strata))
     for i, piece in enumerate(c.strata):
         prefix = f"[{i}] " if c.stratified else ""
         for name, text in _stratum(piece, [j for j, other in enumerate(c.strata) if piece.bounds(other)]):
@@ -95,7 +96,7 @@ def _stratum(piece: SymbolicStratum, larger: list[int]) -> Iterator[Line]:
     total, kernel = 2 * len(piece.phase.q), piece.kernel
     yield (
         "P_f",
-        words.final_words(len(piece.coordinates), total, [words.ordinal(level) for _, level in piece.equations]),
+        wording.final_words(len(piece.coordinates), total, [wording.ordinal(level) for _, level in piece.equations]),
     )
     for j in larger:
         yield "inside", f"P_f of [{j}], where its ranks drop"
@@ -105,15 +106,15 @@ def _stratum(piece: SymbolicStratum, larger: list[int]) -> Iterator[Line]:
         yield "equation", "irregular: the differentials of the conditions vanish or depend on each other here"
     for expression in dict.fromkeys(map(piece.reduce, piece.nonzero)):
         yield "closed form", f"holds where {_short(expression)} != 0"
-    yield "k_f", words.stop_words(piece.k_f, piece.k_f_base)
-    yield "omega_f", words.form_words(piece.rank, len(kernel))
+    yield "k_f", wording.stop_words(piece.k_f, piece.k_f_base)
+    yield "omega_f", wording.form_words(piece.rank, len(kernel))
     symbols = (*piece.phase.q, *piece.phase.p)
     for vector in kernel:
         terms = sum(
             (c * sympy.Symbol(f"d/d{s}") for s, c in zip(symbols, vector.flat(), strict=True)), start=sympy.Integer(0)
         )
         yield "kernel", _short(terms)
-    yield "constraints", words.class_words(piece.codimension, len(kernel))
+    yield "constraints", wording.class_words(piece.codimension, len(kernel))
     for u in piece.controls:
         yield "control", f"{u} = {_short(piece.reduce(u))} (level {piece.levels[u]})"
     for u in piece.phase.u:
@@ -124,7 +125,7 @@ def _stratum(piece: SymbolicStratum, larger: list[int]) -> Iterator[Line]:
 def _short(expression: Expression) -> str:
     """The expression, or what it is made of where it would fill a page."""
     text = str(expression)
-    if len(text) <= LONGEST:
+    if len(text) <= LONGEST_EXPRESSION:
         return text
     symbols = ", ".join(sorted(map(str, expression.free_symbols)))
     return f"[a function of {symbols} that takes {len(text)} characters: see the record]"

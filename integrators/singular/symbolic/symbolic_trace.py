@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import sympy
 
-from ....equations import called
 from ....errors import TRACEABLE
+from ....jaxpr_tools import called_program
 from ....manifolds import InvalidInputError
-from ....reading import traced
+from ....tracing import trace_program
 
 # Primitives that only move entries: JAX itself moves the numbers of the entries, of all operands or of those named.
-MOVES: dict[str, tuple[int, ...] | None] = {
+MOVING_PRIMITIVES: dict[str, tuple[int, ...] | None] = {
     "broadcast_in_dim": None,
     "concatenate": None,
     "copy": None,
@@ -84,7 +84,7 @@ def trace(function: Callable[..., Any], *arguments: np.ndarray) -> np.ndarray:
     """
     shapes = [jax.ShapeDtypeStruct(a.shape, jnp.result_type(float)) for a in arguments]
     try:
-        closed = traced(function, *shapes)
+        closed = trace_program(function, *shapes)
     except InvalidInputError:
         raise
     except (TypeError, ValueError, IndexError) as error:
@@ -106,15 +106,15 @@ def _evaluate(jaxpr: Any, constants: Any, arguments: list[Any]) -> list[Any]:
 
 def _apply(equation: Any, values: list[Any]) -> list[Any]:
     name, parameters = equation.primitive.name, equation.params
-    if (inner := called(equation)) is not None:
+    if (inner := called_program(equation)) is not None:
         return _evaluate(inner.jaxpr, inner.consts, values)
     if not any(_is_exact(value) for value in values):
         result = equation.primitive.bind(*map(jnp.asarray, values), **parameters)
         return list(result) if equation.primitive.multiple_results else [result]
-    if name in MOVES:
-        return _moved(equation, values, MOVES[name] or tuple(range(len(values))))
+    if name in MOVING_PRIMITIVES:
+        return _move(equation, values, MOVING_PRIMITIVES[name] or tuple(range(len(values))))
     if name == "select_n" and not _is_exact(values[0]):
-        return _moved(equation, values, tuple(range(1, len(values))))
+        return _move(equation, values, tuple(range(1, len(values))))
     if name == "convert_element_type" and jnp.issubdtype(parameters["new_dtype"], jnp.floating):
         return [values[0]]
     exact = [_exact(value) for value in values]
@@ -144,7 +144,7 @@ def _product(a: np.ndarray, b: np.ndarray, contracted: Any, batched: Any) -> np.
     return np.asarray(np.einsum(a, names[0], b, names[1], [*first[:count], *rest]), dtype=object)
 
 
-def _moved(equation: Any, values: list[Any], places: tuple[int, ...]) -> list[Any]:
+def _move(equation: Any, values: list[Any], places: tuple[int, ...]) -> list[Any]:
     """The entries of the operands in these places where JAX moves their numbers."""
     data = {i: _exact(values[i]) for i in places}
     pool = np.concatenate([a.ravel() for a in data.values()])

@@ -14,7 +14,7 @@ from ....manifolds.numerics.matrices import exponential as matrix_exponential
 from ....manifolds.numerics.matrices import triangular_factor
 from ....manifolds.numerics.root import known_root
 from ....manifolds.numerics.tolerances import tolerance
-from ...rounding import EDGE, keeps_half_the_digits, length
+from ...rounding import SINGULAR_DISTANCE, keeps_half_the_digits, length
 from . import general
 
 Matrix = Shaped[Array, "n n"]
@@ -72,7 +72,7 @@ def injective(a: Matrix) -> Bool[Array, ""]:
     angles = jnp.linalg.eigvalsh(1j * a)
     first = 0 if jnp.iscomplexobj(a) else min(1, a.shape[0] - 1)
     turn, largest = angles[-1] - angles[first], jnp.maximum(angles[-1], -angles[0])
-    below = jnp.pi - largest > jnp.pi * EDGE * a.shape[0] * jnp.finfo(a.dtype).eps
+    below = jnp.pi - largest > jnp.pi * SINGULAR_DISTANCE * a.shape[0] * jnp.finfo(a.dtype).eps
     return below & keeps_half_the_digits(2 * jnp.pi / (2 * jnp.pi - turn))
 
 
@@ -126,7 +126,7 @@ def _sign_of_block(s: Matrix, chosen: Bool[Array, " n"]) -> tuple[Matrix, Bool[A
     sign = (sign - sign.conj().T) / 2
     for _ in range(_SCHULZ_STEPS):
         sign = sign @ (3 * eye + sign @ sign) / 2
-    return sign, singular[-1] > EDGE * s.shape[0] * jnp.finfo(s.dtype).eps
+    return sign, singular[-1] > SINGULAR_DISTANCE * s.shape[0] * jnp.finfo(s.dtype).eps
 
 
 @unitary_logarithm.defjvp
@@ -210,7 +210,7 @@ def _phase(a: Matrix) -> Array:
         return jnp.where(above, low, middle), jnp.where(above, middle, high)
 
     ends = -jnp.pi - jnp.min(angles), jnp.pi - jnp.max(angles)
-    apart = ends[1] - ends[0] > EDGE * a.shape[0] * jnp.finfo(angles.dtype).eps
+    apart = ends[1] - ends[0] > SINGULAR_DISTANCE * a.shape[0] * jnp.finfo(angles.dtype).eps
     low, high = jax.lax.fori_loop(0, _BISECTIONS, halved, ends)
     return jnp.where(apart, (low + high) / 2, jnp.nan)
 

@@ -25,7 +25,7 @@ from ..errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-VERSION = 2  # of the header that the structs below repeat
+HEADER_VERSION = 2  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -385,9 +385,10 @@ def library() -> ctypes.CDLL:
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(found, name)
         function.restype, function.argtypes = result, arguments
-    if found.retrax_core_version() != VERSION:
+    if found.retrax_core_version() != HEADER_VERSION:
         raise MissingCoreError(
-            f"the compiled core has version {found.retrax_core_version()} of its interface, expected {VERSION}; try: "
+            f"the compiled core has version {found.retrax_core_version()} of its interface, expected "
+            f"{HEADER_VERSION}; try: "
             "pip install --force-reinstall --no-deps retrax"
         )
     return found

@@ -8,10 +8,10 @@ does to global settings is undone.
 """
 
 from ..optional import MissingPackageError
+from .adapters import from_geomstats, from_pymanopt, to_casadi, to_geomstats, to_pymanopt
 from .attitudes import AttitudeEphemeris, from_aem, from_quaternions, to_aem, to_quaternions, to_rotation_spline
 from .conventions import Conventions
 from .counterpart import Counterpart
-from .doors import from_geomstats, from_pymanopt, to_casadi, to_geomstats, to_pymanopt
 from .geometry import Geometry
 from .tables import to_csv, to_pandas, to_xarray
 

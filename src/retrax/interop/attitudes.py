@@ -15,14 +15,14 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation, RotationSpline
 
-from ..channels import About, View, rotations, view
 from ..integrators import Solution
-from ..integrators.text import brief
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
+from ..named_columns import About, View, rotations, view
 
 Scalar = Literal["first", "last"]
-ROUNDED = 1e-6  # by what the norm of a quaternion written with few digits is off
-VERSION = "2.0"
+ROUNDED_QUATERNION = 1e-6  # by what the norm of a quaternion written with few digits is off
+AEM_VERSION = "2.0"
 REQUIRED = "REF_FRAME_A", "REF_FRAME_B", "TIME_SYSTEM", "ATTITUDE_TYPE"
 
 
@@ -86,7 +86,7 @@ def from_quaternions(quaternions: Any, scalar: Scalar) -> np.ndarray:
     """
     _require_scalar(scalar)
     given = np.asarray(quaternions, float)
-    if given.shape[-1:] != (4,) or not np.all(np.abs(np.linalg.norm(given, axis=-1) - 1) <= ROUNDED):
+    if given.shape[-1:] != (4,) or not np.all(np.abs(np.linalg.norm(given, axis=-1) - 1) <= ROUNDED_QUATERNION):
         raise InvalidInputError(
             f"expected quaternions of norm 1 and shape (..., 4), got {_words(given)}; try "
             "q / np.linalg.norm(q, axis=-1, keepdims=True)"
@@ -277,7 +277,7 @@ def from_aem(path: str | Path) -> AttitudeEphemeris:
 def _head(words: dict[str, str], originator: str, stamps: list[str]) -> list[str]:
     """The lines before the data."""
     return [
-        f"CCSDS_AEM_VERS = {VERSION}",
+        f"CCSDS_AEM_VERS = {AEM_VERSION}",
         f"CREATION_DATE = {_stamp(datetime.now(UTC).replace(tzinfo=None))}",
         f"ORIGINATOR = {originator}",
         "",
@@ -311,7 +311,7 @@ def _moved(rows: np.ndarray, scalar: Scalar) -> np.ndarray:
 def _are_rotations(given: np.ndarray) -> bool:
     """Whether these are orthogonal with determinant 1, to half of the digits."""
     errors = np.abs(np.swapaxes(given, -1, -2) @ given - np.eye(3))
-    return bool(np.all(errors <= ROUNDED) and np.all(np.linalg.det(given) > 0))
+    return bool(np.all(errors <= ROUNDED_QUATERNION) and np.all(np.linalg.det(given) > 0))
 
 
 def _require_scalar(scalar: Any) -> None:

@@ -99,7 +99,7 @@ class Conventions(eqx.Module):
 
 
 @final
-class Same(Conventions):
+class SameConvention(Conventions):
     """Points and tangent vectors are the same arrays."""
 
     def point(self, x: Theirs) -> Ambient:
@@ -171,7 +171,7 @@ class Representatives(Conventions):
 
 
 @final
-class Listed(Conventions):
+class PartList(Conventions):
     """A point with several arrays is written as one flat list of the points of its parts, however ours are nested.
 
     ``parts`` has the structure of our points, with conventions in place of the points of the factors.
@@ -206,7 +206,7 @@ class Listed(Conventions):
 
 
 @final
-class Stacked(Conventions):
+class Stack(Conventions):
     """Copies of one manifold along the leading axis, on both sides."""
 
     base: Conventions
@@ -231,7 +231,7 @@ class Stacked(Conventions):
 
 
 @final
-class Reshaped(Conventions):
+class Reshaping(Conventions):
     """A point is written as one array with the entries of our arrays one after the other, of shape ``theirs``."""
 
     theirs: tuple[int, ...] = eqx.field(static=True)

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..integrators import Guess, OptimalControlProblem, default_guess
-from ..integrators.boundary_value.arguments import LIMITS, check_parameters, check_problem, fractions_of
-from ..integrators.boundary_value.end_points import EndPoints, EndReader, Prescribed
-from ..integrators.boundary_value.given_guess import GuessReader
-from ..integrators.boundary_value.inequality_rows import InequalityRows
-from ..integrators.free import is_free
-from ..integrators.requirements import require_treated
+from ..integrators.boundary_value.inputs.arguments import LIMITS, check_parameters, check_problem, step_fractions
+from ..integrators.boundary_value.inputs.boundary_data import BoundaryDataReader, EndPoints, PrescribedEnd
+from ..integrators.boundary_value.inputs.guess_arrays import GuessReader
+from ..integrators.boundary_value.transcription.inequality_rows import InequalityRows
+from ..integrators.problem.free_quantities import is_free
+from ..integrators.problem_checks.requirements import require_treated
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
 from ..retractions import DiscretizationMap, Gauss
@@ -63,7 +63,7 @@ class DiscreteProblem:
         return self.points.unknowns(guess)
 
 
-def posed(
+def transcribe(
     problem: OptimalControlProblem,
     method: DiscretizationMap | Gauss,
     ends: tuple[Any, Any],
@@ -79,8 +79,8 @@ def posed(
     if not (is_finite_number(horizon) and horizon > 0):
         hint = "; a program has a given one: try that of a solution, solution.horizon" if is_free(horizon) else ""
         raise InvalidInputError(f"horizon must be a positive finite time, got {horizon!r}{hint}")
-    fractions, bound = fractions_of(steps), problem.with_parameters(parameters)
-    reader = EndReader(problem.manifold)
+    fractions, bound = step_fractions(steps), problem.with_parameters(parameters)
+    reader = BoundaryDataReader(problem.manifold)
     points = reader.ends(*ends, batched=False)
     reader.require_on_manifold(*ends)
     if guess is None:
@@ -170,7 +170,7 @@ def _function(function: Callable[..., tuple[jax.Array, ...]], *sizes: int) -> ca
     return Tape.trace(function, *map(jnp.zeros, sizes)).to_casadi()
 
 
-def _unused_slacks(prescribed: Prescribed) -> np.ndarray:
+def _unused_slacks(prescribed: PrescribedEnd) -> np.ndarray:
     """The slacks of free parts, which are zero because the ends of these parts meet nothing."""
     parts = prescribed.parts
     return np.repeat([not part.fixed for part in parts], [part.entries - part.dimension for part in parts])

@@ -7,11 +7,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..channels import About, View, raw, view
 from ..integrators import Quantity, Solution, Solutions
-from ..integrators.quantities import with_unit
-from ..integrators.text import brief
+from ..integrators.problem.quantities import with_unit
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
+from ..named_columns import About, View, raw_columns, view
 from ..optional import needed
 
 
@@ -184,7 +184,7 @@ def _columns(record: Any, at: Any, problem: About) -> tuple[np.ndarray, dict[str
     rows = _rows(record, found, at)
     columns, units = {}, {"time": found.quantities.time}
     for prefix, quantity, values in rows[1]:
-        channel = raw(quantity, values)
+        channel = raw_columns(quantity, values)
         is_real = channel.entries == quantity.entries
         names = quantity.columns if is_real else tuple(f"{quantity.name}[{entry}]" for entry in channel.entries)
         for k, (name, column) in enumerate(zip(names, channel.values.T, strict=True)):

@@ -8,8 +8,8 @@ import numpy as np
 from jaxtyping import Array
 
 from ..integrators import ControlStage, Guess, OptimalControlProblem
-from ..integrators.constraints import entry_words
-from ..integrators.layout import Layout
+from ..integrators.problem.path_constraints import entry_words
+from ..integrators.problem.point_layout import PointLayout
 from ..manifolds.numerics import ambient as vec
 from ..retractions import DiscretizationMap, Gauss, Midpoint
 from ..tape import Tape
@@ -37,7 +37,7 @@ class Transcription:
 
     def __init__(self, problem: OptimalControlProblem, method: DiscretizationMap | Gauss) -> None:
         self.problem, self.method, self.manifold, self.controls = problem, method, problem.manifold, problem.controls
-        self.state, self.control = Layout.of(problem.manifold), Layout.of(problem.controls)
+        self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
         self.stages = method.stages if isinstance(method, Gauss) else 1
         self.slack = self.state.size - self.manifold.dimension
         s, several = self.stages, self.stages > 1

@@ -5,14 +5,14 @@ from typing import Any
 
 import numpy as np
 
-from ..channels import Channel
-from ..integrators.quantities import with_unit
-from ..integrators.text import brief
+from ..integrators.problem.quantities import with_unit
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
-from .drawn import Panel, Shown
+from ..named_columns import NamedColumn
+from .series import Panel, PictureSeries
 
 PANEL = 4.6, 3.2  # inches
-MANY = 12  # entries that a legend still names
+MOST_LEGEND_ENTRIES = 12  # entries that a legend still names
 STYLES = "-", "--", ":", "-."  # of records in one picture
 CROWD = {"linewidth": 0.8, "alpha": 0.6}  # of more records than styles, or of records without names
 
@@ -59,7 +59,7 @@ def several(ax: Any, count: int, columns: int | None = None, panel: tuple[float,
     return np.array([one(each) for each in given], dtype=object)
 
 
-def draw(ax: Any, panel: Panel, every: Shown, name: str = "") -> Any:
+def draw(ax: Any, panel: Panel, every: PictureSeries, name: str = "") -> Any:
     """Histories of some records: entries in colours, records in line styles, bounds dashed.
 
     Of channels with several titles each line has the name of its channel, and the axis that which is given.
@@ -73,7 +73,9 @@ def draw(ax: Any, panel: Panel, every: Shown, name: str = "") -> Any:
             names = [every.names[record]] if is_one else _names(history.channel, len(titles) > 1)
             for k, values in enumerate(history.channel.values.T):
                 key = history.channel.title, k, record if is_one else 0
-                is_named = key not in colours and names[k] and max(len(names), len(panel) * is_one) <= MANY
+                is_named = (
+                    key not in colours and names[k] and max(len(names), len(panel) * is_one) <= MOST_LEGEND_ENTRIES
+                )
                 more: dict[str, Any] = {"color": colours[key]} if key in colours else {}
                 more |= {"drawstyle": "steps-post"} if history.is_held else {}
                 (line,) = ax.plot(history.times, values, label=names[k] if is_named else None, **style, **more)
@@ -92,7 +94,7 @@ def time_axis(ax: Any, unit: str, borders: Sequence[float] = ()) -> None:
         ax.axvline(border, color="0.7", linewidth=0.8, zorder=0)
 
 
-def styles(every: Shown) -> list[dict[str, Any]]:
+def styles(every: PictureSeries) -> list[dict[str, Any]]:
     """The style of each record: solid of one, lines that differ of a few with names, thin lines of many."""
     count = len(every.names)
     if count == 1 or (count <= len(STYLES) and any(every.names)):
@@ -100,7 +102,7 @@ def styles(every: Shown) -> list[dict[str, Any]]:
     return [CROWD] * count
 
 
-def record_handles(every: Shown) -> list[Any]:
+def record_handles(every: PictureSeries) -> list[Any]:
     """Lines of a legend that name the records."""
     from matplotlib.lines import Line2D
 
@@ -119,7 +121,7 @@ def legend(ax: Any, more: Sequence[Any] = ()) -> None:
         ax.legend(handles=handles, fontsize="small", **(below if hasattr(ax, "get_zlim") else beside))
 
 
-def _names(channel: Channel, is_mixed: bool) -> list[str]:
+def _names(channel: NamedColumn, is_mixed: bool) -> list[str]:
     """The names of the entries of a channel, with the name of the channel in a panel of several channels."""
     if not is_mixed:
         return channel.labels

@@ -6,17 +6,17 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..channels import raw, view
 from ..integrators import OptimalControlProblem, Quantity, Solution
-from ..integrators.boundary_value.solution_report import labelled
-from ..integrators.constraints import LOWER, UPPER
-from ..integrators.functions import require_concrete
-from ..integrators.text import brief
+from ..integrators.boundary_value.solution.report import name_with_label
+from ..integrators.problem.path_constraints import LOWER, UPPER
+from ..integrators.problem.user_functions import require_concrete
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.tolerances import ACTIVE, EPS
-from ..reading import reads_once
+from ..named_columns import raw_columns, view
+from ..tracing import reads_once
 from .axes import draw, legend, one, several, time_axis
-from .drawn import History, Shown, as_one, of_controls, panels_of, shown
+from .series import History, PictureSeries, as_one, of_controls, panels_of, picture_series
 
 
 def conserved(solution: Solution, ax: Any = None) -> Any:
@@ -48,9 +48,9 @@ def conserved(solution: Solution, ax: Any = None) -> Any:
     for name, momentum in solution.momenta.items():
         if checks.conserved[name] == momentum.shape[1]:
             change = np.max(np.abs(momentum - momentum[0]), axis=1) / (np.max(np.abs(momentum)) or 1.0)
-            axis.semilogy(found.times, np.maximum(change, EPS), label=f"momentum, {labelled(name, solution)}")
+            axis.semilogy(found.times, np.maximum(change, EPS), label=f"momentum, {name_with_label(name, solution)}")
     for name, values in _violations(solution).items():
-        axis.semilogy(found.times, np.maximum(values, EPS), label=labelled(name, solution))
+        axis.semilogy(found.times, np.maximum(values, EPS), label=name_with_label(name, solution))
     axis.set_ylabel("error")
     time_axis(axis, found.quantities.time)
     legend(axis)
@@ -120,7 +120,7 @@ def _entry_names(name: str, count: int, controls: tuple[Quantity, ...]) -> list[
 
 def _bounded(quantity: Quantity) -> Iterator[tuple[str, tuple[float, float]]]:
     """The names of the entries of a control as pictures show them, and their bounds."""
-    return zip(raw(quantity, np.zeros((1, len(quantity.entries)))).labels, quantity.bounds, strict=False)
+    return zip(raw_columns(quantity, np.zeros((1, len(quantity.entries)))).labels, quantity.bounds, strict=False)
 
 
 @reads_once
@@ -166,9 +166,9 @@ def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None
     own = []
     for quantity, values in zip(found.quantities.controls, switching_functions(problem, solution), strict=True):
         bare = Quantity(f"dH/d({quantity.name})", ("",), quantity.entries, quantity.space)
-        own.append(History(found.stage_times, raw(bare, values)))
+        own.append(History(found.stage_times, raw_columns(bare, values)))
     axis.axhline(0.0, color="0.6", linewidth=0.8)
-    return draw(axis, [own], Shown([""], [[found]], []), "dH/du")
+    return draw(axis, [own], PictureSeries([""], [[found]], []), "dH/du")
 
 
 def optimality(
@@ -197,7 +197,7 @@ def optimality(
     InvalidInputError
         For anything but a ``Solution``, another problem, or another number of axes.
     """
-    every = shown(_checked(solution), problem)
+    every = picture_series(_checked(solution), problem)
     has_multipliers = any(getattr(solution.checks, "active", {}).values())
     axes = several(ax, 1 + (problem is not None) + has_multipliers, columns=1, panel=(6.4, 2.6))
     draw(axes[0], as_one(panels_of(every, of_controls, degrees)), every, "controls")

@@ -6,19 +6,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..channels import POSES, SPHERE, About, View, rotations
-from ..integrators.quantities import with_unit
+from ..integrators.problem.quantities import with_unit
 from ..manifolds import InvalidInputError
+from ..named_columns import POSES, SPHERE, About, View, rotations
 from .axes import legend, one, record_handles, styles
-from .drawn import shown
 from .marks import checked_cones, checked_pairs
+from .series import picture_series
 
-FRAMES = 8
-ARM = 0.08  # length of the axes of a frame, of the extent of the path
-FLOOR = 1e-9
+DRAWN_FRAMES = 8
+FRAME_ARM = 0.08  # length of the axes of a frame, of the extent of the path
+SMALLEST_EXTENT = 1e-9
 TICKS = 8  # on the longest axis of a box
 FLATTEST = 0.2  # of a box, that its names fit
-ROOM, LONGEST = 0.85, 0.7  # of a box and of its longest side in its axes: names would be cut off at 1
+BOX_SHARE, LONGEST_SIDE = 0.85, 0.7  # of a box and of its longest side in its axes: names would be cut off at 1
 OFFSET = 21.0, 30.0  # of names from a box, in points of a cube: that of matplotlib, and all
 OPEN, FULL = (7, 3.0), (4.5, 3.1)  # sizes and layers of dots: a full one is seen inside of an open one
 
@@ -55,7 +55,7 @@ def body_axes(
     -----
     Each curve leads from an open to a full dot, and is faint behind the sphere. The axes x, y, z are inertial.
     """
-    every = shown(record, problem)
+    every = picture_series(record, problem)
     attitudes = [[rotations(found, array) for found in parts] for parts in every.parts]
     axis = _sphere(one(ax, "3d"), cones)
     for number, (own, style) in enumerate(zip(attitudes, styles(every), strict=True)):
@@ -71,7 +71,7 @@ def path(
     record: Any,
     array: int | None = None,
     problem: About = None,
-    frames: int = FRAMES,
+    frames: int = DRAWN_FRAMES,
     ax: Any = None,
     cones: Sequence[Any] = (),
     obstacles: Sequence[Any] = (),
@@ -105,7 +105,7 @@ def path(
     InvalidInputError
         For a record without a path, for paths in different spaces, and for other cones or obstacles.
     """
-    every = shown(record, problem)
+    every = picture_series(record, problem)
     paths = [[_path(found, array) for found in parts] for parts in every.parts]
     first = paths[0][0]
     n = first.points.shape[1]
@@ -219,7 +219,7 @@ def _fit_box(axis: Any) -> None:
         set_side(*side)
     axis.set_aspect("equal")
     diagonal = np.linalg.norm(longer)
-    axis.set_box_aspect(tuple(longer), zoom=min(ROOM, LONGEST * diagonal / longer.max()))
+    axis.set_box_aspect(tuple(longer), zoom=min(BOX_SHARE, LONGEST_SIDE * diagonal / longer.max()))
     for k, (name, side) in enumerate(zip("xyz", (axis.xaxis, axis.yaxis, axis.zaxis), strict=True)):
         axis.locator_params(axis=name, nbins=max(2, round(TICKS * longer[k] / longer.max())))
         # Matplotlib sets names off by shares of the two other sides.
@@ -229,7 +229,7 @@ def _fit_box(axis: Any) -> None:
 
 def _frames(axis: Any, poses: np.ndarray, extent: float) -> None:
     """Body axes at some poses, each pointing where its column does."""
-    n, arm = poses.shape[1] - 1, ARM * extent if extent > FLOOR else 1.0
+    n, arm = poses.shape[1] - 1, FRAME_ARM * extent if extent > SMALLEST_EXTENT else 1.0
     for pose in poses:
         for k, colour in zip(range(n), ("C3", "C2", "C0"), strict=False):
             ends = np.stack([pose[:n, n], pose[:n, n] + arm * pose[:n, k]])

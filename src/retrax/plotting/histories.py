@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from ..channels import About, Channel, View, attitude_of, rotation_vectors
 from ..manifolds import InvalidInputError
+from ..named_columns import About, NamedColumn, View, attitude_of, rotation_vectors
 from .axes import draw, one, several
-from .drawn import History, as_one, every_panel, of_controls, of_states, panels_of, shown
+from .series import History, as_one, every_panel, of_controls, of_states, panels_of, picture_series
 
 
 def histories(record: Any, problem: About = None, ax: Any = None, degrees: bool = False) -> np.ndarray:
@@ -41,7 +41,7 @@ def histories(record: Any, problem: About = None, ax: Any = None, degrees: bool 
     nodes by its polynomials, and controls within their bounds, which are dashed; a control that holds along a step is
     drawn as a step. Vertical lines are the ends of phases. Three entries with one unit and without names are x, y, z.
     """
-    every = shown(record, problem)
+    every = picture_series(record, problem)
     panels = every_panel(every, degrees)
     axes = several(ax, len(panels))
     for axis, panel in zip(axes, panels, strict=True):
@@ -79,7 +79,7 @@ def state(record: Any, array: int = 0, problem: About = None, ax: Any = None, de
             )
         return of_states(found.only(array))
 
-    every = shown(record, problem)
+    every = picture_series(record, problem)
     return draw(one(ax), as_one(panels_of(every, own, degrees)), every, "state")
 
 
@@ -108,7 +108,7 @@ def controls(record: Any, problem: About = None, ax: Any = None, degrees: bool =
     The polynomials of each step are drawn, or steps where each step has one control; of a trajectory lines through the
     controls of the stages.
     """
-    every = shown(record, problem)
+    every = picture_series(record, problem)
     panels = panels_of(every, of_controls, degrees)
     if not panels:
         raise InvalidInputError(
@@ -145,7 +145,7 @@ def attitude(
     def own(found: View) -> list[History]:
         name, matrices = attitude_of(found, array)
         vectors = rotation_vectors(matrices)
-        return [History(found.times, Channel(f"{name}, rotation vector", tuple("xyz"), ("rad",), vectors))]
+        return [History(found.times, NamedColumn(f"{name}, rotation vector", tuple("xyz"), ("rad",), vectors))]
 
-    every = shown(record, problem)
+    every = picture_series(record, problem)
     return draw(one(ax), as_one(panels_of(every, own, degrees)), every, "rotation vector")

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..integrators.text import brief
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 
 

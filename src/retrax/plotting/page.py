@@ -10,23 +10,23 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..channels import BODY, SPHERE, About, View, view
 from ..integrators import PhasedSolution, Solution
-from ..integrators.quantities import with_unit
-from ..integrators.text import brief
+from ..integrators.problem.quantities import with_unit
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
+from ..named_columns import BODY, SPHERE, About, View, view
 from ..optional import needed
 from .axes import STYLES
-from .drawn import History, every_panel, named, shown
 from .marks import checked_cones, checked_pairs, circle
+from .series import History, every_panel, named, picture_series
 
-FRAMES = 241
-BODY_SIZE, ARM = 0.62, 1.0  # of the body on the sphere of directions, and of its axes
-SHARE = 0.15  # of the extent of a path: a body that moves along it
+PAGE_FRAMES = 241
+BODY_SIZE, BODY_ARM = 0.62, 1.0  # of the body on the sphere of directions, and of its axes
+BODY_SHARE = 0.15  # of the extent of a path: a body that moves along it
 DIGITS = 9
 # A box whose three lengths differ, so that its attitude can be seen.
 BOX = np.array([[x, y, z] for x in (-1, 1) for y in (-0.65, 0.65) for z in (-0.35, 0.35)], float)
-SIDES = [
+BOX_SIDES = [
     (0, 1, 3),
     (0, 3, 2),
     (4, 6, 7),
@@ -93,7 +93,7 @@ def to_html(
     share one clock, and each has a line style and a body of its own; a shorter record stays at its end. The library
     that draws is Plotly's, 4.8 MB of the file; its button that uploads a chart is off.
     """
-    every, records, body = shown(record, problem), named(record)[1], _checked(mesh)
+    every, records, body = picture_series(record, problem), named(record)[1], _checked(mesh)
     if len(records) > len(STYLES):
         raise InvalidInputError(
             f"a page shows at most {len(STYLES)} records, got {len(records)}; try a few of them, or plotting.histories"
@@ -127,7 +127,7 @@ class _Body(NamedTuple):
 def _checked(mesh: Any) -> _Body:
     """The body that is drawn; raises for what is not a mesh."""
     if mesh is None:
-        return _Body(BOX, np.array(SIDES), given=False)
+        return _Body(BOX, np.array(BOX_SIDES), given=False)
     if not isinstance(mesh, Sequence) or len(mesh) != 2:
         raise InvalidInputError(f"mesh must be a pair (vertices, triangles), got {brief(mesh)}")
     vertices, faces = np.asarray(mesh[0], float), np.asarray(mesh[1])
@@ -165,7 +165,7 @@ def _frame_times(phases: Sequence[Sequence[Any]], views: list[list[View]]) -> np
         grids = [np.concatenate([found.times for found in own]) for own in views]
         if all(np.array_equal(grid, grids[0]) for grid in grids):
             return grids[0]
-    return np.linspace(min(own[0] for own in nodes), max(own[-1] for own in nodes), FRAMES)
+    return np.linspace(min(own[0] for own in nodes), max(own[-1] for own in nodes), PAGE_FRAMES)
 
 
 def _states_at(times: np.ndarray, phases: Sequence[Any], views: list[View]) -> list[np.ndarray]:
@@ -236,12 +236,12 @@ def _of_body(records: list[np.ndarray], body: _Body, moves: bool) -> dict[str, A
     scale = BODY_SIZE / size
     if moves:
         extent = float(np.max(np.ptp(np.concatenate([values[:, :3, 3] for values in records]), axis=0))) or 1.0
-        scale = 1.0 if body.given else SHARE * extent / size
+        scale = 1.0 if body.given else BODY_SHARE * extent / size
     return {
         "motions": [{"rotations": v[:, :3, :3], "positions": path} for v, path in zip(records, paths, strict=True)],
         "mesh": {"vertices": body.vertices, "faces": body.faces},
         "scale": scale,
-        "arm": 1.6 * scale * size if moves else ARM,
+        "arm": 1.6 * scale * size if moves else BODY_ARM,
         "sphere": not moves,
     }
 

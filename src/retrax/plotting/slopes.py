@@ -7,13 +7,13 @@ import numpy as np
 
 from ..manifolds.numerics.differences import slope
 from ..retractions import Retraction
-from ..testing.checks.retraction import LENGTHS, short_errors
-from ..testing.checks.retraction_facts import RetractionFacts
-from ..testing.facts import SEEDS
+from ..testing.checks.retraction import ORDER_LENGTHS, short_errors
+from ..testing.checks.retraction_properties import RetractionFacts
+from ..testing.properties import SAMPLE_SEEDS
 from .axes import legend, one
 
 
-def slopes(retraction: Retraction, seeds: Iterable[int] = SEEDS, ax: Any = None) -> Any:
+def slopes(retraction: Retraction, seeds: Iterable[int] = SAMPLE_SEEDS, ax: Any = None) -> Any:
     """The errors :math:`|R(x, tu) - x - tu|` against ``t`` for unit tangent vectors ``u``, as the conformance kit
     measures them.
 
@@ -39,11 +39,13 @@ def slopes(retraction: Retraction, seeds: Iterable[int] = SEEDS, ax: Any = None)
     errors, floors = short_errors(facts)
     axis = one(ax)
     for site, row, floor in zip(facts.sites, errors, floors, strict=True):
-        found = slope(LENGTHS, row, floor)
+        found = slope(ORDER_LENGTHS, row, floor)
         words = f"slope {found:.3g}" if np.isfinite(found) else "no error"
-        axis.loglog(LENGTHS, np.maximum(row, floor), ".-", label=f"{site.words}: {words}", linewidth=1)
+        axis.loglog(ORDER_LENGTHS, np.maximum(row, floor), ".-", label=f"{site.words}: {words}", linewidth=1)
     # Above all lines, so that it can be compared with each.
-    axis.loglog(LENGTHS, 2 * np.max(errors / LENGTHS**2, initial=1e-3) * LENGTHS**2, "k:", label="slope 2")
+    axis.loglog(
+        ORDER_LENGTHS, 2 * np.max(errors / ORDER_LENGTHS**2, initial=1e-3) * ORDER_LENGTHS**2, "k:", label="slope 2"
+    )
     axis.axhspan(axis.get_ylim()[0], np.max(floors), color="0.9")
     axis.set_xlabel("t")
     axis.set_ylabel("|R(x, t u) - x - t u|")

@@ -7,9 +7,9 @@ import jax
 import numpy as np
 
 from ..integrators import Trajectory
-from ..integrators.text import brief
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
-from ..reading import reads_once
+from ..tracing import reads_once
 from .axes import legend, one
 
 

@@ -17,12 +17,12 @@ from typing import IO, Any, final
 
 import numpy as np
 
-from ..integrators.archives import archived_arrays
+from ..integrators.reporting.archives import read_archived_arrays
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_count
 
-SCHEMA = "retrax.Sweep 1"
-HEAD = "sweep.json"
+SWEEP_SCHEMA = "retrax.Sweep 1"
+SWEEP_ENTRY = "sweep.json"
 IN_A_FOLDER = 1000  # files of chunks: file systems list more of them slowly
 
 
@@ -56,7 +56,7 @@ class Store:
         """Write what was found of the members of a chunk, and the seconds on the clock and of the processor."""
         words, word = np.unique(np.asarray(found["result"], dtype=str), return_inverse=True)
         own = {
-            "schema": SCHEMA,
+            "schema": SWEEP_SCHEMA,
             "part": part,
             "words": words,
             "word": word.astype(np.int32),
@@ -74,10 +74,10 @@ class Store:
         """The record of a chunk; raises ``InvalidInputError`` if the file is something else, or damaged."""
         path, count = self.path(part), len(self.members(part))
         try:
-            found: dict[str, Any] = dict(archived_arrays(path))
+            found: dict[str, Any] = dict(read_archived_arrays(path))
             found["result"] = found["words"][found["word"]]
             lengths = {len(found[name]) for name in ("cost", "success", "word", "has")}
-            fits = str(found["schema"]) == SCHEMA and found["part"] == part and lengths == {count}
+            fits = str(found["schema"]) == SWEEP_SCHEMA and found["part"] == part and lengths == {count}
             fault = (
                 ""
                 if fits
@@ -87,7 +87,7 @@ class Store:
             fault, found = str(error), {}
         if fault:
             raise InvalidInputError(
-                f"{path} is not chunk {part} of the sweep: {fault}; expected a file of {SCHEMA!r} with {count} "
+                f"{path} is not chunk {part} of the sweep: {fault}; expected a file of {SWEEP_SCHEMA!r} with {count} "
                 "members; delete it, and call sweep again, which solves what is not there"
             )
         found["kept"] = {
@@ -115,7 +115,7 @@ def worker() -> str:
 def opened(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store:
     """The store in a folder, new or of the same sweep; raises ``InvalidInputError`` for a folder of another sweep."""
     folder.mkdir(parents=True, exist_ok=True)
-    head, wanted = folder / HEAD, {"schema": SCHEMA, "count": count, "chunk": chunk, **marks}
+    head, wanted = folder / SWEEP_ENTRY, {"schema": SWEEP_SCHEMA, "count": count, "chunk": chunk, **marks}
     if not head.exists():
         if any(not path.match(".*.part") for path in folder.iterdir()):
             raise InvalidInputError(
@@ -136,19 +136,19 @@ def opened(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store
 
 def existing(folder: Path) -> Store:
     """The store in a folder; raises ``InvalidInputError`` if there is none."""
-    there = _read_head(folder / HEAD)
+    there = _read_head(folder / SWEEP_ENTRY)
     return Store(folder, there["count"], there["chunk"])
 
 
 def _read_head(path: Path) -> dict[str, Any]:
     try:
         there = json.loads(path.read_text())
-        fits = there["schema"] == SCHEMA and is_count(there["count"]) and is_count(there["chunk"])
+        fits = there["schema"] == SWEEP_SCHEMA and is_count(there["count"]) and is_count(there["chunk"])
         fault = "" if fits else f"the schema is {there['schema']!s:.60}, with {there['count']} members"
     except (OSError, ValueError, KeyError, TypeError) as error:
         fault, there = str(error), {}
     if fault:
         raise InvalidInputError(
-            f"{path.parent} is not a sweep: {fault}; expected a file {HEAD} of {SCHEMA!r}, from sweep"
+            f"{path.parent} is not a sweep: {fault}; expected a file {SWEEP_ENTRY} of {SWEEP_SCHEMA!r}, from sweep"
         )
     return there

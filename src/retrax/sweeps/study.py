@@ -9,12 +9,12 @@ import jax
 import numpy as np
 
 from ..integrators import Solutions, Solver
-from ..integrators.free import is_free
-from ..integrators.text import brief
+from ..integrators.problem.free_quantities import is_free
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError, RetraxError
 
 # Members that are solved at once: more need more memory than is near to the processor, and take longer each.
-BATCH = 100
+CHUNK_MEMBERS = 100
 ASKED = "starts", "ends", "horizons", "guesses", "parameters", "tolerance", "max_iterations"
 
 
@@ -83,7 +83,9 @@ def solved(study: Study, members: np.ndarray) -> dict[str, Any]:
     ``kept`` arrays have rows for the solved members, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration
     was stopped.
     """
-    return _joined([_tried(study, members[first : first + BATCH]) for first in range(0, len(members), BATCH)])
+    return _joined(
+        [_tried(study, members[first : first + CHUNK_MEMBERS]) for first in range(0, len(members), CHUNK_MEMBERS)]
+    )
 
 
 def _tried(study: Study, members: np.ndarray) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import Any
 
-from ..integrators.options import known_options
-from ..integrators.text import brief
+from ..integrators.problem.argument_errors import require_known_options
+from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError, RetraxError
 from ..manifolds.numerics.ambient import is_count
 from ..manifolds.numerics.precision import working_precision
@@ -19,13 +19,13 @@ from ..progress import progress
 from .record import Sweep
 from .store import opened
 from .study import Study, made, marks
-from .worker import Done, Job, adopt, run
+from .worker import ChunkResult, Job, adopt, run
 
 AHEAD = 1000  # chunks that wait for a worker: more than workers, and few to hold in memory
 log = logging.getLogger(__name__)
 
 
-@known_options
+@require_known_options
 def sweep(
     build: Callable[[], Study],
     count: int,
@@ -119,12 +119,12 @@ def _check(build: Any, count: Any, executor: Any, chunk: Any) -> None:
         )
 
 
-def _finished(job: Job, parts: Sequence[int], executor: Executor | None) -> Generator[Done, None, None]:
+def _finished(job: Job, parts: Sequence[int], executor: Executor | None) -> Generator[ChunkResult, None, None]:
     """The chunks as they are finished."""
     if executor is None:
         yield from (run(job, part) for part in parts)
         return
-    waiting, pending, ready = iter(parts), set[Future[Done]](), SimpleQueue[Future[Done]]()
+    waiting, pending, ready = iter(parts), set[Future[ChunkResult]](), SimpleQueue[Future[ChunkResult]]()
     try:
         while True:
             for part in islice(waiting, AHEAD - len(pending)):

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..compute.threads import one_thread
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
-from ..threads import one_thread
 from .store import Store
 from .study import Study, made, solved
 
@@ -31,14 +31,14 @@ class Job(NamedTuple):
     alone: bool  # whether other workers need the other processors
 
 
-class Done(NamedTuple):
+class ChunkResult(NamedTuple):
     """How many members of a chunk were solved, and how many have no success."""
 
     members: int
     failed: int
 
 
-def run(job: Job, part: int) -> Done:
+def run(job: Job, part: int) -> ChunkResult:
     """Solve a chunk of members, and write what was found."""
     store = Store(Path(job.folder), job.total, job.chunk)
     study = _study(job)
@@ -47,7 +47,7 @@ def run(job: Job, part: int) -> Done:
         found = solved(study, store.members(part))
     seconds = time.perf_counter() - clock, (time.thread_time() if job.alone else time.process_time()) - cpu
     store.write(part, found, seconds)
-    return Done(len(found["success"]), int(np.sum(~found["success"])))
+    return ChunkResult(len(found["success"]), int(np.sum(~found["success"])))
 
 
 def _study(job: Job) -> Study:

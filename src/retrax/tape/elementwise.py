@@ -8,15 +8,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from . import pairs
+from . import complex_rules
 from .arrays import Complex, Entries, NotTraceableError, Scalars, broadcast, column, is_complex, moved, parts, scalars
 from .choice import select
-from .pairs import Pair, product, repeated
+from .complex_rules import Pair, product, repeated
 
 Function = Callable[..., ca.SX]
 
 SQUARES = {ca.OP_SQ, ca.OP_FABS, ca.OP_EXP, ca.OP_SQRT, ca.OP_COSH, ca.OP_HYPOT}
-SUMS = {ca.OP_ADD, ca.OP_TWICE, ca.OP_FMAX}  # none of these is negative if what they are made of is not
+SUM_OPERATIONS = {ca.OP_ADD, ca.OP_TWICE, ca.OP_FMAX}  # none of these is negative if what they are made of is not
 LONGEST_SUM = 200
 
 
@@ -56,7 +56,7 @@ def _is_square(x: ca.SX) -> bool:
         a = left.pop()
         if a.is_constant():
             known = float(a) >= 0
-        elif a.op() in SUMS:
+        elif a.op() in SUM_OPERATIONS:
             known = True
             left += [a.dep(k) for k in range(a.n_dep())]
         else:
@@ -82,7 +82,7 @@ def _pairs(x: ca.SX, y: ca.SX) -> list[tuple[ca.SX, ca.SX]]:
 
 
 # Functions of real arrays of one shape.
-REAL: dict[str, Function] = {
+REAL_RULES: dict[str, Function] = {
     "abs": lambda x: select(x < 0, -x, x),  # its derivative at zero is that of JAX: one
     "acos": ca.acos,
     "acosh": ca.acosh,
@@ -143,7 +143,7 @@ def elementwise(name: str, params: dict[str, Any], arrays: list[Entries]) -> Ent
         return _OTHERS[name](params, *arrays)
     if any(is_complex(a) for a in arrays):
         return _complex(name, [parts(a) for a in arrays]) if name in _COMPLEX else None
-    return _mapped(REAL[name], *arrays) if name in REAL else None
+    return _mapped(REAL_RULES[name], *arrays) if name in REAL_RULES else None
 
 
 def _mapped(function: Function, *arrays: Any) -> Scalars:
@@ -165,36 +165,36 @@ def _complex(name: str, arrays: list[tuple[Entries, Entries]]) -> Entries:
 
 # Functions of complex arrays of one shape, as pairs.
 _COMPLEX: dict[str, Callable[..., Pair | ca.SX]] = {
-    "abs": pairs.size,
-    "add": pairs.total,
-    "add_any": pairs.total,
+    "abs": complex_rules.size,
+    "add": complex_rules.total,
+    "add_any": complex_rules.total,
     "conj": lambda x: (x[0], -x[1]),
     "copy": lambda x: x,
     "cos": lambda x: (ca.cos(x[0]) * ca.cosh(x[1]), -ca.sin(x[0]) * ca.sinh(x[1])),
     "cosh": lambda x: (ca.cosh(x[0]) * ca.cos(x[1]), ca.sinh(x[0]) * ca.sin(x[1])),
-    "div": pairs.quotient,
+    "div": complex_rules.quotient,
     "eq": lambda x, y: ca.logic_and(_equal(x[0], y[0]), _equal(x[1], y[1])),
-    "exp": pairs.exponential,
-    "exp2": lambda x: pairs.exponential((x[0] * np.log(2.0), x[1] * np.log(2.0))),
-    "expm1": pairs.exponential_less_one,
+    "exp": complex_rules.exponential,
+    "exp2": lambda x: complex_rules.exponential((x[0] * np.log(2.0), x[1] * np.log(2.0))),
+    "expm1": complex_rules.exponential_less_one,
     "imag": lambda x: x[1],
     "log": lambda x: (ca.log(x[0] * x[0] + x[1] * x[1]) / 2, ca.atan2(x[1], x[0])),
-    "log1p": pairs.logarithm_of_one_more,
+    "log1p": complex_rules.logarithm_of_one_more,
     "log2": lambda x: (ca.log(x[0] * x[0] + x[1] * x[1]) / np.log(4.0), ca.atan2(x[1], x[0]) / np.log(2.0)),
-    "logistic": pairs.logistic,
+    "logistic": complex_rules.logistic,
     "mul": product,
     "ne": lambda x, y: ca.logic_or(_unequal(x[0], y[0]), _unequal(x[1], y[1])),
     "neg": lambda x: (-x[0], -x[1]),
-    "polynomial": lambda x, *c: reduce(lambda value, a: pairs.total(product(value, x), a), c[-2::-1], c[-1]),
+    "polynomial": lambda x, *c: reduce(lambda value, a: complex_rules.total(product(value, x), a), c[-2::-1], c[-1]),
     "real": lambda x: x[0],
-    "rsqrt": pairs.inverse_root,
+    "rsqrt": complex_rules.inverse_root,
     "sin": lambda x: (ca.sin(x[0]) * ca.cosh(x[1]), ca.cos(x[0]) * ca.sinh(x[1])),
     "sinh": lambda x: (ca.sinh(x[0]) * ca.cos(x[1]), ca.cosh(x[0]) * ca.sin(x[1])),
-    "sqrt": pairs.root,
+    "sqrt": complex_rules.root,
     "square": lambda x: product(x, x),
     "sub": lambda x, y: (x[0] - y[0], x[1] - y[1]),
-    "tan": pairs.tangent,
-    "tanh": pairs.hyperbolic_tangent,
+    "tan": complex_rules.tangent,
+    "tanh": complex_rules.hyperbolic_tangent,
 }
 
 
@@ -221,7 +221,7 @@ def _integer_pow(params: dict[str, Any], x: Entries) -> Entries:
     if is_complex(x):
         real, imag = parts(x)
         power = repeated((column(real), column(imag)), abs(exponent))
-        value = power if exponent >= 0 else pairs.quotient(pairs.ONE, power)
+        value = power if exponent >= 0 else complex_rules.quotient(complex_rules.COMPLEX_ONE, power)
         return Complex(*(scalars(part, x.shape) for part in value))
     value, base = None, column(x)
     for bit in bin(abs(exponent))[2:]:
@@ -291,4 +291,4 @@ _OTHERS: dict[str, Callable[..., Entries]] = {
     "xor": lambda params, *a: _logic(params, "xor", *a),
 }
 
-KINDS = {*REAL, *_COMPLEX, *_OTHERS}  # the primitives with a rule here
+ELEMENTWISE_PRIMITIVES = {*REAL_RULES, *_COMPLEX, *_OTHERS}  # the primitives with a rule here

@@ -24,7 +24,7 @@ COMMUTATIVE = frozenset({"ADD", "MUL", "EQ", "NE", "AND", "OR"})
 TRUTHS = frozenset({"LT", "LE", "EQ", "NE", "AND", "OR", "NOT"})  # what is true or false
 OPERANDS = 7  # at most
 CODES = {name: code for code, name in enumerate(NAMES)}
-ENDS = frozenset({"INPUT", "OUTPUT", "CONST"})  # what is read from elsewhere, or given there
+END_NAMES = frozenset({"INPUT", "OUTPUT", "CONST"})  # what is read from elsewhere, or given there
 _OF_CASADI = {getattr(ca, f"OP_{name}"): name for name in NAMES if hasattr(ca, f"OP_{name}")}
 
 
@@ -62,7 +62,7 @@ def read(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = ()) -> tuple[lis
     """The instructions of a column of scalars as a function of a column of symbols, and their parts, which run one
     after the other."""
     found = list[Instruction]()
-    own, looped = _Reader(found), [_Looped(found, loop) for loop in loops]
+    own, looped = _Reader(found), [_LoopReader(found, loop) for loop in loops]
     given = [ca.densify(ca.vertcat(loop.first, loop.given)) for loop in loops]
     function = ca.Function("f", [inputs, *(loop.symbols for loop in loops)], [outputs, *given])
 
@@ -89,7 +89,7 @@ def read(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = ()) -> tuple[lis
     return found, parts
 
 
-class _Looped:
+class _LoopReader:
     """A loop among instructions.
 
     ``states``: instructions that are the numbers of its state, by their places, of those that something asks for, be it
@@ -166,7 +166,7 @@ class _Reader:
             name, ins, outs = _OF_CASADI.get(code_of(k)), read(k), written(k)
             if name is None:
                 raise UnknownInstructionError(f"instruction {code_of(k)} of CasADi has no counterpart in the machine")
-            if name not in ENDS:
+            if name not in END_NAMES:
                 operands = [made[i] for i in ins]
                 if name == "MUL" and not self._truths.isdisjoint(operands):
                     # Derivatives of a choice are such products, and the branch that is not taken may be NaN; XLA reads

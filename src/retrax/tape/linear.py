@@ -22,8 +22,8 @@ from .arrays import (
     scalars,
 )
 from .choice import select
+from .complex_rules import product
 from .elementwise import larger, smaller
-from .pairs import product
 
 LARGEST_FACTOR = 16  # rows of a matrix that is factorised entry by entry: beyond LAPACK is the better choice
 

@@ -4,7 +4,7 @@ from typing import Any
 
 from jax.extend.core import Literal
 
-from ..equations import CALLS, called
+from ..jaxpr_tools import CALLS, called_program
 
 RULES = {"custom_jvp_call", "custom_vjp_call"}  # calls with derivatives of their own
 
@@ -30,7 +30,7 @@ def needed(jaxpr: Any, wanted: list[bool]) -> tuple[list[tuple[Any, list[bool], 
 
 def _inputs(eqn: Any, outputs: list[bool]) -> list[bool]:
     if eqn.primitive.name in CALLS.keys() - RULES:
-        inner = opened(called(eqn))
+        inner = opened(called_program(eqn))
         live = needed(inner, outputs)[1]
         return [v in live for v in inner.invars]
     if eqn.primitive.name == "custom_linear_solve":  # its factors are made anew from the linear map

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 
-from ..threads import later
+from ..compute.threads import later
 
 OFTEN = 200_000  # points at which the machine has taken as long as machine code takes to be made, or half as long
 MOST = 20_000  # instructions: Python waits at its end for what is being made, two seconds for so many

@@ -14,7 +14,7 @@ from .instructions import CODES, OPERANDS, Instruction, lasting, read
 VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
 FOUR = 4  # inputs or outputs that stand together: the machine reads and writes as many at once
 SUMMANDS = {"ADD": (0, 1), "MUL_ADD": (2,), "MUL_SUB": (2,)}  # the operands of sums that may be sums themselves
-SUMS = {
+FUSED_SUMS = {
     ("ADD", "ADD"): "ADD_ADD",
     ("ADD", "MUL_ADD"): "MUL_ADD_ADD",
     ("ADD", "TWO_MUL"): "TWO_MUL_ADD",
@@ -26,7 +26,7 @@ SUMS = {
     ("MUL_SUB", "MUL"): "MUL_SUB_MUL",
 }
 WINDOW = 500  # instructions among which those that are the same come together, with few registers more
-FEW = 2  # divisions by one number that are not worth its inverse
+FEW_DIVISIONS = 2  # divisions by one number that are not worth its inverse
 ALWAYS = frozenset({"OUTPUT", "LOOP", "NEXT", "REPEAT"})  # what nothing has to use
 USUAL = 5  # rounds of a loop
 
@@ -68,7 +68,7 @@ def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, wind
             _multiplied(instructions, instruction)
             _summed(instructions, instruction)
         elif instruction.name in ("MUL", "DIV"):
-            _divide(instructions, instruction, FEW if k not in cut else np.inf)
+            _divide(instructions, instruction, FEW_DIVISIONS if k not in cut else np.inf)
             _immediate(instructions, instruction)
     order = list[int]()
     for part in parts:
@@ -146,7 +146,7 @@ def _replace(
 
 
 def _cut(instructions: list[Instruction]) -> set[int]:
-    """The instructions that ``FLOOR`` and ``CEIL`` round to a whole number, whose own rounding may change the
+    """The instructions that ``SMALLEST_EXTENT`` and ``CEIL`` round to a whole number, whose own rounding may change the
     result."""
     found = set[int]()
     for instruction in instructions:
@@ -208,7 +208,7 @@ def _summed(instructions: list[Instruction], instruction: Instruction) -> None:
     """A sum that only this one needs is formed in it."""
     for place in SUMMANDS.get(instruction.name, ()):
         inner = instructions[instruction.inputs[place]]
-        name = SUMS.get((instruction.name, inner.name))
+        name = FUSED_SUMS.get((instruction.name, inner.name))
         if name is not None and inner.uses == 1:
             rest = [i for other, i in enumerate(instruction.inputs) if other != place]
             at = 2 if instruction.name == "ADD" else len(inner.inputs)

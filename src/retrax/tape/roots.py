@@ -7,18 +7,22 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from ..convergence import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_PART
+from ..newton_constants import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_PART
 from .arrays import Entries, NotTraceableError, column, is_complex, scalars, taken
 from .choice import select
 from .elementwise import larger
 from .linear import LARGEST_FACTOR, inverse
 
 PRIMITIVE = "implicit_root"
-LONGEST = 10_000  # instructions, or about so many, of a step of Newton's method for all roots of one equation: of
+LONGEST_STEP_PROGRAM = (
+    10_000  # instructions, or about so many, of a step of Newton's method for all roots of one equation: of
+)
 # their derivatives there are many times more
 EPS = float(np.finfo(float).eps)
-SETTLED = 64 * EPS  # of the unknowns' sizes: a step that is no longer leaves rounding
-QUADRATIC = EPS**QUADRATIC_POWER  # of the unknowns' sizes: a step that is no longer is the last but for rounding
+SETTLED_STEP = 64 * EPS  # of the unknowns' sizes: a step that is no longer leaves rounding
+LAST_QUADRATIC_STEP = (
+    EPS**QUADRATIC_POWER
+)  # of the unknowns' sizes: a step that is no longer is the last but for rounding
 
 System = Callable[[Any, list[Any]], ca.Function]
 Looped = Callable[[ca.SX, ca.SX, ca.Function, int], ca.SX]
@@ -43,9 +47,9 @@ def roots(params: dict[str, Any], arrays: list[Any], system: System, loop: Loope
         raise NotTraceableError(PRIMITIVE, f"here of {count} unknowns, where a tape has at most {LARGEST_FACTOR}")
     function, at = system(params["jaxpr"], operands), ca.vertcat(ca.SX(0, 1), *(column(a) for a in operands))
     length = copies * (function.n_instructions() + count**3)  # with an elimination
-    if length > LONGEST:
+    if length > LONGEST_STEP_PROGRAM:
         raise NotTraceableError(
-            PRIMITIVE, f"here of {length} instructions for a step, where a tape has at most {LONGEST}"
+            PRIMITIVE, f"here of {length} instructions for a step, where a tape has at most {LONGEST_STEP_PROGRAM}"
         )
     root, converged = _root(function, column(start), at, loop)
     return [scalars(root, (count,)), scalars(converged, ())]
@@ -81,7 +85,7 @@ def _root(system: ca.Function, start: ca.SX, at: ca.SX, loop: Looped) -> tuple[c
         changed = larger(changed, ca.fabs(move - moves[0]))
     # An unknown may be as small as the rounding of others: its size says nothing of how exactly it can be known.
     rounding = _largest(ca.fabs(moves[0]) / changed) <= PROBE
-    return c, select(step <= QUADRATIC, 1.0, select(rounding, 1.0, 0.0))
+    return c, select(step <= LAST_QUADRATIC_STEP, 1.0, select(rounding, 1.0, 0.0))
 
 
 def _step(system: ca.Function, count: int, given: int) -> ca.Function:
@@ -89,9 +93,9 @@ def _step(system: ca.Function, count: int, given: int) -> ca.Function:
     leaves rounding."""
     c, step, at = ca.SX.sym("c", count), ca.SX.sym("step"), ca.SX.sym("at", given)
     residual, jacobian = system.call([c, at], True, False)
-    move, settled = ca.densify(ca.mtimes(_inverse(jacobian), residual)), step <= SETTLED
+    move, settled = ca.densify(ca.mtimes(_inverse(jacobian), residual)), step <= SETTLED_STEP
     after, size = ca.if_else(settled, c, c - move), ca.if_else(settled, step, _largest(move))
-    return ca.Function("step", [ca.vertcat(c, step), at], [ca.vertcat(after, size), size <= SETTLED])
+    return ca.Function("step", [ca.vertcat(c, step), at], [ca.vertcat(after, size), size <= SETTLED_STEP])
 
 
 def _patterns(c: ca.SX) -> list[ca.SX]:

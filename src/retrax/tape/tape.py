@@ -14,9 +14,9 @@ import numpy as np
 from ..aligned import scratch
 from ..compute.core import PARTS_ON_CORE
 from ..compute.tape_machine import MachineProgram
+from ..compute.threads import in_threads, worth_threads
 from ..errors import InvalidInputError
 from ..optional import numba_is_there
-from ..threads import in_threads, worth_threads
 from ..undisturbed import put_off
 from .arrays import Entries, column, is_complex, parts, scalars
 from .graph import Graph, Loop

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, gensym, jaxpr_as_fun, new_jaxpr_eqn
 
-from ..equations import CALLS, HIGH, called, is_in_scalars, name_of, scan_parts
+from ..constant_folding import evaluate
 from ..errors import TRACEABLE, InvalidInputError, RetraxError
-from ..known import evaluated
-from ..reading import traced, users_line
+from ..jaxpr_tools import CALLS, HIGH, called_program, is_in_scalars, name_of, scan_parts
+from ..tracing import trace_program, users_line
 from .arrays import (
     Complex,
     Entries,
@@ -30,13 +30,13 @@ from .arrays import (
     taken,
 )
 from .elementwise import elementwise, select_n
-from .fixed import BY_MARKS
 from .graph import Graph, Mark
+from .guarded_rules import BY_MARKS
 from .linear import LINEAR, inverse
 from .liveness import RULES, needed, opened
-from .moves import MOVES, stacked
 from .roots import PRIMITIVE as ROOT
 from .roots import roots
+from .structural_rules import STRUCTURAL_RULES, stacked
 
 BACKWARD = {"custom_vjp_call", "CustomVJPTraced"}  # what has a rule in reverse mode only
 LONGEST_LOOP = 1000  # iterations of a loop that is written out
@@ -81,15 +81,15 @@ class Tracer:
         if name in RULES or eqn.primitive.name == HIGH:
             return self._custom(eqn, arrays)
         if name in CALLS:
-            return self.closed(called(eqn), arrays, wanted)
+            return self.closed(called_program(eqn), arrays, wanted)
         if name in _CONTROL:
             return _CONTROL[name](self, eqn, arrays)
-        if name in MOVES:
-            return _as_list(MOVES[name](params, *arrays))
+        if name in STRUCTURAL_RULES:
+            return _as_list(STRUCTURAL_RULES[name](params, *arrays))
         if is_known(*arrays):
             if jnp.issubdtype(eqn.outvars[0].aval.dtype, jax.dtypes.extended):
                 raise NotTraceableError(name, "which makes a random key")
-            return list(evaluated(eqn, arrays))
+            return list(evaluate(eqn, arrays))
         if name in BY_MARKS:
             return [BY_MARKS[name](self.graph, eqn, *arrays)]
         if name in LINEAR:
@@ -178,7 +178,7 @@ class Tracer:
 
     def _custom(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         """A function with a derivative of its own, which JAX knows."""
-        values = self.closed(called(eqn), arrays)
+        values = self.closed(called_program(eqn), arrays)
         return values if is_in_scalars(eqn) else self._marked(eqn, arrays, values)
 
     def _root(self, eqn: Any, arrays: list[Any]) -> list[Entries]:
@@ -237,7 +237,7 @@ class Tracer:
         shapes = [eqn.invars[k].aval for k in varying] if forward else [eqn.outvars[k].aval for k in smooth]
         examples = ([np.zeros(v.shape, v.dtype) for v in part] for part in ([v.aval for v in eqn.invars], shapes))
         with readable():
-            program = traced(image, *examples)
+            program = trace_program(image, *examples)
         symbols = [ca.SX.sym("t", int(np.prod(s.shape))) for s in shapes]
         directions = [scalars(t, s.shape) for t, s in zip(symbols, shapes, strict=True)]
         images = ca.vertcat(*(column(a) for a in self.closed(program, [*arrays, *directions])))
@@ -250,7 +250,7 @@ def _function(eqn: Any) -> Callable[..., list[Any]]:
     variable = gensym()
     ins, outs = ([variable(v.aval) for v in part] for part in (eqn.invars, eqn.outvars))
     alone = new_jaxpr_eqn(ins, outs, eqn.primitive, eqn.params, eqn.effects)
-    debug = opened(called(eqn) or eqn.params["jaxpr"]).debug_info
+    debug = opened(called_program(eqn) or eqn.params["jaxpr"]).debug_info
     return jaxpr_as_fun(ClosedJaxpr(Jaxpr([], ins, outs, [alone], eqn.effects, debug), []))
 
 
@@ -337,7 +337,7 @@ def flat(function: Callable[..., Any], *examples: Any) -> Flat:
         return found
 
     result: list[Any] = []
-    jaxpr = traced(of_leaves, *map(np.asarray, leaves))
+    jaxpr = trace_program(of_leaves, *map(np.asarray, leaves))
     return Flat(jaxpr, examples, result[-1])
 
 

@@ -14,7 +14,7 @@ from .numerics import Vector, compiled, flat, unflat, violation_kernel
 from .precision import precision
 
 RESTORING_STEPS = 12
-HALVINGS = 50
+DRAW_HALVINGS = 50
 RUNGS = 16  # multiples of a vector, evenly up to the longest, among which the first outside a domain is looked for
 
 
@@ -79,7 +79,7 @@ class Sampler:
         return next((y for y in self._candidates(x, distance * u) if self._violation(y)[0] <= precision().half), x)
 
     def _candidates(self, x: np.ndarray, step: np.ndarray) -> Iterator[np.ndarray]:
-        return (self._nearest(x + 2.0**-k * step) for k in range(HALVINGS))
+        return (self._nearest(x + 2.0**-k * step) for k in range(DRAW_HALVINGS))
 
     def bundle_frame(self, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Frame of the tangent space of ``TM`` at ``(x, v)``, by rows; its second half is ``(0, e_i)``."""
@@ -118,7 +118,8 @@ class DomainEdge:
         return bool(same_point(self.preimage(x, self.move(x, v)), v, default_tolerance()))
 
     def __call__(self, x: np.ndarray, u: np.ndarray, longest: float) -> float:
-        """Length up to which the multiples of the unit tangent vector ``u`` lie in the domain, at most ``longest``."""
+        """Length up to which the multiples of the unit tangent vector ``u`` lie in the domain, at most
+        ``longest_arc``."""
         rungs = longest * np.arange(RUNGS + 1) / RUNGS
         outside = next((k for k in range(1, RUNGS + 1) if not self._inside(x, rungs[k] * u)), None)
         if outside is None:

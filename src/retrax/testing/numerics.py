@@ -12,7 +12,7 @@ from ..manifolds import Manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.compiler import Option, known_options
-from ..manifolds.numerics.differences import FEWEST, central_difference, central_nodes
+from ..manifolds.numerics.differences import FEWEST_ERRORS, central_difference, central_nodes
 from ..manifolds.numerics.precision import working_precision
 
 Vector = Float[Array, " N"]
@@ -81,13 +81,13 @@ def largest(a: Any) -> float:
     return float(max(np.max(np.abs(leaf), initial=0.0) for leaf in jax.tree.leaves(a)))
 
 
-NODES = central_nodes(3)  # of differences of orders 6 and 4
-SCALES = 4.0 ** -np.arange(4)  # of a step: the longest at which both orders agree is read
+CENTRAL_NODES = central_nodes(3)  # of differences of orders 6 and 4
+STEP_SCALES = 4.0 ** -np.arange(4)  # of a step: the longest at which both orders agree is read
 
 
 def along(function: Callable[[jax.Array], jax.Array], step: Any) -> jax.Array:
     """Values of a function of a number at ``step NODES``, and at shorter steps: of shape ``(steps, nodes, ...)``."""
-    times = step * jnp.asarray(SCALES[:, None] * NODES, working_precision())
+    times = step * jnp.asarray(STEP_SCALES[:, None] * CENTRAL_NODES, working_precision())
     values = jax.vmap(function)(times.reshape(-1))
     return values.reshape(times.shape + values.shape[1:])
 
@@ -104,4 +104,4 @@ def coarse_differences(values: np.ndarray, h: float) -> np.ndarray:
 
 def is_hidden(errors: np.ndarray, floor: float) -> bool:
     """Whether some errors are above the rounding ``floor``, but too few for a slope."""
-    return bool(0 < np.sum(errors > floor) < FEWEST)
+    return bool(0 < np.sum(errors > floor) < FEWEST_ERRORS)

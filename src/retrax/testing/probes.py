@@ -8,7 +8,7 @@ import numpy as np
 from .draws import Sampler
 from .precision import precision
 
-LONG = 2.0**7  # the longer of two displacements over the shorter: curvature is small beside the longer one
+LENGTH_RATIO = 2.0**7  # the longer of two displacements over the shorter: curvature is small beside the longer one
 NEIGHBOURHOODS = 8
 
 
@@ -30,7 +30,7 @@ def least_seen(
     # A direction is turned by this to see the slope of the violations, and rates are compared with this fraction of the
     # largest: where nothing grows at all there is rounding alone.
     short, bend = precision().displacement, precision().quarter
-    long = LONG * short
+    long = LENGTH_RATIO * short
     bends = np.concatenate([np.zeros((1, count)), np.eye(count)])
     slopes, rates, tried = np.zeros((0, count)), [], []
     n = np.ones(count) / np.sqrt(count)

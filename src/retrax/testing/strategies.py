@@ -18,17 +18,17 @@ from .draws import DomainEdge, Sampler, direction
 
 Pair = tuple[Ambient, Ambient]
 
-SEEDS = st.integers(0, 2**31 - 1)
+SEED_INTEGERS = st.integers(0, 2**31 - 1)
 
 
 def points(manifold: Manifold) -> SearchStrategy[Ambient]:
     """Random points of a manifold."""
     sampler = Sampler(manifold)
-    return SEEDS.map(lambda seed: _ambient(sampler, sampler.point(seed)[0]))
+    return SEED_INTEGERS.map(lambda seed: _ambient(sampler, sampler.point(seed)[0]))
 
 
 def tangent_vectors(manifold: Manifold, longest: float = 1.0) -> SearchStrategy[Pair]:
-    """Pairs ``(x, v)`` in random directions; the length of ``v`` is uniform up to ``longest``, or 0."""
+    """Pairs ``(x, v)`` in random directions; the length of ``v`` is uniform up to ``longest_arc``, or 0."""
     return _pairs(manifold, st.one_of(st.just(0.0), st.floats(0.0, longest)))
 
 
@@ -42,7 +42,7 @@ def tangent_vectors_near_the_edge(retraction: Retraction, longest: float = 10.0)
 
     For a domain that is derived from a round trip it is 1e-2 to 1e-1. The edge is the first one in the direction of
     ``v``, as the domain need not be star-shaped: it may begin again behind it. Where it reaches farther than
-    ``longest``, that is taken for the edge.
+    ``longest_arc``, that is taken for the edge.
     """
     sampler, edge = Sampler(retraction.manifold), DomainEdge(retraction)
 
@@ -52,7 +52,7 @@ def tangent_vectors_near_the_edge(retraction: Retraction, longest: float = 10.0)
         length = edge(x, u, (1 - 10.0**power) * edge(x, u, longest))  # again, for a gap that was not seen on the way
         return _ambient(sampler, x), _ambient(sampler, length * u)
 
-    return st.builds(draw, SEEDS, st.floats(float(np.log10(edge.margin)), -1.0))
+    return st.builds(draw, SEED_INTEGERS, st.floats(float(np.log10(edge.margin)), -1.0))
 
 
 def covectors(manifold: Manifold, longest: float = 1.0) -> SearchStrategy[Pair]:
@@ -67,7 +67,7 @@ def _pairs(manifold: Manifold, lengths: SearchStrategy[float]) -> SearchStrategy
         x, _, basis = sampler.point(seed)
         return _ambient(sampler, x), _ambient(sampler, length * direction(np.random.default_rng(seed), basis))
 
-    return st.builds(draw, SEEDS, lengths)
+    return st.builds(draw, SEED_INTEGERS, lengths)
 
 
 def _ambient(sampler: Sampler, w: np.ndarray) -> Any:

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from ..manifolds import CotangentBundle, InvalidInputError, Manifold, MatrixLieGroup, Metric
 from ..retractions import DiscretizationMap, Retraction
 from . import checks as kit
-from .facts import Facts, refuse_unknown
+from .properties import Facts, refuse_unknown
 from .report import Check, ConformanceError, judge
 
 

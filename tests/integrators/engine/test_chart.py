@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import scipy.linalg
 from numpy.polynomial import Polynomial
+from retrax.compute.automatic import AutomaticEvaluator
 from retrax.integrators.boundary_value.engine.chart import Chart, lagrange
-from retrax.integrators.evaluator import Automatic
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.retractions import Addition, Cayley, Exponential, Gauss
 
@@ -18,7 +18,7 @@ def places_of(stages):
 
 @pytest.mark.parametrize("stages", [2, 3, 4])
 def test_polynomials_through_a_polynomial_have_its_slopes(stages):
-    chart, places = Chart(Addition(Euclidean(2)), Automatic()), places_of(stages)
+    chart, places = Chart(Addition(Euclidean(2)), AutomaticEvaluator()), places_of(stages)
     curves = [Polynomial(np.random.default_rng(k).standard_normal(stages + 2)) for k in range(2)]
     begin, end, states = (np.stack([a(np.array(t)) for a in curves], axis=-1) for t in (0.0, 1.0, places))
     found = chart.polynomials(places, begin[None], states[None], end[None])
@@ -33,7 +33,7 @@ def test_polynomials_through_a_polynomial_have_its_slopes(stages):
 @pytest.mark.parametrize("sweep", [0.0, 1e-6, 0.1, 1.0, 2.0])
 def test_slopes_of_turns_about_an_axis_are_those_of_the_angle(sweep):
     group, places, angle = SO(3), places_of(3), Polynomial([0.2, 1.0, 0.5, -0.4]) * sweep
-    chart = Chart(Exponential(group), Automatic())
+    chart = Chart(Exponential(group), AutomaticEvaluator())
 
     def turn(t):
         return scipy.linalg.expm(np.asarray(hat(angle(t) * AXIS))).ravel()
@@ -51,7 +51,7 @@ def test_slopes_of_turns_about_an_axis_are_those_of_the_angle(sweep):
 @pytest.mark.parametrize("family", [Cayley, Exponential])
 def test_a_centre_is_as_far_from_both_ends_in_opposite_directions(family):
     group = SO(3)
-    chart, draw = Chart(family(group), Automatic()), np.random.default_rng(0).standard_normal
+    chart, draw = Chart(family(group), AutomaticEvaluator()), np.random.default_rng(0).standard_normal
     begins, ends = (
         np.stack([scipy.linalg.expm(np.asarray(hat(0.6 * draw(3)))).ravel() for _ in range(4)]) for _ in range(2)
     )

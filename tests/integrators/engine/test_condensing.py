@@ -181,7 +181,7 @@ def test_the_condensed_inertia_follows_the_whole_through_zero():
 def test_steps_do_not_know_of_each_other(monkeypatch):
     (points, ends, h), tableau = random_steps(1, 3), gauss(3)
     together = condense(points, ends, h, tableau)[0]
-    monkeypatch.setattr("retrax.threads.WORTH_A_THREAD", 1)
+    monkeypatch.setattr("retrax.compute.threads.WORTH_A_THREAD", 1)
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
     for b in range(BATCH):
         mine = slice(b, b + 1)

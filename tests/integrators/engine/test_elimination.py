@@ -124,7 +124,7 @@ def test_units_are_applied_as_if_the_system_were_written_in_them(free):
 @pytest.mark.parametrize("threads", [False, True])
 def test_members_of_a_batch_do_not_know_of_each_other(threads, monkeypatch):
     if threads:
-        monkeypatch.setattr("retrax.threads.WORTH_A_THREAD", 1)
+        monkeypatch.setattr("retrax.compute.threads.WORTH_A_THREAD", 1)
         monkeypatch.setattr(os, "cpu_count", lambda: 3)
     system = random_system(8, (7, 4, 3, 5, 2), (1, 0), convex=False)
     together = eliminate(system, shift=np.linspace(0, 1, 7))

@@ -14,7 +14,7 @@ from retrax.integrators.boundary_value.engine import descent, pursuit, pursuit_k
 from retrax.integrators.boundary_value.engine.first_units import first_units
 from retrax.integrators.boundary_value.engine.share import UNCHANGED
 from retrax.integrators.boundary_value.engine.trial import Trial
-from retrax.integrators.results import Result
+from retrax.integrators.reporting.results import Result
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 

@@ -7,7 +7,7 @@ import pytest
 from retrax.integrators.boundary_value.engine.elimination import BlockSystem
 from retrax.integrators.boundary_value.engine.extent import Extent, ends_meet
 from retrax.integrators.boundary_value.engine.scaling import natural_units
-from retrax.integrators.layout import Layout
+from retrax.integrators.problem.point_layout import PointLayout
 from retrax.manifolds import Sphere
 from retrax.manifolds.numerics.tolerances import EPS, HALF
 
@@ -50,7 +50,7 @@ def test_members_do_not_know_of_each_other():
 
 
 def test_what_a_coordinate_moves_does_not_know_of_other_members():
-    layout = Layout.of(Sphere(2))
+    layout = PointLayout.of(Sphere(2))
     support = np.array([[[1.0, 0, 0], [0, 1, 0]], [[0.8, 0.1, 0.6], [0.1, 0.9, 0.4]]])
     highest, lowest = np.array([[1e-12, 0, 1], [0.5, 0.6, 0.7]]), np.array([[0, 0, -1.0], [0.1, 0.1, 0.1]])
     none, one = np.zeros((2, 2)), np.zeros(2)
@@ -68,7 +68,7 @@ def test_a_coordinate_moves_by_more_than_half_of_the_digits_of_its_column_or_not
     highest, spread = np.array([[0.2, 1.0, 0.7]]), share * EPS**HALF * np.array([[0.0, 1.0, 0.5]])
     none, one = np.zeros((1, 2)), np.zeros(1)
     found = Extent(size * highest, size * (spread - highest), support, none, none, none, one, none, none, none)
-    moved, sizes = found.moved(Layout.of(Sphere(2)))
+    moved, sizes = found.moved(PointLayout.of(Sphere(2)))
     # The first coordinate moves by three tenths of the spread, beside 0.8 of the column.
     expected = np.array([[0.3, 0.9]]) * share * EPS**HALF * size
     np.testing.assert_allclose(moved, np.where([[share > 0.8 / 0.3, share > 1]], expected, 0.0), rtol=1e-6)

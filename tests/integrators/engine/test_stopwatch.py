@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numba
 import numpy as np
 import pytest
+from retrax.compute.compile_time import report_compile_time
 from retrax.integrators import OptimalControlProblem, Phase, Solver, solve_phases
 from retrax.integrators.boundary_value.engine.stopwatch import Stopwatch
-from retrax.integrators.compiling import told
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Exponential, Midpoint
 
@@ -34,15 +34,15 @@ def test_kernels_that_compile_are_counted_apart():
 
 @pytest.mark.parametrize("seconds", [(), (0.02,), (0.02, 0.03)])
 def test_programs_that_xla_compiles_are_counted_apart(seconds):
-    with told():
+    with report_compile_time():
         time.sleep(0.02)  # outside: not heard
     with Stopwatch() as watch, Stopwatch() as other:
         for each in seconds:
-            with told():
+            with report_compile_time():
                 time.sleep(each)
         time.sleep(0.01)
         compiling, running = watch.seconds()
-    with told():
+    with report_compile_time():
         time.sleep(0.02)
     assert sum(seconds) <= compiling <= sum(seconds) + 0.05
     assert 0.01 <= running < 0.06

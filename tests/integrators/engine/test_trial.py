@@ -171,7 +171,7 @@ def test_the_pass_is_made_for_tapes_of_one_trajectory():
         solver = Solver(
             OptimalControlProblem(LINE, lambda q, u: u, half_square, 1), Midpoint(Addition(LINE)), 1, evaluator
         )
-        traced = solver._posing.traced(None)
+        traced = solver._transcription.traced(None)
         assert (traced.steps.trial(traced.nodes, 200 * steps) is not None) == made
 
 
@@ -181,7 +181,7 @@ def test_frames_of_controls_count_where_their_space_is_curved():
     u = np.array([0.6, 0.0, 0.8])
     for controls, curved in ((Euclidean(3), False), (SPHERE, True)):
         problem = OptimalControlProblem(LINE, lambda q, u: u[:1], lambda q, u: q @ q / 2, controls=controls)
-        nodes = Solver(problem, Midpoint(Addition(LINE)), 2)._posing.traced(None).nodes
+        nodes = Solver(problem, Midpoint(Addition(LINE)), 2)._transcription.traced(None).nodes
         found = nodes.control_support(np.broadcast_to(u, (1, 2, 1, 3)))
         assert (found is not None) == curved
         if curved:

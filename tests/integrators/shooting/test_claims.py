@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem
-from retrax.integrators.boundary_value.end_points import EndReader
+from retrax.integrators.boundary_value.inputs.boundary_data import BoundaryDataReader
 from retrax.integrators.boundary_value.shooting import EndConditions
-from retrax.integrators.boundary_value.shooting.claims import broken_end, not_stationary, stationarity
-from retrax.integrators.boundary_value.shooting.end_conditions import AtEnds
+from retrax.integrators.boundary_value.shooting.end_conditions import EndValues
+from retrax.integrators.boundary_value.shooting.verification import (
+    find_end_violation,
+    stationarity,
+    stationarity_violation,
+)
 from retrax.manifolds import Euclidean
 
 PLANE, STEPS = Euclidean(2), 6
@@ -46,7 +50,7 @@ def verdict(
 ) -> str:
     """With costates that change by a slope over each step."""
     points = tuple((np.ones((STEPS, 2)), costates + a * slope) for a in (-0.5, 0.0, 0.5))
-    return not_stationary(given, TIMES, measured(given, points, controls), exact)
+    return stationarity_violation(given, TIMES, measured(given, points, controls), exact)
 
 
 CONTROLS = np.stack([np.full(STEPS, 2.0), np.cos(3 * TIMES)], axis=1)
@@ -95,7 +99,7 @@ def test_a_control_between_the_stages_is_allowed_what_a_step_varies():
 @pytest.mark.parametrize("scale", SCALES)
 def test_a_missed_end_is_seen_in_every_unit(scale):
     space = Euclidean(1) * Euclidean(1)
-    reader = EndReader(space)
+    reader = BoundaryDataReader(space)
     ends = reader.ends((np.zeros(1), None), (np.full(1, scale), None), batched=False)
     rows = zip((ends.start, ends.end), ends.prescribed, strict=True)
     nodes = (reader.condition(row[0], prescribed.parts) for row, prescribed in rows)
@@ -104,7 +108,7 @@ def test_a_missed_end_is_seen_in_every_unit(scale):
     for part, name in enumerate(("state at the end, factor 0", "costate at the end, factor 1")):
         rows = np.zeros(2)
         rows[part] = 1e-5 * scale
-        at = AtEnds(np.zeros(2), np.zeros((2, 2)), rows, np.zeros((2, 2)), {})
-        assert name in broken_end(conditions, at, trajectory, trajectory) or rows[part] < 1e-13
+        at = EndValues(np.zeros(2), np.zeros((2, 2)), rows, np.zeros((2, 2)), {})
+        assert name in find_end_violation(conditions, at, trajectory, trajectory) or rows[part] < 1e-13
         rows[part] = 1e-12 * scale
-        assert not broken_end(conditions, at, trajectory, trajectory)
+        assert not find_end_violation(conditions, at, trajectory, trajectory)

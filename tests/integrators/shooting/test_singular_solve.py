@@ -18,7 +18,7 @@ from retrax.integrators import (
     load_solution,
     solve,
 )
-from retrax.integrators.boundary_value.shooting.legendre import second_order
+from retrax.integrators.boundary_value.shooting.legendre_clebsch import generalised_legendre_clebsch
 from retrax.integrators.singular import Classification, singular_integrator
 from retrax.integrators.singular.strategies import RattleIntegrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
@@ -367,10 +367,12 @@ def test_kelley_and_goh_tell_a_minimum_from_what_is_none():
     """Of ``(a x2^2 - x1^2)/2`` the arc minimises for ``a > 0`` only; ``p = A(q)`` in a magnetic field never does."""
     z, u = ((jnp.ones((2, 1)), jnp.ones((2, 1))), (jnp.ones((2, 1)), jnp.zeros((2, 1)))), jnp.ones((2, 1))
     upside_down = cascade(lambda q, u: -(q[1] @ q[1] + q[0] @ q[0]) / 2)
-    assert "strict generalised Legendre-Clebsch condition met" in second_order(ALY_CHAN, z, u)
-    assert "condition fails" in second_order(upside_down, z, u)
+    assert "strict generalised Legendre-Clebsch condition met" in generalised_legendre_clebsch(ALY_CHAN, z, u)
+    assert "condition fails" in generalised_legendre_clebsch(upside_down, z, u)
     particle = SINGULAR["massless particle"]().problem
-    assert "Goh's condition fails" in second_order(particle, (jnp.ones((2, 2)), jnp.ones((2, 2))), jnp.ones((2, 2)))
+    assert "Goh's condition fails" in generalised_legendre_clebsch(
+        particle, (jnp.ones((2, 2)), jnp.ones((2, 2))), jnp.ones((2, 2))
+    )
 
 
 @pytest.mark.parametrize("order", [2, 3])
@@ -381,7 +383,9 @@ def test_the_sign_of_kelleys_condition_alternates_with_the_order(order):
         problem = OptimalControlProblem(
             Euclidean(order), lambda q, u: jnp.concatenate([q[1:], u]), lambda q, u, a=sign: a * q[0] ** 2 / 2, 1
         )
-        found = second_order(problem, (np.zeros((2, order)), np.zeros((2, order))), jnp.zeros((2, 1)), order)
+        found = generalised_legendre_clebsch(
+            problem, (np.zeros((2, order)), np.zeros((2, order))), jnp.zeros((2, 1)), order
+        )
         assert found.startswith(words)
         assert ("fails" in found) == (sign < 0)
 

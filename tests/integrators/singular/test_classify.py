@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, singular_integrator, solve
-from retrax.integrators.inspection import Inspection
-from retrax.integrators.singular.integrability.levels import summarise as summarise_levels
+from retrax.integrators.problem_checks.inspection import Inspection
+from retrax.integrators.singular.integrability.algorithm_stages import summarise as summarise_levels
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.problems import SINGULAR
 from retrax.retractions import Addition, Midpoint, default_retraction

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify
-from retrax.integrators.singular.integrability.starts import random_starts
+from retrax.integrators.singular.integrability.random_points import random_starts
 from retrax.manifolds import Euclidean, InvalidInputError
 
 from tests.integrators.singular.cases import martinet

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from retrax.integrators.singular.integrability.echelon import CERTAIN, COUNTED, ZERO, Echelon, eliminate
+from retrax.integrators.singular.integrability.echelon import CERTAIN, COUNTED, RANK_GAP, Echelon, eliminate
 
 CHANGE = 1e-8  # of what remains of the last entry, beside which the rounding of the others is small
 
@@ -21,7 +21,7 @@ def echelon(significance: float, units: tuple[float, float] = (1.0, 1.0)) -> Ech
 def test_what_remains_of_a_row_counts_beside_what_it_changes_by_and_between_nothing_is_decided(share, units):
     found = echelon(share * COUNTED, units)
     assert np.sum(found.rows >= 0) == (2 if share > 1 else 1)
-    assert found.decided.tolist() == [share * COUNTED <= ZERO or share * COUNTED >= CERTAIN]
+    assert found.decided.tolist() == [share * COUNTED <= RANK_GAP or share * COUNTED >= CERTAIN]
     seen = found.smallest if share > 1 else found.largest
     assert seen[0] == pytest.approx(share * COUNTED, rel=1e-3, abs=1e-3)
     free = found.null_basis(slice(0, 3))[0, 0]

@@ -17,7 +17,7 @@ from retrax.integrators.singular.strategies import (
     RattleIntegrator,
     leaf_flow,
 )
-from retrax.integrators.singular.strategies.affine import affine_tolerance
+from retrax.integrators.singular.strategies.control_affine_splitting import affine_tolerance
 from retrax.manifolds import (
     ConvergenceError,
     CotangentBundle,

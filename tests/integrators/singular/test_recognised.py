@@ -4,8 +4,8 @@ import jax
 import jax.numpy as jnp
 import pytest
 from retrax.integrators import OptimalControlProblem
-from retrax.integrators.controls import resting_control
-from retrax.integrators.inspection import Inspection
+from retrax.integrators.problem.initial_controls import resting_control
+from retrax.integrators.problem_checks.inspection import Inspection
 from retrax.manifolds import Euclidean
 from retrax.problems import SINGULAR
 

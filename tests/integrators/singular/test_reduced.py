@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Composition, Integrator, OptimalControlProblem, integrate, singular_integrator
-from retrax.integrators.extremal_controls import find_control
+from retrax.integrators.problem.pontryagin import find_control
 from retrax.integrators.singular.strategies import (
     ControlAffineSplitting,
     GohReduction,
@@ -19,7 +19,7 @@ from retrax.integrators.singular.strategies import (
     ReducedIntegrator,
     reduce_until_regular,
 )
-from retrax.integrators.singular.strategies.reduction import CONSTANT_POWER
+from retrax.integrators.singular.strategies.goh_reduction import CONSTANT_POWER
 from retrax.manifolds import CotangentBundle, Euclidean, InvalidInputError, NotOnManifoldError, Product
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.tolerances import EPS
@@ -353,7 +353,7 @@ def test_problems_without_a_reduction_are_refused_with_the_reason(reason):
 
 
 class Along(eqx.Module):
-    """``x' = u``, ``y' = bend x u``: a field that is constant for ``bend`` zero only."""
+    """``x' = u``, ``y' = bend x u``: a field that is constant for ``find_bend`` zero only."""
 
     bend: Array
 

@@ -11,7 +11,7 @@ from jaxtyping import Array
 from retrax.integrators import Composition, OptimalControlProblem, classify, integrate, symplecticity_defect
 from retrax.integrators.initial_value.step import StepResult
 from retrax.integrators.singular import SingularIntegrator, singular_integrator
-from retrax.integrators.singular.integrability.jets import hamiltonian_field
+from retrax.integrators.singular.integrability.derivative_array import hamiltonian_field
 from retrax.integrators.singular.strategies import STRATEGIES, strategy_choice
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
@@ -218,7 +218,8 @@ def test_constraints_at_the_stages_leave_the_nodes_beside_the_manifold():
 
 
 class Coiled(eqx.Module):
-    """The paper's example in the coordinate ``w = y + bend x^2``: ``P_f = {w = 0}`` is flat for ``bend`` zero only."""
+    """The paper's example in the coordinate ``w = y + bend x^2``: ``P_f = {w = 0}`` is flat for ``find_bend`` zero
+    only."""
 
     bend: Array
 

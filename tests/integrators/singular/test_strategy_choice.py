@@ -14,8 +14,8 @@ from retrax.integrators.singular.strategies import (
     ReducedIntegrator,
     reduce_until_regular,
 )
-from retrax.integrators.singular.strategies.direct import DirectIntegrator
-from retrax.integrators.singular.strategies.dynamics import FinalDynamics
+from retrax.integrators.singular.strategies.final_dynamics import FinalDynamics
+from retrax.integrators.singular.strategies.final_manifold_stages import DirectIntegrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Midpoint
 
@@ -116,7 +116,7 @@ def test_steps_that_are_solved_at_no_length_are_said_to_be():
 
 
 class Bent(eqx.Module):
-    """The cost of Aly and Chan's problem in some units, of which ``bend`` makes ``P_f`` curved."""
+    """The cost of Aly and Chan's problem in some units, of which ``find_bend`` makes ``P_f`` curved."""
 
     bend: Array
     size: Array

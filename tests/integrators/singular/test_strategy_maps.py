@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
+from retrax.compute.jit_cache import compiler_options
 from retrax.integrators import Classification, OptimalControlProblem, classify, singular_integrator
-from retrax.integrators.compilation import compiler_options
 from retrax.integrators.singular import SingularIntegrator
 from retrax.integrators.singular.strategies import RattleIntegrator, ReducedIntegrator, reduce_until_regular
 from retrax.manifolds import Euclidean, Sphere

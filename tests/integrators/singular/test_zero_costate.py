@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify, solve
-from retrax.integrators.costs import is_steep
+from retrax.integrators.problem_checks.costs import is_steep
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Midpoint, default_retraction
 

@@ -38,7 +38,7 @@ from ...manifolds import (
     Stiefel,
 )
 from ...retractions import PowerRetraction, ProductRetraction, default_retraction
-from ..conventions import Conventions, Reshaped, Same, Stacked
+from ..conventions import Conventions, Reshaping, SameConvention, Stack
 from ..counterpart import Counterpart
 from ..isolated_import import seeded
 from ..metrics import natural_metric
@@ -72,7 +72,7 @@ def _has_another_metric(space: Any) -> bool:
 
 def _wrapped(space: GeomstatsManifold) -> Counterpart:
     manifold, retraction = wrap(GeomstatsHost(space), _name(space))
-    return Counterpart(manifold, retraction, natural_metric(manifold), Same())
+    return Counterpart(manifold, retraction, natural_metric(manifold), SameConvention())
 
 
 @singledispatch
@@ -146,7 +146,7 @@ def _(space: NFoldManifold) -> Counterpart:
     base = counterpart(space.base_manifold)
     manifold, k = Power(base.manifold, space.n_copies), space.n_copies
     return Counterpart(
-        manifold, PowerRetraction(base.retraction, k), PowerMetric(base.metric, k), Stacked(base.conventions)
+        manifold, PowerRetraction(base.retraction, k), PowerMetric(base.metric, k), Stack(base.conventions)
     )
 
 
@@ -156,7 +156,7 @@ def _(space: ProductManifold) -> Counterpart:
     manifold = Product(*(factor.manifold for factor in factors))
     retraction = ProductRetraction(*(factor.retraction for factor in factors))
     metric = ProductMetric(*(factor.metric for factor in factors))
-    return Counterpart(manifold, retraction, metric, Reshaped(manifold.ambient, space.shape))
+    return Counterpart(manifold, retraction, metric, Reshaping(manifold.ambient, space.shape))
 
 
 def conventions_of(manifold: Manifold) -> Conventions:
@@ -173,12 +173,12 @@ def conventions_of(manifold: Manifold) -> Conventions:
         The conventions.
     """
     ambient = manifold.ambient
-    return Same() if hasattr(ambient, "shape") else Reshaped(ambient)
+    return SameConvention() if hasattr(ambient, "shape") else Reshaping(ambient)
 
 
 def _native(manifold: Manifold, metric: Metric | None = None) -> Counterpart:
     metric = natural_metric(manifold) if metric is None else metric
-    return Counterpart(manifold, default_retraction(manifold), metric, Same())
+    return Counterpart(manifold, default_retraction(manifold), metric, SameConvention())
 
 
 def _name(space: GeomstatsManifold) -> str:

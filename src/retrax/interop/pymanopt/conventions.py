@@ -11,11 +11,11 @@ from jaxtyping import Array
 from pymanopt.manifolds.fixed_rank import _FixedRankPoint, _FixedRankTangentVector
 
 from ...manifolds import SO, SU, FixedRank, Grassmann, Manifold, Oblique, Power, Product, Sphere, Stiefel, U
-from ..conventions import Conventions, Listed, Representatives, Same, SkewFactors, Stacked, Theirs
+from ..conventions import Conventions, PartList, Representatives, SameConvention, SkewFactors, Stack, Theirs
 
 
 @final
-class Factored(Conventions):
+class Factors(Conventions):
     """pymanopt's matrices of rank ``r``: a point is its singular value decomposition ``(u, s, vt)``.
 
     A tangent vector ``u M vt + Up vt + u Vp'`` is written ``(Up, M, Vp)``, with ``u'Up = 0`` and ``vt Vp = 0``. A
@@ -91,7 +91,7 @@ def conventions_of(manifold: Manifold) -> Conventions:
         The conventions.
     """
     several = len(jax.tree.leaves(manifold.ambient)) > 1
-    return Listed(jax.tree.map(lambda _: Same(), manifold.ambient)) if several else Same()
+    return PartList(jax.tree.map(lambda _: SameConvention(), manifold.ambient)) if several else SameConvention()
 
 
 @conventions_of.register
@@ -101,7 +101,7 @@ def _(manifold: SO | U | SU) -> Conventions:
 
 @conventions_of.register
 def _(manifold: FixedRank) -> Conventions:
-    return Factored(manifold.r)
+    return Factors(manifold.r)
 
 
 @conventions_of.register
@@ -111,20 +111,20 @@ def _(manifold: Grassmann) -> Conventions:
 
 @conventions_of.register
 def _(manifold: Product) -> Conventions:
-    return Listed(tuple(_nested(factor) for factor in manifold.factors))
+    return PartList(tuple(_nested(factor) for factor in manifold.factors))
 
 
 @conventions_of.register
 def _(manifold: Power) -> Conventions:
     base = conventions_of(manifold.factor)
-    if isinstance(base, Listed):
-        return Listed(base.nest.unflatten([Stacked(part) for part in base.parts]))
-    return Stacked(base)
+    if isinstance(base, PartList):
+        return PartList(base.nest.unflatten([Stack(part) for part in base.parts]))
+    return Stack(base)
 
 
 def _nested(manifold: Manifold) -> Any:
     conventions = conventions_of(manifold)
-    return conventions.nest.unflatten(conventions.parts) if isinstance(conventions, Listed) else conventions
+    return conventions.nest.unflatten(conventions.parts) if isinstance(conventions, PartList) else conventions
 
 
 @singledispatch

@@ -36,12 +36,12 @@ from ...retractions import (
     Retraction,
     SPDSecondOrder,
 )
-from ..conventions import Conventions, Listed, Representatives, Reshaped, Same, SkewFactors, Stacked
+from ..conventions import Conventions, PartList, Representatives, Reshaping, SameConvention, SkewFactors, Stack
 from ..counterpart import Counterpart
 from ..isolated_import import seeded
 from ..metrics import natural_metric
 from ..wrapped import HostSpace, wrap
-from .conventions import Factored
+from .conventions import Factors
 from .manifold import RetraxManifold
 
 _RETRACTIONS = {"_retraction_qr": QR, "_retraction_polar": Polar}
@@ -73,7 +73,7 @@ def _(space: PymanoptManifold) -> Counterpart:
             "of them"
         )
     manifold, retraction = wrap(PymanoptHost(space), str(space))
-    return _with_natural_metric(manifold, retraction, Same())
+    return _with_natural_metric(manifold, retraction, SameConvention())
 
 
 @counterpart.register
@@ -85,13 +85,13 @@ def _(space: RetraxManifold) -> Counterpart:
 @counterpart.register
 def _(space: theirs.Euclidean) -> Counterpart:
     manifold = Euclidean(_shape(space))
-    return _with_natural_metric(manifold, Exponential(manifold), Same())
+    return _with_natural_metric(manifold, Exponential(manifold), SameConvention())
 
 
 @counterpart.register
 def _(space: theirs.Sphere) -> Counterpart:
     manifold = Sphere(int(space.dim))
-    return _with_natural_metric(manifold, Projection(manifold), Reshaped(manifold.ambient, _shape(space)))
+    return _with_natural_metric(manifold, Projection(manifold), Reshaping(manifold.ambient, _shape(space)))
 
 
 @counterpart.register
@@ -108,22 +108,22 @@ def _(space: theirs.UnitaryGroup) -> Counterpart:
 def _(space: theirs.FixedRankEmbedded) -> Counterpart:
     u, s, vt = _random_point(space)
     manifold = FixedRank(len(u), vt.shape[1], len(s))
-    return _with_natural_metric(manifold, Projection(manifold), Factored(len(s)))
+    return _with_natural_metric(manifold, Projection(manifold), Factors(len(s)))
 
 
 @counterpart.register
 def _(space: theirs.SymmetricPositiveDefinite) -> Counterpart:
-    return _copies(space, lambda n, _: SPD(n), SPDSecondOrder, Same())
+    return _copies(space, lambda n, _: SPD(n), SPDSecondOrder, SameConvention())
 
 
 @counterpart.register
 def _(space: theirs.Stiefel) -> Counterpart:
-    return _copies(space, Stiefel, _named(space), Same())
+    return _copies(space, Stiefel, _named(space), SameConvention())
 
 
 @counterpart.register
 def _(space: theirs.Oblique) -> Counterpart:
-    return _copies(space, Oblique, Projection, Same())
+    return _copies(space, Oblique, Projection, SameConvention())
 
 
 @counterpart.register
@@ -137,7 +137,7 @@ def _(space: theirs.Grassmann) -> Counterpart:
 def _(space: theirs.Product) -> Counterpart:
     manifolds, retractions, metrics, conventions = zip(*map(counterpart, space.manifolds), strict=True)
     return Counterpart(
-        Product(*manifolds), ProductRetraction(*retractions), ProductMetric(*metrics), Listed(conventions)
+        Product(*manifolds), ProductRetraction(*retractions), ProductMetric(*metrics), PartList(conventions)
     )
 
 
@@ -150,7 +150,7 @@ def _copies(
     if not copies:
         return _with_natural_metric(manifold, family(manifold), conventions)
     power = Power(manifold, copies[0])
-    return _with_natural_metric(power, PowerRetraction(family(manifold), copies[0]), Stacked(conventions))
+    return _with_natural_metric(power, PowerRetraction(family(manifold), copies[0]), Stack(conventions))
 
 
 def _with_natural_metric(manifold: Manifold, retraction: Retraction, conventions: Conventions) -> Counterpart:

@@ -16,12 +16,12 @@ from jaxtyping import Array
 
 from ...manifolds.numerics.differences import central_difference, central_nodes
 
-STEP, SHORTER, SHORTENINGS = 1e-2, 0.25, 6
+FIRST_STEP_LENGTH, STEP_RATIO, SHORTENINGS = 1e-2, 0.25, 6
 # Relative difference at which a first derivative is not made better; for each order more, LOSS times as much.
 ENOUGH = 1e-11
 LOSS = 1e2
 LIMIT = 1e-7  # relative difference above which a derivative of any order is taken for unknown
-NODES = central_nodes(4)
+HOST_NODES = central_nodes(4)
 
 Host = Callable[[np.ndarray], np.ndarray]
 Moved = Callable[[np.ndarray, float], np.ndarray]
@@ -57,7 +57,7 @@ def slopes(values: Host, moved: Moved, shape: tuple[int, ...], order: int = 0) -
 
     def slopes(x: np.ndarray) -> np.ndarray:
         best, error = np.full((len(x), *shape, x.shape[1]), np.nan), np.full(len(x), np.inf)
-        step = STEP
+        step = FIRST_STEP_LENGTH
         for _ in range(SHORTENINGS):
             (left,) = np.nonzero(error > enough)
             if not left.size:
@@ -65,7 +65,7 @@ def slopes(values: Host, moved: Moved, shape: tuple[int, ...], order: int = 0) -
             tried, missed = _difference(values, moved, shape, x[left], step)
             better = missed < error[left]
             best[left[better]], error[left[better]] = tried[better], missed[better]
-            step *= SHORTER
+            step *= STEP_RATIO
         best[error > LIMIT] = np.nan
         return best
 
@@ -78,7 +78,7 @@ def _difference(
     """The derivative of order 8, and its distance to the derivative of order 6, relative to at least 1."""
     batch, k = x.shape
     with np.errstate(all="ignore"):  # a long step may end where the library's functions overflow
-        around = values(moved(x, step).reshape(-1, k)).reshape(batch, k, len(NODES), *shape)
+        around = values(moved(x, step).reshape(-1, k)).reshape(batch, k, len(HOST_NODES), *shape)
         fine, coarse = (np.moveaxis(central_difference(around, step, order, 2), 1, -1) for order in (8, 6))
         axes = tuple(range(1, fine.ndim))
         missed = np.max(np.abs(fine - coarse), axes) / np.maximum(1.0, np.max(np.abs(fine), axes))

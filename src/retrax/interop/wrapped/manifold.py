@@ -13,7 +13,7 @@ from jaxtyping import Array, Bool
 from ...manifolds import Manifold
 from ...manifolds.numerics.precision import default_tolerance, real
 from ...retractions import Retraction
-from .differences import NODES, Host, Moved, host_function
+from .differences import HOST_NODES, Host, Moved, host_function
 
 
 class HostSpace(ABC):
@@ -150,10 +150,10 @@ def moved_points(host: HostSpace) -> Moved:
     size = prod(host.shape)
 
     def moved(x: np.ndarray, step: float) -> np.ndarray:
-        directions = np.swapaxes(projectors_of(host)(x), 1, 2)[:, :, None] * (step * NODES)[:, None]
+        directions = np.swapaxes(projectors_of(host)(x), 1, 2)[:, :, None] * (step * HOST_NODES)[:, None]
         starts = np.broadcast_to(x[:, None, None], directions.shape)
         there = host.retract(starts.reshape(-1, *host.shape), directions.reshape(-1, *host.shape))
-        return there.reshape(len(x), size, len(NODES), size)
+        return there.reshape(len(x), size, len(HOST_NODES), size)
 
     return moved
 
@@ -164,7 +164,7 @@ def _moved_tangents(host: HostSpace) -> Moved:
 
     def moved(z: np.ndarray, step: float) -> np.ndarray:
         x, v = z[:, :size], z[:, size:]
-        steps = step * NODES[:, None] * np.eye(size)[:, None]
+        steps = step * HOST_NODES[:, None] * np.eye(size)[:, None]
         base = moved_points(host)(x, step)
         same, other = (np.broadcast_to(part[:, None, None], base.shape) for part in (x, v))
         along_base, along_fibre = np.concatenate([base, other], -1), np.concatenate([same, other + steps], -1)

@@ -6,7 +6,7 @@ from .lie_group import LIE_GROUP_CHECKS, LieGroupFacts, check_lie_group
 from .manifold import MANIFOLD_CHECKS, ManifoldFacts, check_manifold
 from .metric import METRIC_CHECKS, MetricFacts, check_metric
 from .retraction import RETRACTION_CHECKS, check_retraction
-from .retraction_facts import RetractionFacts
+from .retraction_properties import RetractionFacts
 
 __all__ = [
     "COTANGENT_LIFT_CHECKS",

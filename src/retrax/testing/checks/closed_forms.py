@@ -3,10 +3,10 @@
 import jax.numpy as jnp
 
 from ...retractions import MidpointRetraction, Retraction
-from ..facts import Sample
 from ..numerics import flat, unflat
+from ..properties import Sample
 from ..report import Comparison, Inapplicable, fact
-from .retraction_facts import RetractionFacts
+from .retraction_properties import RetractionFacts
 
 NO_MIDPOINT = "no midpoint is claimed"
 

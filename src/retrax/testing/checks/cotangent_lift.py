@@ -10,11 +10,11 @@ import numpy as np
 from ...manifolds import CotangentBundle, HomogeneousSpace, InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import CotangentLift, DiscretizationMap
-from ..facts import SEEDS, Sample, examine
 from ..numerics import Vector, flat, unflat
+from ..properties import SAMPLE_SEEDS, Sample, examine
 from ..report import Comparison, Inapplicable, Report, fact
 from . import discretization as maps
-from .discretization import REACH, DiscretizationFacts
+from .discretization import MAP_REACH, DiscretizationFacts
 
 
 class CotangentLiftFacts(DiscretizationFacts):
@@ -26,8 +26,8 @@ class CotangentLiftFacts(DiscretizationFacts):
         *,
         equivariant: bool = False,
         symmetric: bool = False,
-        reach: float = REACH,
-        seeds: Iterable[int] = SEEDS,
+        reach: float = MAP_REACH,
+        seeds: Iterable[int] = SAMPLE_SEEDS,
         points: Iterable[Ambient] = (),
         tolerance: float | None = None,
     ) -> None:
@@ -127,8 +127,8 @@ def check_cotangent_lift(
     *,
     equivariant: bool = False,
     symmetric: bool = False,
-    reach: float = REACH,
-    seeds: Iterable[int] = SEEDS,
+    reach: float = MAP_REACH,
+    seeds: Iterable[int] = SAMPLE_SEEDS,
     points: Iterable[Ambient] = (),
     tolerance: float | None = None,
     only: Iterable[str] | str | None = None,

@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...retractions import DifferentiatedRetraction, Retraction, differential_adjoint, differentiated
-from ..facts import Facts, Sample
 from ..numerics import Vector, along, flat, unflat
+from ..properties import Facts, Sample
 from ..report import Comparison, Inapplicable, fact
 
 

@@ -10,15 +10,15 @@ from ...manifolds import Product
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import DiscretizationMap
 from ..draws import direction
-from ..facts import SEEDS, Facts, Sample, examine, largest_entries
 from ..numerics import Vector, along, flat, unflat
 from ..precision import WORST, precision
+from ..properties import SAMPLE_SEEDS, Facts, Sample, examine, largest_entries
 from ..report import Comparison, Inapplicable, Report, fact
 from ..sites import Site
 from .inverses import conditioning
 from .manifold import max_violation
 
-REACH = 0.3
+MAP_REACH = 0.3
 
 
 class DiscretizationFacts(Facts):
@@ -35,8 +35,8 @@ class DiscretizationFacts(Facts):
         discretization: DiscretizationMap,
         *,
         symmetric: bool = False,
-        reach: float = REACH,
-        seeds: Iterable[int] = SEEDS,
+        reach: float = MAP_REACH,
+        seeds: Iterable[int] = SAMPLE_SEEDS,
         points: Iterable[Ambient] = (),
         tolerance: float | None = None,
     ) -> None:
@@ -189,8 +189,8 @@ def check_discretization_map(
     discretization: DiscretizationMap,
     *,
     symmetric: bool = False,
-    reach: float = REACH,
-    seeds: Iterable[int] = SEEDS,
+    reach: float = MAP_REACH,
+    seeds: Iterable[int] = SAMPLE_SEEDS,
     points: Iterable[Ambient] = (),
     tolerance: float | None = None,
     only: Iterable[str] | str | None = None,

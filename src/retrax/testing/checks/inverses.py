@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from ..facts import largest_entries
 from ..precision import WORST, precision
+from ..properties import largest_entries
 from ..report import Comparison, entries, fact, number
 from .derivatives import first_derivatives
-from .retraction_facts import RetractionFacts
+from .retraction_properties import RetractionFacts
 
 
 def conditioning(push: np.ndarray) -> np.ndarray:

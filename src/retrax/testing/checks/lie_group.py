@@ -9,8 +9,8 @@ import numpy as np
 from ...manifolds import MatrixLieGroup
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ..facts import SEEDS, Sample, examine, largest_entries
 from ..numerics import flat, unflat
+from ..properties import SAMPLE_SEEDS, Sample, examine, largest_entries
 from ..report import Comparison, Report, fact
 from ..sites import Site
 from .manifold import MANIFOLD_CHECKS, ManifoldFacts, max_violation
@@ -27,7 +27,7 @@ class LieGroupFacts(ManifoldFacts):
         self,
         group: MatrixLieGroup,
         *,
-        seeds: Iterable[int] = SEEDS,
+        seeds: Iterable[int] = SAMPLE_SEEDS,
         points: Iterable[Ambient] = (),
         tolerance: float | None = None,
     ) -> None:
@@ -220,7 +220,7 @@ LIE_GROUP_CHECKS = (
 def check_lie_group(
     group: MatrixLieGroup,
     *,
-    seeds: Iterable[int] = SEEDS,
+    seeds: Iterable[int] = SAMPLE_SEEDS,
     points: Iterable[Ambient] = (),
     tolerance: float | None = None,
     only: Iterable[str] | str | None = None,

@@ -10,10 +10,10 @@ import numpy as np
 from ...manifolds import HomogeneousSpace, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ..facts import SEEDS, Facts, Sample, examine, largest_entries
 from ..numerics import along, ambient_size, flat, unflat
 from ..precision import precision
 from ..probes import least_seen, least_spread
+from ..properties import SAMPLE_SEEDS, Facts, Sample, examine, largest_entries
 from ..report import Batch, Comparison, Inapplicable, Report, entries, fact, number
 from ..sites import Site
 
@@ -21,7 +21,7 @@ CURVATURE = 100.0  # the largest second derivative that is taken for one
 # Of an equation that is left out a displacement off the manifold shows 1e-2 or less in these units, of one that is
 # there about 1; of random directions the rarest has 0.1 or more, of those along a smaller manifold rounding or its
 # curvature.
-SEEN, SPREAD = 0.05, 0.02
+SEEN, POINT_SPREAD = 0.05, 0.02
 
 
 class ManifoldFacts(Facts):
@@ -34,7 +34,7 @@ class ManifoldFacts(Facts):
         self,
         manifold: Manifold,
         *,
-        seeds: Iterable[int] = SEEDS,
+        seeds: Iterable[int] = SAMPLE_SEEDS,
         points: Iterable[Ambient] = (),
         tolerance: float | None = None,
     ) -> None:
@@ -150,7 +150,7 @@ def random_points_spread_in_every_direction(facts: ManifoldFacts) -> Comparison 
         "the mean square of the rarest direction, relative to that of random ones,",
         f,
         np.full(len(f["x"]), spread),
-        SPREAD,
+        POINT_SPREAD,
         "at least",
         lambda _: (
             "random points lie on a smaller manifold than this one; try to draw as many random numbers as it has "
@@ -345,7 +345,7 @@ MANIFOLD_CHECKS = (
 def check_manifold(
     manifold: Manifold,
     *,
-    seeds: Iterable[int] = SEEDS,
+    seeds: Iterable[int] = SAMPLE_SEEDS,
     points: Iterable[Ambient] = (),
     tolerance: float | None = None,
     only: Iterable[str] | str | None = None,

@@ -9,9 +9,9 @@ import numpy as np
 from ...manifolds import Metric
 from ...manifolds.numerics.ambient import Ambient
 from ..draws import direction
-from ..facts import SEEDS, Facts, Sample, examine
 from ..numerics import along, flat, unflat
 from ..precision import WORST, precision
+from ..properties import SAMPLE_SEEDS, Facts, Sample, examine
 from ..report import Comparison, Inapplicable, Report, fact
 from ..sites import Site
 from .manifold import max_violation
@@ -28,7 +28,7 @@ class MetricFacts(Facts):
         metric: Metric,
         *,
         isometries: Mapping[str, Callable[[Ambient], Ambient]] | None = None,
-        seeds: Iterable[int] = SEEDS,
+        seeds: Iterable[int] = SAMPLE_SEEDS,
         points: Iterable[Ambient] = (),
         tolerance: float | None = None,
     ) -> None:
@@ -242,7 +242,7 @@ def check_metric(
     metric: Metric,
     *,
     isometries: Mapping[str, Callable[[Ambient], Ambient]] | None = None,
-    seeds: Iterable[int] = SEEDS,
+    seeds: Iterable[int] = SAMPLE_SEEDS,
     points: Iterable[Ambient] = (),
     tolerance: float | None = None,
     only: Iterable[str] | str | None = None,

@@ -11,9 +11,9 @@ from ...manifolds import Metric
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.differences import slope
 from ...retractions import Retraction, acceleration
-from ..facts import SEEDS, Sample, examine, largest_entries
 from ..numerics import flat, is_hidden, unflat
 from ..precision import precision
+from ..properties import SAMPLE_SEEDS, Sample, examine, largest_entries
 from ..report import Comparison, Inapplicable, Report, entries, fact
 from . import derivatives, inverses
 from .closed_forms import (
@@ -22,16 +22,16 @@ from .closed_forms import (
     midpoint_lies_midway,
 )
 from .manifold import max_violation
-from .retraction_facts import REACH, RetractionFacts
+from .retraction_properties import SAMPLE_REACH, RetractionFacts
 
-LENGTHS = 2.0 ** -np.arange(4, 15)  # of which those are read at which the error is above rounding
+ORDER_LENGTHS = 2.0 ** -np.arange(4, 15)  # of which those are read at which the error is above rounding
 
 
 def _values(retraction: Retraction, sample: Sample) -> dict:
     """Values at ``(x, v)``, alone and in a batch, and on short multiples of ``u``; violations at the value and off
     it."""
     move, x, v = derivatives.flat_retraction(retraction), sample["x"], sample["v"]
-    multiples = jnp.concatenate([v[None], 0 * v[None], jnp.asarray(LENGTHS, v.dtype)[:, None] * sample["u"]])
+    multiples = jnp.concatenate([v[None], 0 * v[None], jnp.asarray(ORDER_LENGTHS, v.dtype)[:, None] * sample["u"]])
     value, at_zero, *short = jax.vmap(move)(jnp.broadcast_to(x, multiples.shape), multiples)
     off = precision().half * (1 + jnp.max(jnp.abs(value))) * jnp.concatenate([sample["d"], sample["e"]])
     nearby = value + jnp.concatenate([0 * value[None], off])
@@ -61,10 +61,10 @@ def derivative_at_zero_is_the_identity(facts: RetractionFacts) -> Comparison:
 
 
 def short_errors(facts: RetractionFacts) -> tuple[np.ndarray, np.ndarray]:
-    """``|R(x, t u) - x - t u|`` for each sample and each ``t`` of ``LENGTHS``, and for each sample what is rounding of
-    it."""
+    """``|R(x, t u) - x - t u|`` for each sample and each ``t`` of ``MEASURED_LENGTHS``, and for each sample what is
+    rounding of it."""
     f = facts.measure(_values, "zero")
-    errors = np.linalg.norm(f["short"] - f["x"][:, None] - LENGTHS[None, :, None] * f["u"][:, None], axis=2)
+    errors = np.linalg.norm(f["short"] - f["x"][:, None] - ORDER_LENGTHS[None, :, None] * f["u"][:, None], axis=2)
     return errors, precision().floor * (1 + largest_entries(f["x"]))
 
 
@@ -73,7 +73,8 @@ def error_against_the_straight_line_is_of_second_order(facts: RetractionFacts) -
     """The error ``R(x, t u) - x - t u`` is ``O(t^2)`` by values alone, measured by the slope of its logarithm."""
     f, (errors, floor) = facts.measure(_values, "zero"), short_errors(facts)
     slopes = [
-        slope(LENGTHS, e, limit) if np.all(np.isfinite(e)) else np.nan for e, limit in zip(errors, floor, strict=True)
+        slope(ORDER_LENGTHS, e, limit) if np.all(np.isfinite(e)) else np.nan
+        for e, limit in zip(errors, floor, strict=True)
     ]
     hidden = [is_hidden(e, limit) for e, limit in zip(errors, floor, strict=True)]
     found = facts.bound("the slope of log error over log t", f, slopes, 1.8, "at least")
@@ -148,8 +149,8 @@ def check_retraction(
     *,
     order: int = 1,
     metric: Metric | None = None,
-    reach: float = REACH,
-    seeds: Iterable[int] = SEEDS,
+    reach: float = SAMPLE_REACH,
+    seeds: Iterable[int] = SAMPLE_SEEDS,
     points: Iterable[Ambient] = (),
     tolerance: float | None = None,
     only: Iterable[str] | str | None = None,

@@ -1,0 +1,1 @@
+"""Audits of solutions: qualification, smoothness, second-order conditions, errors, termination status."""

@@ -1,0 +1,117 @@
+"""Whether the equations between the ends of phases are independent, and their names."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+
+from ....manifolds import InvalidInputError
+from ....manifolds.numerics.tolerances import EPS, HALF
+from ...problem.boundary_conditions import PERIODIC, boundary_words
+from ...problem.point_layout import PointLayout
+from ...reporting.text import counted
+from ..engine.joint import JointConditions
+from ..transcription.linkages import PhaseProblem
+
+RANDOM_ENDS = 4  # random ends at which equations are looked at
+
+
+def equation_words(phases: Sequence[PhaseProblem]) -> list[str]:
+    """Names of the equations of boundary constraints."""
+    several = len(phases) > 1
+    return [
+        f"{boundary_words(name)}[{i}]" + (f" of phase {k}" if several else "")
+        for k, phase in enumerate(phases)
+        for name, size in phase.sizes.items()
+        for i in range(size)
+    ]
+
+
+def check_independence(joint: JointConditions, found: Any, names: Sequence[str]) -> Any:
+    """The found extremal, with a note if equations between the ends depend on each other.
+
+    The inertia of the KKT matrix, which is then singular, shows no minimum.
+    """
+    notes = [_dependent_words(joint, found, k, names) for k in range(len(found.claimed))]
+    determined = np.array([not words for words in notes])
+    return found._replace(notes=notes, strict_minimum=found.strict_minimum & determined)
+
+
+def _dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
+    """Words on equations between the ends that depend on each other at the ends that a member reached; otherwise
+    empty."""
+    rows = found.assembled.coupled.jacobian[k][:, joint.free]
+    power = HALF if found.claimed[k] else HALF / 2  # on the way to ends where they depend on each other they nearly do
+    if not np.all(np.isfinite(rows)) or len(independent := independent_rows(_scale(rows), power)) == len(rows):
+        return ""
+    every = enumerate(_all(joint, names))
+    left = ", ".join(dict.fromkeys(name for place, name in every if place not in independent))
+    return (
+        " At the ends that were reached the boundary conditions depend on each other, and their multipliers are not "
+        f"determined: {left}; try to leave out what follows from the others, or periodic=True for q(T) = q(0) on a "
+        "manifold."
+    )
+
+
+def _all(joint: JointConditions, names: Sequence[str]) -> list[str]:
+    """Names of all equations, and of the links."""
+    link = "the link between phases" if len(joint.phases) > 1 else PERIODIC
+    return [*names, *(link for _ in range(joint.coupling.rows - len(names)))]
+
+
+def _scale(rows: np.ndarray) -> np.ndarray:
+    """The rows scaled to one size."""
+    sizes = np.max(np.abs(rows), axis=1, initial=0.0)
+    return rows / np.where(sizes > 0, sizes, 1.0)[:, None]
+
+
+def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]) -> None:
+    """Raise if equations between the ends depend on each other, at the guess and at random ends too.
+
+    Where ends are prescribed, in what is free of them.
+    """
+    names, best = _all(joint, names), None
+    for ends in _samples(joint, guess):
+        coupled, _ = joint.coupling(ends, [phase.data.parameters[:1] for phase in joint.phases], guess.multipliers[:1])
+        rows = coupled.jacobian[0][:, joint.free]
+        if not np.all(np.isfinite(rows)):
+            continue
+        independent = independent_rows(_scale(rows))
+        if len(independent) == len(rows):
+            return
+        best = independent if best is None or len(independent) > len(best) else best
+    if best is not None:
+        left = list(dict.fromkeys(name for k, name in enumerate(names) if k not in best))
+        count, verb = len(best), "depends" if len(left) == 1 else "depend"
+        raise InvalidInputError(
+            f"the boundary conditions are {counted(len(names), 'equation')}, of which {count} "
+            f"{'is' if count == 1 else 'are'} independent where the ends are free: {', '.join(left)} {verb} on the "
+            "others, or on what is prescribed alone; expected independent equations; try to leave out what follows "
+            "from the others, and periodic=True for q(T) = q(0) on a manifold"
+        )
+
+
+def _samples(joint: JointConditions, guess: Any) -> list[list[np.ndarray]]:
+    """The ends of the guess of the first member, and random ends where these are free."""
+    found = [end[:1] for phase, part in zip(joint.phases, guess.parts, strict=True) for end in phase.reached(part)]
+    samples = [found]
+    for key in jax.random.split(jax.random.key(0), RANDOM_ENDS):
+        ends = []
+        for k, (own, mine) in enumerate(zip(found, jax.random.split(key, len(found)), strict=True)):
+            phase, manifold = joint.phases[k // 2], joint.coupling.problems[k // 2].manifold
+            entries = phase.ends.end_entries if k % 2 else phase.ends.start_entries
+            ends.append(np.where(entries, own, PointLayout.of(manifold).rows(manifold.random_point(mine), 0)))
+        samples.append(ends)
+    return samples
+
+
+def independent_rows(rows: np.ndarray, power: float = HALF) -> list[int]:
+    """The first rows of a matrix that are independent of the earlier rows."""
+    basis, found = np.zeros((0, rows.shape[1])), list[int]()
+    for k, row in enumerate(rows):
+        rest = row - basis.T @ (basis @ row)
+        rest -= basis.T @ (basis @ rest)
+        if np.linalg.norm(rest) > EPS**power * max(np.linalg.norm(row), np.finfo(float).tiny):
+            basis, found = np.vstack([basis, rest / np.linalg.norm(rest)]), [*found, k]
+    return found

@@ -1,0 +1,145 @@
+"""The structure of controls along a solution: where each of them stays at a bound, and where it jumps."""
+
+from itertools import pairwise
+from typing import NamedTuple, final
+
+import numpy as np
+
+from ....manifolds import InvalidInputError
+from ....manifolds.numerics.tolerances import EPS
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...reporting.text import brief
+from ..solution.record import Solution
+
+CONTROL_AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
+CONTROL_JUMP = 0.1  # of the room: a control that leaves its bound by more between two stages jumps
+VANISHED_ARC = 1e-6  # of the horizon: an arc that is shorter has vanished
+SIDE_NAMES = {-1: "lower", 0: "free", 1: "upper"}
+
+
+class _Run(NamedTuple):
+    """Stages ``begin`` to ``end`` along which an entry of the control is on one side."""
+
+    begin: int
+    end: int
+    side: int
+
+
+@final
+class SwitchingStructure(NamedTuple):
+    """The K arcs of a solution along which controls stay at bounds.
+
+    Attributes
+    ----------
+    times : array of shape (K + 1,)
+        The ends of the arcs.
+    sides : array of shape (K, m)
+        For each arc and entry of the control -1 at the lower bound, 1 at the upper bound, and 0 otherwise.
+    """
+
+    times: np.ndarray
+    sides: np.ndarray
+
+    @property
+    def arcs(self) -> int:
+        """Number of arcs K."""
+        return len(self.sides)
+
+    @property
+    def jumps(self) -> bool:
+        """Whether a control leaves a bound by a jump."""
+        return self.arcs > 1
+
+    def without_vanished(self) -> "SwitchingStructure":
+        """The structure without arcs of zero duration; equal neighbours become one arc."""
+        lasting = np.diff(self.times) > VANISHED_ARC * (self.times[-1] - self.times[0])
+        times, sides = self.times[:-1][lasting], self.sides[lasting]
+        changes = np.concatenate([[True], np.any(sides[1:] != sides[:-1], axis=1)])
+        begins = times[changes]
+        begins[0] = self.times[0]
+        return SwitchingStructure(np.append(begins, self.times[-1]), sides[changes])
+
+    def __str__(self) -> str:
+        """A line for each arc."""
+        rows = zip(pairwise(self.times), self.sides, strict=True)
+        return "\n".join(
+            f"{a:.10g} to {b:.10g}: " + ", ".join(SIDE_NAMES[int(side)] for side in row) for (a, b), row in rows
+        )
+
+
+def switching_structure(problem: OptimalControlProblem, solution: Solution) -> SwitchingStructure:
+    """The arcs along which entries of the control stay at their bounds, as far as the mesh shows them.
+
+    Parameters
+    ----------
+    problem : OptimalControlProblem
+        A problem with control bounds; ``InvalidInputError`` for another one.
+    solution : Solution
+        A solution of the problem.
+
+    Returns
+    -------
+    SwitchingStructure
+        The arcs, each longer than one step.
+
+    Notes
+    -----
+    An arc ends where an entry leaves a bound by a jump. An entry that leaves its bound continuously counts as free on
+    both sides.
+    """
+    if not isinstance(solution, Solution):
+        raise InvalidInputError(f"switching_structure takes a Solution, got {brief(solution)}; try what solve returns")
+    if not any(problem._limits.bounded.values()):
+        raise InvalidInputError(
+            f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"
+        )
+    lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
+    u = np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
+    room = upper - lower
+    spread = np.ptp(u, axis=0)
+    room = np.where(np.isfinite(room), room, np.where(spread > 0, spread, 1.0))
+    sides = np.where(u - lower < CONTROL_AT_BOUND * room, -1, np.where(upper - u < CONTROL_AT_BOUND * room, 1, 0))
+    stages = len(u) // solution.steps
+    runs = [_runs(side, column, stages) for side, column in zip(sides.T, (u / room).T, strict=True)]
+    switches = [[_between(solution, a.end - 1, b.begin) for a, b in pairwise(own)] for own in runs]
+    first, last = solution.times[[0, -1]]
+    times = np.unique(np.concatenate([[first, last], *map(np.array, switches)]))
+    middles = (times[1:] + times[:-1]) / 2
+    found = [
+        np.array([run.side for run in own])[np.searchsorted(at, middles)]
+        for own, at in zip(runs, switches, strict=True)
+    ]
+    return SwitchingStructure(times, np.stack(found, axis=1))
+
+
+def _between(solution: Solution, before: int, after: int) -> float:
+    """A time between two stages: the node if there is one, else the middle."""
+    begin, end = solution.stage_times[[before, after]]
+    nodes = solution.times[(solution.times > begin) & (solution.times < end)]
+    return float(nodes[0]) if len(nodes) == 1 else float(begin + end) / 2
+
+
+def _runs(sides: np.ndarray, u: np.ndarray, stages: int) -> list[_Run]:
+    """The runs of one entry; a run at a bound begins and ends by a jump, or at an end."""
+    cuts = [0, *(np.flatnonzero(np.diff(sides)) + 1), len(sides)]
+    every = [_Run(int(a), int(b), int(sides[a])) for a, b in pairwise(cuts)]
+    runs = _merge([run for run in every if run.end - run.begin > stages] or every[:1])
+    jumps = [True, *(a.side * b.side != 0 or _is_jump(u, a, b) for a, b in pairwise(runs)), True]
+    held = [run.side if before and after else 0 for run, before, after in zip(runs, jumps[:-1], jumps[1:], strict=True)]
+    return _merge([run._replace(side=side) for run, side in zip(runs, held, strict=True)])
+
+
+def _is_jump(u: np.ndarray, a: _Run, b: _Run) -> bool:
+    """Whether the control jumps between two runs, or in the step between them."""
+    return bool(abs(u[b.begin] - u[a.end - 1]) > CONTROL_JUMP)
+
+
+def _merge(runs: list[_Run]) -> list[_Run]:
+    """Runs of which neighbours on one side are one."""
+    found = runs[:1]
+    for run in runs[1:]:
+        if run.side == found[-1].side:
+            found[-1] = found[-1]._replace(end=run.end)
+        else:
+            found.append(run)
+    return found

@@ -1,0 +1,1 @@
+"""Drivers, each of many solves: guesses, continuation, meshes, phases."""

@@ -1,0 +1,356 @@
+"""Meshes that are refined until a solution has the accuracy that is asked for."""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ....manifolds import InvalidInputError, RetraxError
+from ....manifolds.numerics.tolerances import EPS
+from ....retractions import Gauss
+from ...problem.free_quantities import is_free
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER
+from ..audit.step_errors import StepErrorEstimator, StepErrors
+from ..audit.switching_structure import SwitchingStructure, switching_structure
+from ..engine.found import Iteration, stops
+from ..guess import Guess
+from ..inputs.arguments import BoundaryData, Method
+from ..inputs.inputs import Inputs
+from ..reformulations.switching_arcs import DURATIONS, SwitchingArcs
+from ..solution.diagnostics import RegularChecks
+from ..solution.record import Solution, Statistics
+from ..solution.resampling import Mesh
+from ..solver import Solver
+
+REFINEMENT_ROUNDS = 25  # of refinement
+MOST_REFINED_STEPS, MOST_STAGES = 5000, 6
+FEWEST_STEPS = 5  # steps of a mesh to begin with
+MOST_PARTS_OF_STEP = 4  # of a step, at most
+SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
+SLOW_REFINEMENT, REFINEMENT_PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
+WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
+HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
+
+
+class _MeshSolution(NamedTuple):
+    """A solution with its errors; of one in arcs, the structure and the arc of each step."""
+
+    solution: Solution
+    errors: StepErrors
+    structure: SwitchingStructure | None = None
+    arcs: np.ndarray | None = None  # (N,)
+
+    @property
+    def switches(self) -> np.ndarray | None:
+        """The nodes at which controls may jump."""
+        return None if self.arcs is None else np.flatnonzero(np.diff(self.arcs)) + 1
+
+
+class _StoppedError(Exception):
+    """Another mesh is asked for after the iteration was stopped."""
+
+
+@final
+@dataclass(eq=False)
+class MeshRefinement:
+    """Solves a problem on meshes that are refined where steps err, each from the solution before.
+
+    Where most steps err too much, a Gauss method gets one stage more; where few do, these are divided. Where controls
+    jump from bound to bound, or to a singular arc, the switches become nodes, see ``SwitchingArcs``.
+    """
+
+    solver: Solver  # on the mesh to begin with
+    inputs: Inputs
+    accuracy: float
+    loosely: bool = True  # whether meshes that follow the first are solved no more exactly than that
+
+    def __post_init__(self) -> None:
+        self.problem, self.given = self.solver.problem, self.inputs.given
+        self.method: Method = self.solver.method
+        self._solvers: dict[tuple[Any, Any], Solver] = {(id(self.problem), self.method): self.solver}
+        self._arcs: dict[tuple[bytes, float | None], SwitchingArcs] = {}
+        self._estimator: StepErrorEstimator | None = None
+        self._effort: tuple[int, float, float] = 0, 0.0, 0.0
+        self._most, self._stopped = MOST_STAGES, False
+        options = self.inputs.options
+        looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
+        self._tolerance = max(options.tolerance, looser)
+        if options.callback is not None:
+            self._callback = options.callback
+            self.inputs = replace(self.inputs, options=options._replace(callback=self._told))
+
+    def _told(self, iteration: Iteration) -> bool:
+        """Whether the callback stops the iteration, which then holds for all later meshes."""
+        self._stopped |= stops(self._callback(iteration))
+        return self._stopped
+
+    def solve(self) -> Solution:
+        """The solution on the last mesh, with what its conditions do not tell."""
+        return self.solver._examined(self._solved(), self.inputs)
+
+    def _solved(self) -> Solution:
+        solution = self._first()
+        if not solution.success:
+            return solution
+        if solution.singular is not None:
+            raise InvalidInputError(
+                "the problem is singular, and only the mesh of a regular problem is refined; give a method and steps, "
+                "such as method=Midpoint(retraction), steps=50, and no accuracy"
+            )
+        try:
+            best = self._judged(solution)
+        except KeyboardInterrupt:
+            statistics = Statistics(*self._effort, stopped=True)
+            result = "The equations are solved, but the iteration was stopped before the error was estimated."
+            return replace(solution, statistics=statistics, success=False, result=result)
+        slow, why = 0, f"of the limit of {REFINEMENT_ROUNDS} refinements"
+        try:
+            best = self._switched(best)
+            for _ in range(REFINEMENT_ROUNDS):
+                if self.error(best) <= self.accuracy:
+                    break
+                found = self._refined(best)
+                if isinstance(found, str):
+                    why = found
+                    break
+                found = self._switched(found)
+                slow = slow + 1 if self.error(found) > SLOW_REFINEMENT * self.error(best) else 0
+                best = found
+                if slow == REFINEMENT_PATIENCE:
+                    why = "it no longer shrinks as the steps do"
+                    break
+        except (_StoppedError, KeyboardInterrupt):  # what was found until then is there
+            self._stopped = True
+            why = "the iteration was stopped"
+        return self._recorded(best, "" if self.error(best) <= self.accuracy else why)
+
+    def _first(self) -> Solution:
+        """The first solution, on the given mesh or, without success, a strict minimum on a coarser or a finer mesh."""
+        first, fractions = self._counted(self.solver, self.inputs), self.solver.fractions
+        if first.success or self._stopped or isinstance(self.inputs.guess, Guess):  # which belongs to its mesh
+            return first
+        meshes, coarse = list[np.ndarray](), fractions
+        while len(coarse) >= 2 * FEWEST_STEPS:
+            coarse = np.add.reduceat(coarse, np.arange(0, len(coarse), 2))
+            meshes.append(coarse)
+        for mesh in [*meshes, *(np.repeat(fractions / parts, parts) for parts in (2, MOST_PARTS_OF_STEP))]:
+            found = self._on(self.problem, mesh, self.given, self.inputs.guess)
+            if self._stopped or (found.success and found.checks.strict_minimum):
+                return found
+        return first
+
+    def error(self, found: _MeshSolution) -> float:
+        """The sum of the errors of the steps, the largest violation, or what the solver has left, and no less than
+        rounding."""
+        errors, checks = found.errors, found.solution.checks
+        left = checks.defect, checks.stationarity
+        if isinstance(checks, RegularChecks):
+            left = *left, checks.complementarity
+        return float(max(np.sum(np.maximum(errors.states, errors.controls)), np.max(errors.inequalities), *left, EPS))
+
+    def _on(self, problem: OptimalControlProblem, steps: Any, given: BoundaryData, guess: Any) -> Solution:
+        """The solution on a mesh, by a solver that is traced once for each number of stages."""
+        key = id(problem), self.method
+        if key in self._solvers:
+            solver = self._solvers[key].with_steps(steps)
+        else:
+            solver = self._solvers[key] = Solver(problem, self.method, steps)
+        inputs = replace(self.inputs, options=self.inputs.options._replace(tolerance=self._tolerance))
+        return self._counted(solver, inputs.again(solver._reader, given, guess))
+
+    def _counted(self, solver: Solver, inputs: Inputs) -> Solution:
+        """The solution, with its effort added to the total; raises after a stop of an earlier solution."""
+        if self._stopped:
+            raise _StoppedError
+        solution = solver._found(inputs)
+        iterations, compiling, running = self._effort
+        spent = solution.statistics
+        self._stopped |= spent.stopped
+        self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
+        return solution
+
+    def _judged(
+        self, solution: Solution, structure: SwitchingStructure | None = None, arcs: np.ndarray | None = None
+    ) -> _MeshSolution:
+        if self._estimator is None:
+            self._estimator = StepErrorEstimator(self.problem, self.method.retraction, solution.parameters)
+        found = _MeshSolution(solution, None, structure, arcs)  # pyright: ignore[reportArgumentType]
+        return found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
+
+    def _refined(self, found: _MeshSolution) -> "_MeshSolution | str":
+        """The solution on a finer mesh, or why there is none."""
+        parts, method = self._parts(found), self.method
+        self.method = self._raised(parts)
+        if isinstance(method, Gauss) and self.method is not method:
+            finer = self._finer(found, np.ones_like(parts))
+            if not isinstance(finer, str) and self.error(finer) < self.error(found):
+                return finer
+            self.method, self._most = method, method.stages
+        return self._finer(found, parts)
+
+    def _finer(self, found: _MeshSolution, parts: np.ndarray) -> "_MeshSolution | str":
+        """The solution with each step in some parts, or why there is none."""
+        solution = found.solution
+        lengths = np.repeat(np.diff(solution.times) / parts, parts)
+        if len(lengths) > MOST_REFINED_STEPS:
+            return f"it would take more than {MOST_REFINED_STEPS} steps"
+        try:
+            finer, structure, arcs = self._divided(found, lengths, parts)
+        except RetraxError as error:
+            return f"a finer mesh is not to be had: {error}"
+        if not finer.success:
+            return f"it was not solved on a finer mesh of {len(lengths)} steps: {finer.result.removesuffix('.')}"
+        return self._judged(finer, structure, arcs)
+
+    def _divided(
+        self, found: _MeshSolution, lengths: np.ndarray, parts: np.ndarray
+    ) -> tuple[Solution, SwitchingStructure | None, np.ndarray | None]:
+        """The solution in steps of these lengths, in the same arcs if these last and lead to a solution; otherwise
+        without arcs.
+
+        Arcs are then detected anew.
+        """
+        solution = found.solution
+        if found.structure is not None and found.arcs is not None:
+            arcs = np.repeat(found.arcs, parts)
+            finer, lasting = self._in_arcs(solution, found.structure, lengths, arcs)
+            if finer.success and lasting.arcs == found.structure.arcs:
+                return finer, lasting, arcs
+        return self._on(self.problem, lengths, self.given.near(solution), solution), None, None
+
+    def _parts(self, found: _MeshSolution) -> np.ndarray:
+        """Into how many parts each step is divided."""
+        errors, order = found.errors, 2 * len(found.solution.stage_times) / found.solution.steps
+        each = np.maximum(errors.states, errors.controls)
+        with np.errstate(all="ignore"):
+            needed = (each * len(each) / self.accuracy) ** (1 / order)
+            needed = np.maximum(needed, np.sqrt(errors.inequalities / self.accuracy))
+        return np.clip(
+            np.ceil(np.nan_to_num(needed, nan=MOST_PARTS_OF_STEP, posinf=MOST_PARTS_OF_STEP)), 1, MOST_PARTS_OF_STEP
+        ).astype(int)
+
+    def _raised(self, parts: np.ndarray) -> Method:
+        """The method with one stage more, where most steps are too long."""
+        method = self.method
+        if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(parts > 1) > len(parts):
+            return Gauss(method.stages + 1, method.retraction)
+        return method
+
+    def _switched(self, found: _MeshSolution) -> _MeshSolution:
+        """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
+        if not any(self.problem._limits.bounded.values()):
+            return found
+        structure, known = switching_structure(self.problem, found.solution), found.structure
+        if known is not None and np.array_equal(known.sides, structure.sides):
+            return found
+        try:
+            while structure.jumps:
+                arcs, lengths = _arc_mesh(structure, found.solution)
+                solution, lasting = self._in_arcs(found.solution, structure, lengths, arcs)
+                if not solution.success:
+                    return found
+                if lasting.arcs == structure.arcs:
+                    better = self._judged(solution, lasting, arcs)
+                    return better if self.error(better) < self.error(found) else found
+                structure = lasting
+        except RetraxError:  # the guess does not fit: the structure was not seen well enough on this mesh
+            return found
+        return found
+
+    def _in_arcs(
+        self, guess: Solution, structure: SwitchingStructure, lengths: np.ndarray, arcs: np.ndarray
+    ) -> tuple[Solution, SwitchingStructure]:
+        """The solution in arcs, with steps of these lengths, and its structure; no success if a switch is at a wrong
+        place.
+
+        A free horizon that leaves its bounds is held at the one that it passed, and one that was held leaves a bound to
+        which nothing pulls it.
+        """
+        asked, horizon = self.given.horizon, self._horizon(guess)
+        found = self._posed_in_arcs(guess, structure, lengths, arcs, horizon)
+        if not (is_free(asked) and found[0].success):
+            return found
+        if is_free(horizon):
+            held = float(np.clip(found[0].horizon, asked.lower, asked.upper))
+            return found if held == found[0].horizon else self._posed_in_arcs(guess, structure, lengths, arcs, held)
+        if self._is_pulled(found[0], horizon):
+            return found
+        freed = self._posed_in_arcs(guess, structure, lengths, arcs, asked)
+        return freed if freed[0].success and asked.lower <= freed[0].horizon <= asked.upper else found
+
+    def _posed_in_arcs(
+        self, guess: Solution, structure: SwitchingStructure, lengths: np.ndarray, arcs: np.ndarray, horizon: Any
+    ) -> tuple[Solution, SwitchingStructure]:
+        """The same with a horizon, free without bounds or given."""
+        key = structure.sides.tobytes(), None if is_free(horizon) else float(horizon)
+        if key not in self._arcs:
+            self._arcs[key] = SwitchingArcs(self.problem, structure.sides, horizon, _unit(guess))
+        transcribed = self._arcs[key]
+        each = np.bincount(arcs, lengths)
+        fractions = lengths / each[arcs]
+        stages = np.array(self.method.nodes) if isinstance(self.method, Gauss) else np.array([self.method.theta])
+        mesh = Mesh(fractions, stages, guess.interpolant)  # pyright: ignore[reportArgumentType]
+        nodes, at_stages = mesh.times(1.0)
+        parameters = transcribed.parameters(np.diff(structure.times), self.given.near(guess).parameters)
+        given = BoundaryData(self.given.start, self.given.end, float(transcribed.count), parameters)
+        found = self._on(
+            transcribed.problem, fractions, given, transcribed.guess(guess, structure.times, nodes, at_stages)
+        )
+        if not found.success:
+            return found, structure
+        solution = transcribed.solution(found)
+        durations = transcribed.durations(found.parameters[DURATIONS])
+        times = np.concatenate([[0.0], np.cumsum(durations)])
+        lasting = structure._replace(times=times).without_vanished()
+        right = lasting.arcs < structure.arcs or transcribed.lack(solution, arcs) <= self.accuracy
+        return solution if right else replace(solution, success=False, result=WRONG), lasting
+
+    def _horizon(self, solution: Solution) -> Any:
+        """The horizon: free, or given, or the bound that holds it, whose multiplier says more than the distance from
+        it."""
+        horizon = self.given.horizon
+        if is_free(horizon):
+            step = (solution.times[1] - solution.times[0]) * solution.steps / len(solution.stage_times)
+            for bound, name in ((horizon.lower, HORIZON_LOWER), (horizon.upper, HORIZON_UPPER)):
+                away = abs(solution.horizon - bound) / solution.horizon
+                pull = np.sum(solution.multipliers.get(name, np.zeros(1))) * step / _unit(solution)
+                if away <= HORIZON_AT_BOUND and pull >= away:
+                    return bound
+        return horizon
+
+    def _is_pulled(self, solution: Solution, bound: float) -> bool:
+        """Whether the cost falls beyond the bound that a horizon is held at: it changes by ``-H`` with the horizon."""
+        if self.problem.time_dependent:
+            return True
+        outward = 1.0 if bound == self.given.horizon.upper else -1.0
+        return bool(outward * solution.checks.hamiltonian >= -self.accuracy * _unit(solution))
+
+    def _recorded(self, found: _MeshSolution, why: str) -> Solution:
+        """The record, with what was spent on all meshes and what is wrong between the points."""
+        solution, errors = found.solution, found.errors
+        checks: Any = solution.checks
+        between = {name: float(np.max(rows)) for name, rows in errors.violations.items()}
+        checks = replace(checks, error=self.error(found), between=between)
+        statistics = Statistics(*self._effort, self._stopped)
+        if not why:
+            return replace(solution, checks=checks, statistics=statistics)
+        worst = int(np.argmax(errors.each))
+        begin, end = solution.times[worst], solution.times[worst + 1]
+        result = (
+            f"The equations are solved, but not to the accuracy of {self.accuracy:.1e} that was asked for: the error "
+            f"is {self.error(found):.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}."
+        )
+        return replace(solution, checks=checks, statistics=statistics, success=False, result=result)
+
+
+def _unit(solution: Solution) -> float:
+    """The unit of the cost over time."""
+    return abs(solution.cost) / solution.horizon or 1.0
+
+
+def _arc_mesh(structure: SwitchingStructure, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """Equal steps in each arc, about as many as the solution has there, at least two: their arcs, and lengths."""
+    inside = np.histogram(solution.times, structure.times)[0]
+    counts = np.maximum(inside, 2)
+    return np.repeat(np.arange(structure.arcs), counts), np.repeat(np.diff(structure.times) / counts, counts)

@@ -1,0 +1,210 @@
+"""The arguments of a solve, checked and in the form that the solver computes with."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from ....manifolds import InvalidInputError, NotOnManifoldError
+from ....manifolds.numerics.ambient import is_count, is_finite_number
+from ....manifolds.numerics.precision import default_tolerance, working_precision
+from ....manifolds.numerics.tolerances import SAME_TIME
+from ....retractions import DiscretizationMap, Gauss
+from ...problem.free_quantities import is_free, with_guess
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem_checks.requirements import require_same_manifold, require_treated
+from ...reporting.results import warn_about_precision
+from ...reporting.text import brief
+from ...singular import Classification, SingularIntegrator
+from ..engine.found import Iteration
+from ..iteration_table import IterationTable
+
+DEFAULT_TOLERANCE_POWER = 0.7
+MOST_STEPS = 10_000_000  # with arrays much longer memory ends
+LIMITS = "control bounds", "constraints", "node constraints"
+ALONG = *LIMITS, "an initial cost", "an explicit time"
+BETWEEN = "boundary constraints", "periodic ends"
+Method = DiscretizationMap | Gauss
+
+
+class BoundaryData(NamedTuple):
+    """The data that determine an extremal; ``None`` for a free end, and for no parameters."""
+
+    start: Any
+    end: Any
+    horizon: Any
+    parameters: Any
+
+    def near(self, solution: Any) -> "BoundaryData":
+        """The same, with what is free guessed as it was found."""
+        found = solution.horizon, solution.parameters
+        horizon, parameters = jax.tree.map(with_guess, (self.horizon, self.parameters), found, is_leaf=is_free)
+        return self._replace(horizon=horizon, parameters=parameters)
+
+
+class Options(NamedTuple):
+    """The options of an iteration, checked."""
+
+    tolerance: float
+    max_iterations: int
+    callback: Callable[[Iteration], Any] | None
+
+    @classmethod
+    def of(cls, tolerance: float | None, max_iterations: int, callback: Any = None, verbose: bool = False) -> "Options":
+        """The options as they are given."""
+        warn_about_precision()
+        rounding = np.finfo(working_precision()).eps
+        limit = rounding**DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
+        if not (is_finite_number(limit) and limit >= rounding):
+            raise InvalidInputError(
+                f"tolerance must be a positive finite number, at least {rounding:.1e}, which is rounding of "
+                f"{working_precision()}; got {tolerance!r}; try None, for {rounding**DEFAULT_TOLERANCE_POWER:.0e}"
+            )
+        if not is_count(max_iterations):
+            raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
+        if callback is not None and not callable(callback):
+            raise InvalidInputError(f"callback must be a function of an Iteration, got {callback!r}")
+        return cls(float(limit), int(max_iterations), IterationTable(callback) if verbose else callback)
+
+
+def structure_of(parameters: Any, axes: int = 0) -> Any:
+    """The structure and the shapes of parameters, leading axes left out."""
+    leaves, structure = jax.tree.flatten(parameters)
+    return structure, tuple(np.shape(leaf)[axes:] for leaf in leaves)
+
+
+def copy_parameters(parameters: Any) -> Any:
+    """Parameters as arrays of their own, for a record."""
+    return jax.tree.map(np.array, parameters)
+
+
+def check_parameters(problem: OptimalControlProblem, parameters: Any) -> None:
+    """Raise if the problem's functions take parameters and there are none, or the other way round, or they are not
+    numbers."""
+    if problem.takes_parameters and parameters is None:
+        raise InvalidInputError(
+            f"the problem's functions take parameters, and none are given: {problem._first_with_parameters}; try "
+            "parameters=..., numbers or arrays, or tuples or dictionaries of them; a state of several arrays is one "
+            "argument, a tuple"
+        )
+    if not problem.takes_parameters and parameters is not None:
+        raise InvalidInputError(
+            f"parameters are given, {brief(parameters)}, and no function of the problem takes them; expected functions "
+            "of (q, u, parameters)"
+        )
+    for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
+        array, where = np.asarray(leaf), f"parameters{jax.tree_util.keystr(path)}"
+        got = f"{brief(leaf)} as {where}" if array.dtype.kind not in "fiub" else ""
+        if not got and not np.isfinite(array).all():
+            place = np.argwhere(~np.isfinite(array))[0].tolist()
+            got = f"{array[tuple(place)]} as {where}{place if place else ''}"
+        if got:
+            raise InvalidInputError(f"parameters must be finite real numbers and arrays of them, got {got}")
+
+
+def step_fractions(steps: Any) -> np.ndarray:
+    """Lengths of the steps as fractions of the horizon, from their number or from lengths."""
+    if is_count(steps):
+        if steps > MOST_STEPS:
+            raise InvalidInputError(f"steps must be at most {MOST_STEPS}, for want of memory, got {steps!r}")
+        return np.full(int(steps), 1 / int(steps))
+    given = np.asarray(steps)
+    if (
+        np.ndim(steps) == 1
+        and given.size
+        and given.dtype.kind in "fiu"
+        and np.all(np.isfinite(given))
+        and np.all(given > 0)
+    ):
+        return given / np.sum(given)
+    raise InvalidInputError(
+        f"steps must be a whole number of at least 1, got {brief(steps)}; or the lengths of the steps, positive numbers"
+    )
+
+
+def require_problem(problem: Any) -> None:
+    """Raise if this is no problem."""
+    if not isinstance(problem, OptimalControlProblem):
+        raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
+
+
+def check_problem(problem: Any, method: Any) -> None:
+    require_problem(problem)
+    if not isinstance(method, DiscretizationMap | Gauss):
+        raise InvalidInputError(
+            f"solve takes a Gauss method or a discretization map, got {brief(method)}; try "
+            "Midpoint(default_retraction(manifold))"
+        )
+    require_treated(problem, "solve", *ALONG, *BETWEEN)
+    require_same_manifold(problem, method)
+
+
+def check_accuracy(accuracy: Any) -> None:
+    if not (is_finite_number(accuracy) and accuracy > 0):
+        raise InvalidInputError(f"accuracy must be a positive finite number, got {accuracy!r}; try 1e-8")
+
+
+def check_classification(problem: OptimalControlProblem, classification: Any) -> None:
+    """Raise unless the classification belongs to the problem."""
+    if not (isinstance(classification, Classification) and classification.is_of(problem.at_time(0.0))):
+        raise InvalidInputError(
+            f"classification must be that of the problem with its functions as they are, got {classification!r}; try "
+            "classify(problem)"
+        )
+
+
+def check_regular(integrator: SingularIntegrator | None) -> None:
+    """Raise if there is an integrator for a regular problem."""
+    if integrator is not None:
+        raise InvalidInputError(
+            f"the problem is regular, and solve takes no integrator for it: leave {integrator!r} out"
+        )
+
+
+def check_singular(
+    problem: OptimalControlProblem,
+    method: Method,
+    fractions: np.ndarray,
+    c: Classification,
+    integrator: SingularIntegrator | None,
+) -> None:
+    """Raise unless a singular problem has extremals that are found on ``P_f``, in these steps by this method."""
+    if integrator is not None and not (
+        isinstance(integrator, SingularIntegrator) and eqx.tree_equal(integrator.lift.discretization, method)
+    ):
+        raise InvalidInputError(
+            f"integrator must be one on P_f by the same discretization, with one stage a step, got {integrator!r}; "
+            "try method, choice = singular_integrator(classification, discretization); a Composition is for integrate"
+        )
+    require_treated(problem, "solve of a singular problem", *LIMITS)
+    if not isinstance(method, DiscretizationMap):
+        raise InvalidInputError(
+            "the problem is singular, dH/du = 0 does not determine its controls, and solve takes a discretization map "
+            f"for it, got {type(method).__name__}; try Midpoint(default_retraction(manifold)), or, where it is not "
+            "meant to be singular, a cost of all controls, as u @ u"
+        )
+    if np.ptp(fractions) > SAME_TIME:
+        raise InvalidInputError("the problem is singular, and solve takes equal steps for it; give their number")
+    if c.empty:
+        raise InvalidInputError(
+            "the problem is singular, and no point of P_f, on which its interior singular extremals lie, was "
+            f"found\n{c}"
+        )
+    c.require_reliable()
+    if problem.abnormal:
+        raise InvalidInputError(
+            "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start "
+            "(q0, p0)"
+        )
+
+
+def require_tangent_dynamics(problem: OptimalControlProblem, normal: float) -> None:
+    """Raise if the dynamics leaves the tangent spaces somewhere on the trajectory; at its first point it was checked
+    before."""
+    if normal > default_tolerance():
+        raise NotOnManifoldError(
+            f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part "
+            f"reaches {normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
+        )

@@ -1,0 +1,390 @@
+"""The request to a solver: arguments checked and completed once, in flat arrays, for all computations."""
+
+import time
+import warnings
+from collections.abc import Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from numbers import Number
+from typing import Any, cast, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....compute.automatic import AutomaticEvaluator
+from ....compute.base import Evaluator, PointwiseFunction
+from ....manifolds import InvalidInputError, Manifold
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import is_finite_number
+from ....manifolds.numerics.precision import default_tolerance, working_precision
+from ....manifolds.numerics.tolerances import ROUNDING
+from ....retractions import DiscretizationMap
+from ...problem.argument_errors import HORIZON
+from ...problem.free_quantities import guess_of, guesses_of, is_free
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.point_layout import PointLayout, parameter_layout
+from ...reporting.results import callers
+from ...singular import Classification, SingularIntegrator
+from ..guess import Guess
+from ..reformulations.free_quantities import ReformulationKind, needs_reformulation
+from ..solution.record import Solution
+from ..solution.resampling import Mesh, resample
+from .arguments import (
+    BoundaryData,
+    Method,
+    Options,
+    check_classification,
+    check_parameters,
+    check_regular,
+    check_singular,
+    copy_parameters,
+    structure_of,
+)
+from .boundary_data import BoundaryDataReader, EndPoints, NodeCondition
+from .guess_arrays import FlatGuess, GuessReader
+
+ROUNDED_POINT = 5e-6  # violation of its equations by a point whose entries have six digits
+RESTORING = 2  # Newton steps, which converge quadratically, from there to the rounding of double precision
+
+
+@final
+class InputReader:
+    """The reader of requests to a solver, with the checked problem, the method and the mesh."""
+
+    def __init__(self, problem: OptimalControlProblem, method: Method, mesh: Mesh, evaluator: Evaluator) -> None:
+        self.problem, self.method, self.mesh, self.ends = problem, method, mesh, BoundaryDataReader.of(problem)
+        self.guesses = GuessReader(problem, len(mesh.fractions), len(mesh.stages))
+        self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
+        self._parameters: dict[Any, PointLayout] = {}
+
+    @cached_property
+    def _restored(self) -> PointwiseFunction:
+        """Points moved onto the manifold; seldom needed."""
+        layout = self.ends.layout
+        return AutomaticEvaluator().values(
+            lambda q: (layout.flat(self.problem.manifold.restore(layout.point(q))),), layout.size
+        )
+
+    def on(self, mesh: Mesh) -> "InputReader":
+        """The same on another mesh."""
+        other = copy(self)
+        other.mesh, other.guesses = mesh, GuessReader(self.problem, len(mesh.fractions), len(mesh.stages))
+        return other
+
+    def flat_guess(self, guesses: Sequence[Any]) -> FlatGuess | None:
+        """The guesses, solutions among them resampled, with the multipliers of inequalities that the problem has."""
+        given = [
+            self.guesses.known(resample(guess, self.mesh)) if isinstance(guess, Solution) else guess
+            for guess in guesses
+        ]
+        return self.guesses.flat(given) if any(guess is not None for guess in given) else None
+
+    def parameters(self, given: Any, axes: int, count: int) -> tuple[Any, np.ndarray]:
+        """The structure of the parameters of a member, and the parameters of all members in rows."""
+        structure = structure_of(given, axes)
+        if structure not in self._parameters:
+            self._parameters[structure] = parameter_layout(given, axes)
+        layout = self._parameters[structure]
+        rows = layout.rows(given, axes)
+        return structure, repeat_for_all(rows if rows.ndim > 1 else rows[None], count)
+
+    def violations(self, points: np.ndarray) -> np.ndarray:
+        """By how much each of some flat points violates the equations of the manifold."""
+        return self._violations.at(1, points)[0].max(axis=1)
+
+    def restored(self, points: np.ndarray) -> np.ndarray:
+        """Flat points on the manifold next to these; where it has none, these."""
+        moved = self._restored.at(1, points)[0]
+        return np.where(np.all(np.isfinite(moved), axis=1, keepdims=True), moved, points)
+
+    def _violations_of(self, q: Array) -> tuple[Array]:
+        return (jnp.stack([jnp.zeros(()), *self.problem.manifold.violations(self.ends.layout.point(q)).values()]),)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Inputs:
+    """The arguments of ``solve`` or ``solve_many``, checked and completed, for B trajectories, one for ``solve``.
+
+    ``given`` and ``guess`` are as they came, ``known`` has the guesses of the horizon and of parameters that are free.
+    ``ends``: unknown ends are the ends of the guess, or arbitrary. ``structure``: structure of the parameters of one
+    member, which are ``rows`` of shape (B, P). ``classification``: None for a regular problem, and before a
+    classification.
+    """
+
+    reader: InputReader
+    given: BoundaryData
+    known: BoundaryData
+    guess: Any
+    options: Options
+    integrator: SingularIntegrator | None
+    axes: int  # that what is asked for has for the members: none for a single one
+    began: float  # when it was asked for, on the clock of ``time.perf_counter``
+    ends: EndPoints
+    horizons: np.ndarray
+    guesses: FlatGuess | None
+    structure: Any
+    rows: np.ndarray
+    classification: Classification | None = None
+
+    @classmethod
+    def of(
+        cls,
+        reader: InputReader,
+        given: BoundaryData,
+        guess: Any,
+        options: Options,
+        classification: Classification | None = None,
+        integrator: SingularIntegrator | None = None,
+    ) -> "Inputs":
+        """A single trajectory.
+
+        Raises ``InvalidInputError`` or ``NotOnManifoldError`` for a horizon, parameters, a guess, ends or a
+        classification that do not belong to the problem and the mesh. Whether the problem is regular is found out
+        afterwards, where nobody has said it: see ``classified``.
+        """
+        _require_horizon(given.horizon)
+        known = _known_guess(reader.problem, given)
+        check_parameters(reader.problem, known.parameters)
+        inputs = cls._read(reader, given, known, guess, options, integrator)
+        if classification is None:
+            return inputs
+        check_classification(inputs.problem, classification)
+        return replace(inputs, classification=classification)
+
+    @classmethod
+    def of_many(cls, reader: InputReader, given: BoundaryData, guesses: Any, options: Options) -> "Inputs":
+        """A batch: what is not for all has one more leading axis."""
+        known = _known_guess(reader.problem, given)
+        count = _count(reader.ends, known, guesses)
+        for k, horizon in enumerate(np.atleast_1d(np.asarray(known.horizon)).tolist()):
+            _require_horizon(horizon, "horizon" + (f", member {k}," if np.ndim(known.horizon) and count > 1 else ""))
+        check_parameters(reader.problem, known.parameters)
+        inputs = cls._read(reader, given, known, guesses, options, None, 1, count)
+        if inputs.formulated and len({ReformulationKind.of(own.horizon, own.parameters) for own in inputs.each}) > 1:
+            raise InvalidInputError("the members of a batch have other bounds; solve those with the same ones together")
+        return inputs
+
+    @classmethod
+    def _read(
+        cls,
+        reader: InputReader,
+        given: BoundaryData,
+        known: BoundaryData,
+        guess: Any,
+        options: Options,
+        integrator: SingularIntegrator | None,
+        axes: int = 0,
+        count: int = 1,
+    ) -> "Inputs":
+        """The request in flat arrays; raises if ends or guesses are no points of the manifold."""
+        began = time.perf_counter()
+        guesses = reader.flat_guess(guess if axes and _are_several(guess) else [guess])
+        ends = reader.ends.ends(given.start, given.end, bool(axes))
+        if ends.unknown.any():
+            at_rest = reader.ends.at_rest
+            ends = ends.completed(
+                *((at_rest, at_rest) if guesses is None else (guesses.states[:, 0], guesses.states[:, -1]))
+            )
+        asked = reader, given, known, guess, options, integrator, axes, began
+        parameters = reader.parameters(known.parameters, axes, count)
+        return cls(*asked, ends, np.full(count, known.horizon, float), guesses, *parameters)._on_manifold()
+
+    def _on_manifold(self) -> "Inputs":
+        """The request with ends that are on the manifold to rounding.
+
+        Ends that were rounded to six digits, or to single precision, are moved onto the manifold with a warning. Raises
+        ``NotOnManifoldError`` for ends farther off, and for a guess off the manifold.
+        """
+        reader, (start, end, *_) = self.reader, self.ends
+        points = np.concatenate([start, end])
+        if self.guesses is None:
+            beside = reader.violations(points)
+        else:
+            states = self.guesses.states_to_check(reader.ends.layout.size)
+            violations = reader.violations(np.concatenate([points, states]))
+            reader.guesses.require_on_manifold(self.guesses, violations[len(points) :])
+            beside = violations[: len(points)]
+        near = beside <= max(ROUNDED_POINT, default_tolerance())
+        if not near.all():
+            for k in np.flatnonzero(~np.all(near.reshape(2, -1), axis=0)):
+                own = self.each[int(k)]
+                reader.ends.require_on_manifold(own.start, own.end, f", member {k}" if len(self) > 1 else "")
+        if np.any(near & (beside > default_tolerance())):
+            _warn_of_rounding(reader.problem.manifold, np.max(beside[near]))
+        off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
+        if not off.any():
+            return self
+        for _ in range(RESTORING):  # no trajectory ends beside its manifold
+            points[off] = reader.restored(points[off])
+        return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
+
+    def again(self, reader: InputReader, given: BoundaryData, guess: Any) -> "Inputs":
+        """The request with another problem, mesh or guess, of which only these are checked again."""
+        known = _known_guess(reader.problem, given)
+        return self._read(reader, given, known, guess, self.options, self.integrator, self.axes, len(self))
+
+    def classified(self, c: Classification | None) -> "Inputs":
+        """The request with the classification of a singular problem, without one for a regular problem.
+
+        Raises where it is not to be solved like this.
+        """
+        if c is None or c.regular:
+            check_regular(self.integrator)
+            return self if self.classification is None else replace(self, classification=None)
+        check_singular(self.problem, self.reader.method, self.reader.mesh.fractions, c, self.integrator)
+        return replace(self, classification=c)
+
+    def __len__(self) -> int:
+        return len(self.horizons)
+
+    @property
+    def formulated(self) -> bool:
+        """Whether there is something that needs more states."""
+        return self.known is not self.given
+
+    @cached_property
+    def each(self) -> tuple[BoundaryData, ...]:
+        """The data of each member."""
+        return tuple(_member(self.reader.ends, self.given, k) for k in range(len(self))) if self.axes else (self.given,)
+
+    def member(self, k: int) -> "Inputs":
+        """The request of one member, without its guess."""
+        known, rows = _known_guess(self.reader.problem, self.each[k]), self.rows[k : k + 1]
+        ends = self.ends._replace(start=_row(self.ends.start, k)[None], end=_row(self.ends.end, k)[None])
+        own: Any = {"known": known, "ends": ends, "horizons": self.horizons[k : k + 1], "rows": rows}
+        return replace(self, given=self.each[k], guess=None, guesses=None, axes=0, **own)
+
+    @cached_property
+    def problem(self) -> OptimalControlProblem:
+        """The problem with the parameters of the first member."""
+        return self.problem_of(0)
+
+    @property
+    def discretization(self) -> DiscretizationMap:
+        """The method of a singular problem."""
+        return cast(DiscretizationMap, self.reader.method)
+
+    @property
+    def steps(self) -> int:
+        """Number of steps N."""
+        return len(self.reader.mesh.fractions)
+
+    @property
+    def h(self) -> np.ndarray:
+        """The size of equal steps of the first member."""
+        return np.asarray(self.horizons[0] / self.steps, working_precision())
+
+    def parameters_of(self, k: int) -> Any:
+        """The parameters of a member."""
+        given = self.known.parameters
+        return vec.taken(given, k) if self.axes else given
+
+    def parameters(self) -> Any:
+        """The parameters as arrays of their own, with the members along the leading axis."""
+        given = self.known.parameters
+        if given is None:  # in no time, where a tree takes some
+            return None
+        return copy_parameters(given) if self.axes else jax.tree.map(lambda leaf: np.array(leaf)[None], given)
+
+    def problem_of(self, k: int) -> OptimalControlProblem:
+        """The problem with the parameters of a member."""
+        return self.reader.problem.with_parameters(self.parameters_of(k))
+
+    def guess_of(self, k: int) -> Guess | None:
+        """The guess of a member."""
+        return None if self.guesses is None else self.reader.guesses.guess(self.guesses, k)
+
+    def conditions_of(self, k: int) -> tuple[NodeCondition, NodeCondition]:
+        """The boundary conditions of a member."""
+        ends, read = self.ends, self.reader.ends.condition
+        first, last = ends.prescribed
+        return read(_row(ends.start, k), first.parts), read(_row(ends.end, k), last.parts)
+
+
+def _warn_of_rounding(manifold: Manifold, violation: float) -> None:
+    """Warn of ends that have few digits."""
+    warnings.warn(
+        f"start or end satisfies the equations of {manifold} to {violation:.1g} only, as a point of six digits or of "
+        "single precision does; it was projected onto the manifold. Pass a point in double precision to be exact.",
+        stacklevel=callers(),
+    )
+
+
+def _known_guess(problem: OptimalControlProblem, given: BoundaryData) -> BoundaryData:
+    """The data with the guesses of free quantities, and the same object if nothing needs more states."""
+    if not needs_reformulation(problem, given.horizon, given.parameters):
+        return given
+    return given._replace(horizon=guess_of(given.horizon), parameters=guesses_of(given.parameters))
+
+
+def _require_horizon(horizon: Any, name: str = "horizon") -> None:
+    if is_free(horizon):
+        if np.ndim(horizon.guess) or not horizon.guess > 0:
+            raise InvalidInputError(
+                f"{name} must be free around a positive finite time, got {horizon!r}; try Free(10.0)"
+            )
+    elif not (is_finite_number(horizon) and horizon > 0):
+        hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
+        raise InvalidInputError(f"{name} must be a positive finite time, got {horizon!r}{hint}")
+
+
+def _are_several(guesses: Any) -> bool:
+    return isinstance(guesses, Sequence) and not isinstance(guesses, Guess)
+
+
+def _count(ends: BoundaryDataReader, known: BoundaryData, guesses: Any) -> int:
+    """The number of members of a batch."""
+    given = {
+        "starts": ends.lengths(known.start),
+        "ends": ends.lengths(known.end),
+        "horizons": [np.shape(known.horizon)] if np.ndim(known.horizon) else [],
+        "parameters": [np.shape(leaf)[:1] for leaf in jax.tree.leaves(known.parameters)],
+        "guesses": [(len(guesses),)] if _are_several(guesses) else [],
+    }
+    lengths = {length for found in given.values() for length in found}
+    if len(lengths) != 1 or lengths & {(), (0,)}:
+        raise InvalidInputError(_words_on_lengths(given))
+    ((count,),) = lengths
+    return count
+
+
+def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
+    """Words on what has which leading axis, where a batch has none or several lengths."""
+    found = [
+        f"{name} {' and '.join(str(length[0]) if length else 'none' for length in sorted(set(lengths)))}"
+        for name, lengths in given.items()
+        if lengths
+    ]
+    hint = "for a single trajectory call solve"
+    if any((0,) in lengths for lengths in given.values()):
+        hint = "a batch has one member or more"
+    elif given["parameters"]:
+        hint = "parameters have one too: try np.broadcast_to for those that are the same for all"
+    got = ", ".join(found) or "none"
+    return f"a batch has one more axis in front, of one length B, wherever something varies, got {got}; {hint}"
+
+
+def _member(ends: BoundaryDataReader, given: BoundaryData, k: int) -> BoundaryData:
+    """The data of member ``k`` of a batch."""
+
+    def one(leaf: Any) -> Any:
+        if is_free(leaf):
+            return leaf.member(k)
+        return leaf if np.ndim(leaf) == 0 else np.asarray(leaf)[k]
+
+    start, end = ends.member(given.start, k), ends.member(given.end, k)
+    return BoundaryData(start, end, *jax.tree.map(one, (given.horizon, given.parameters), is_leaf=is_free))
+
+
+def repeat_for_all(rows: np.ndarray, count: int) -> np.ndarray:
+    """Rows for so many members, of which there may be one for all."""
+    return rows if len(rows) == count else np.broadcast_to(rows, (count, *rows.shape[1:]))
+
+
+def _row(rows: np.ndarray, k: int) -> np.ndarray:
+    """Row ``k`` of rows of which there may be one for all."""
+    return rows[min(k, len(rows) - 1)]

@@ -1,0 +1,1 @@
+"""Reformulations of problems: free quantities, switching arcs, horizons that vanish."""

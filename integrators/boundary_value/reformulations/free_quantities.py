@@ -1,0 +1,374 @@
+"""A problem with a free horizon, free parameters or an explicit time as one with none of them, in more states."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import prod
+from typing import Any, NamedTuple, final
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ....manifolds import Euclidean, Product
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.product import factor_name
+from ....retractions import Addition, DiscretizationMap, Gauss, ProductRetraction, Retraction, Theta
+from ...problem.boundary_conditions import BoundaryConditions
+from ...problem.free_quantities import Free, guess_inside, guess_of, is_free
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER, Inequalities
+from ..guess import Guess
+from ..inputs.arguments import Method
+from ..solution.diagnostics import Checks
+from ..solution.interpolation import Interpolant
+from ..solution.record import Solution
+from ..solution.sensitivity import Derivative, Sensitivity
+
+BOUND_MARGIN, MULTIPLIER_MARGIN = (
+    1e-2,
+    1e-8,
+)  # of a bound's size: a guess is no nearer to it; the same where its multiplier is known
+BOUND_NAMES = {HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER}
+OWN_FACTOR = f"{factor_name(0)}, "  # how the names of the factors of Q begin in the product with the added states
+
+
+class ReformulationKind(NamedTuple):
+    """The free and the bounded quantities, which decide the functions of a formulation."""
+
+    horizon: bool
+    horizon_bounds: tuple[bool, bool]
+    structure: Any  # of the parameters
+    shapes: tuple[tuple[int, ...], ...]  # of their leaves
+    free: tuple[int, ...]  # places of those that are free
+    below: tuple[int, ...]  # entries of the free ones, in a row, that are bounded from below
+    above: tuple[int, ...]
+
+    @classmethod
+    def of(cls, horizon: Any, parameters: Any) -> "ReformulationKind":
+        """The free and the bounded quantities of a horizon and of parameters."""
+        leaves, structure = jax.tree.flatten(parameters, is_leaf=is_free)
+        sides = np.isfinite(_rows(leaves, "lower")), np.isfinite(_rows(leaves, "upper"))
+        free = tuple(place for place, leaf in enumerate(leaves) if is_free(leaf))
+        limits = (horizon.lower > 0, bool(np.isfinite(horizon.upper))) if is_free(horizon) else (False, False)
+        shapes = tuple(np.shape(guess_of(leaf)) for leaf in leaves)
+        return cls(
+            is_free(horizon), limits, structure, shapes, free, *(tuple(np.flatnonzero(side).tolist()) for side in sides)
+        )
+
+    @property
+    def entries(self) -> int:
+        """Number of the entries of all free parameters."""
+        return sum(prod(self.shapes[place]) for place in self.free)
+
+    def parameters(self, entries: Any, fixed: Any) -> Any:
+        """The parameters, from the entries of the free parameters in a row and the fixed parameters."""
+        remaining, begin, leaves = iter(fixed), 0, []
+        for place, shape in enumerate(self.shapes):
+            if place in self.free:
+                leaves.append(entries[begin : begin + prod(shape)].reshape(shape))
+                begin += prod(shape)
+            else:
+                leaves.append(next(remaining))
+        return jax.tree.unflatten(self.structure, leaves)
+
+
+def _rows(leaves: list[Any], name: str) -> np.ndarray:
+    """The guesses, or bounds, of all free leaves in a row."""
+    rows = [np.broadcast_to(getattr(leaf, name), np.shape(leaf.guess)).ravel() for leaf in leaves if is_free(leaf)]
+    return np.concatenate([np.zeros(0), *rows])
+
+
+def needs_reformulation(problem: OptimalControlProblem, horizon: Any, parameters: Any) -> bool:
+    """Whether there is something that needs more states."""
+    return problem.time_dependent or is_free(horizon) or any(map(is_free, jax.tree.leaves(parameters, is_leaf=is_free)))
+
+
+@final
+class Reformulation:
+    """The problem on ``Q x R^j x R`` with states ``(q, c, tau)`` that a problem with free quantities or a time is.
+
+    The constants ``c`` are the entries of the free parameters ``theta`` and ``c_0 + s``, ``s = log(T / T_0)``, ``T_0``
+    the guess of the free horizon; they are free at both ends. The clock starts at 0. Over ``[0, T_0]``, with ``t = e^s
+    tau``,
+
+        q' = e^s X(q, u, t, theta),   c' = 0,   tau' = 1,   cost Phi_0(q(0), theta) + int e^s F dtau + Phi(q, t, theta),
+
+    so that ``T > 0`` without a bound, and the clock is right whatever ``s`` is. ``c_0``, which is ``at_guess``, is one
+    where searches begin anew: that is its size, beside which what it moves by may be rounding. The steps are those of
+    the problem over ``[0, T]``. Its costates are those of the problem, and its Hamiltonian is ``e^s H + p_tau``.
+    Stationarity by ``s`` says that the mean of the Hamiltonian of a free horizon is zero, or what the terminal cost
+    changes by with the time.
+    """
+
+    def __init__(
+        self, problem: OptimalControlProblem, method: Method, kind: ReformulationKind, at_guess: float = 1.0
+    ) -> None:
+        self.own, self.kind, self.at_guess = problem, kind, at_guess
+        self.constants = kind.entries + kind.horizon
+        added = [Euclidean(self.constants)] if self.constants else []
+        added += [Euclidean(1)] if problem.time_dependent else []
+        beside = [Addition(manifold) for manifold in added]
+        self.takes = len(kind.shapes) > len(kind.free) or any(kind.horizon_bounds) or bool(kind.below or kind.above)
+        self.method = extend_method(method, beside)
+        functions = {"dynamics": (self._velocity, 2), "running_cost": (self._rate, 2)}
+        functions |= {"terminal_cost": (self._final, 1), "initial_cost": (self._first, 1)}
+        changes: Any = {name: self._of_state(*f) for name, f in functions.items() if getattr(problem, name) is not None}
+        changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
+        self.problem = problem._replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
+
+    def start(self, start: Any, constants: np.ndarray, begins: float | None = None) -> tuple:
+        """The start with the guesses of the constants, and the clock at zero, or free and guessed."""
+        clock = np.zeros(1) if begins is None else Free(np.full(1, begins))
+        return start, *([Free(constants)] if self.constants else []), *([clock] if self.own.time_dependent else [])
+
+    def end(self, end: Any, times: np.ndarray) -> tuple:
+        """The end with free constants and time, guessed as these."""
+        return end, *([None] if self.constants else []), *([Free(times)] if self.own.time_dependent else [])
+
+    def guesses(self, horizon: Any, parameters: Any, guess: Guess | None = None) -> np.ndarray:
+        """The constants that are guessed, strictly inside their bounds; by little where a guess knows multipliers of
+        these."""
+        leaves, share = jax.tree.leaves(parameters, is_leaf=is_free), BOUND_MARGIN
+        if guess is not None and not BOUND_NAMES.isdisjoint(guess.multipliers or {}):
+            share = MULTIPLIER_MARGIN
+        first, lower, upper = (
+            np.append(_rows(leaves, name), self._in_log(horizon, name)) for name in ("guess", "lower", "upper")
+        )
+        return guess_inside(first, lower, upper, share)
+
+    def _in_log(self, horizon: Any, name: str) -> np.ndarray:
+        """The guess, or a bound, of a free horizon as a value of the constant, the logarithm of the horizon over its
+        guess."""
+        free, none = is_free(horizon), name == "lower" and is_free(horizon) and horizon.lower <= 0
+        own = -np.inf if none else np.log(getattr(horizon, name) / horizon.guess) if free else 0.0
+        return np.full(int(free), self.at_guess + own)
+
+    def parameters(self, horizon: Any, parameters: Any) -> Any:
+        """The parameters of the formulation, fixed parameters and bounds, or None without any."""
+        if not self.takes:
+            return None
+        leaves = jax.tree.leaves(parameters, is_leaf=is_free)
+        sides = ("lower", self.kind.below), ("upper", self.kind.above)
+        below, above = (_rows(leaves, name)[list(entries)] for name, entries in sides)
+        both = zip(self.kind.horizon_bounds, ("lower", "upper"), strict=True)
+        bounds = np.concatenate([*(self._in_log(horizon, name) for bounded, name in both if bounded), below, above])
+        return [leaf for leaf in leaves if not is_free(leaf)], ([bounds] if bounds.size else [])
+
+    def guess(self, guess: Guess, constants: np.ndarray, times: tuple[np.ndarray, np.ndarray]) -> Guess:
+        """A guess with the constants, and the times of the nodes and of the stages; covectors of what is added are
+        zero."""
+
+        def with_states(given: Any, times: np.ndarray) -> Any:
+            added = [np.broadcast_to(constants, (len(times), self.constants))] if self.constants else []
+            return given, *added, *([times[:, None]] if self.own.time_dependent else [])
+
+        def with_covectors(given: Any, times: np.ndarray) -> Any:
+            _, *added = with_states(given, times)
+            return given, *(np.zeros(np.shape(a)) for a in added)
+
+        at_nodes, at_stages = times
+        make = {
+            "states": (with_states, at_stages),
+            "costates": (with_covectors, at_nodes),
+            "nodes": (with_states, at_nodes),
+            "stage_costates": (with_covectors, at_stages),
+        }
+        given = {name: getattr(guess, name) for name in make}
+        known, horizon = guess.multipliers or {}, at_nodes[-1] - at_nodes[0]
+        bounds = {name: horizon * rows for name, rows in known.items() if name in (HORIZON_LOWER, HORIZON_UPPER)}
+        return guess._replace(
+            multipliers={**known, **bounds},
+            **{name: add(given[name], at) for name, (add, at) in make.items() if given[name] is not None},
+        )
+
+    @np.errstate(all="ignore")  # a horizon that vanished, or has no bound, is said in the result
+    def solution(self, found: Solution, parameters: Any, interpolant: Interpolant) -> Solution:
+        """The solution of the problem itself."""
+        constants = found.states[1][0] if self.constants else np.zeros(0)
+        rate = np.exp(constants[-1] - self.at_guess) if self.kind.horizon else np.float64(1.0)
+        clock = found.stage_costates[-1][:, 0] / rate if self.own.time_dependent else 0.0
+        fixed = [np.array(leaf) for leaf in jax.tree.leaves(parameters, is_leaf=is_free) if not is_free(leaf)]
+        states: Any = {
+            name: getattr(found, name)[0] for name in ("states", "costates", "stage_states", "stage_costates")
+        }
+        named: Any = {name: _names(getattr(found, name)) for name in ("momenta", "body_costates", "spatial_costates")}
+        return replace(
+            found,
+            times=rate * found.times,
+            stage_times=rate * found.stage_times,
+            hamiltonians=found.hamiltonians / rate - clock,
+            checks=self._checks(found.checks, rate),
+            parameters=self.kind.parameters(constants, fixed),
+            multipliers=self._multipliers(found, rate),
+            interpolant=interpolant,
+            quantities=self.own.quantities,
+            **states,
+            **named,
+        )
+
+    def _multipliers(self, found: Solution, rate: float) -> dict[str, np.ndarray]:
+        """The multipliers in the time of the problem, with the bounds of ``s`` as bounds of ``T``."""
+        between = self.own._boundary.names
+        own = {name: values / (1.0 if name in between else rate) for name, values in found.multipliers.items()}
+        times = {name: own[name] / (rate * found.horizon) for name in (HORIZON_LOWER, HORIZON_UPPER) if name in own}
+        return {**own, **times}
+
+    @staticmethod
+    def _checks(checks: Checks, rate: float) -> Checks:
+        """The checks in the time of the problem; the Hamiltonian that is constant has the clock's part."""
+        names = "hamiltonian", "hamiltonian_spread", "hamiltonian_size"
+        own: Any = {name: float(getattr(checks, name) / rate) for name in names}
+        named: Any = {name: _names(getattr(checks, name)) for name in ("momentum_spreads", "conserved")}
+        violations = {name.removeprefix(f"{factor_name(0)}: "): value for name, value in checks.violations.items()}
+        return replace(checks, violations=violations, **own, **named)
+
+    def sensitivity(self, found: Sensitivity) -> Sensitivity:
+        """The derivatives of a solution of the problem; by what is free there are none."""
+        n = self.own.manifold.dimension
+
+        def own(derivative: Derivative, entries: slice | None = None) -> Derivative:
+            cut = (lambda leaf: leaf) if entries is None else (lambda leaf: leaf[entries])
+            parts = derivative.cost, derivative.states[0], derivative.costates[0], derivative.controls
+            return Derivative(*(jax.tree.map(cut, part) for part in parts))
+
+        ends = own(found.start, slice(0, n)), own(found.end, slice(0, n))
+        horizon = None if self.kind.horizon or found.horizon is None else own(found.horizon)
+        fixed = iter(found.parameters[0] if self.takes else ())
+        leaves = [None if place in self.kind.free else own(next(fixed)) for place in range(len(self.kind.shapes))]
+        return Sensitivity(*ends, horizon, jax.tree.unflatten(self.kind.structure, leaves) if leaves else None)
+
+    def rate(self, y: tuple) -> Any:
+        """``e^s``, the time over that which is guessed."""
+        return jnp.exp(y[1][-1] - self.at_guess) if self.kind.horizon else 1.0
+
+    def _at(self, y: tuple, given: Any) -> tuple[Ambient, OptimalControlProblem, Any]:
+        """The state, the problem with its parameters and its time, and the rate of that."""
+        q, *added = y
+        bound, entries, rate = self.own, self.kind.entries, self.rate(y)
+        if bound.takes_parameters:
+            bound = bound.with_parameters(
+                self.kind.parameters(added[0][:entries] if self.constants else None, given[0])
+            )
+        return q, bound.at_time(rate * added[-1][0] if self.own.time_dependent else None), rate
+
+    def _velocity(self, y: tuple, u: Ambient, given: Any) -> tuple:
+        q, bound, rate = self._at(y, given)
+        own = bound.velocity(q, u)
+        constants = [jnp.zeros(self.constants)] if self.constants else []
+        clock = [jnp.ones(1)] if self.own.time_dependent else []
+        return vec.scale(rate, own) if self.kind.horizon else own, *constants, *clock
+
+    def _rate(self, y: tuple, u: Ambient, given: Any) -> Array:
+        q, bound, rate = self._at(y, given)
+        return rate * bound.cost_rate(q, u)
+
+    def _final(self, y: tuple, given: Any) -> Array:
+        q, bound, _ = self._at(y, given)
+        return bound.final_cost(q)
+
+    def _first(self, y: tuple, given: Any) -> Array:
+        q, bound, _ = self._at(y, given)
+        return bound.first_cost(q)
+
+    def _boundary(self) -> BoundaryConditions:
+        """The conditions of both ends."""
+        own = self.own._boundary
+        functions = tuple(self._of_state(self._between(place), 2) for place in range(len(own.names)))
+        turn = None if own.turn is None else self._of_state(self._turned, 1)
+        return BoundaryConditions(own.names, functions, turn, factor=True, closed=own.closed)
+
+    def _between(self, place: int) -> Callable[[tuple, tuple, Any], Any]:
+        def between(first: tuple, last: tuple, given: Any) -> Any:
+            (q, *_), (end, bound, _) = self._at(first, given), self._at(last, given)
+            return bound._boundary.functions[place](q, end)
+
+        return between
+
+    def _turned(self, y: tuple, given: Any) -> Ambient:
+        q, bound, _ = self._at(y, given)
+        return bound._periodic_end(q)
+
+    def _limits(self) -> Inequalities:
+        """The inequalities of the problem, and the bounds of the horizon and of the parameters at the first point."""
+        own, kind, names = self.own._limits, self.kind, list[str]()
+        functions = [self._of_state(self._limit(place), 2) for place in range(len(own.names))]
+        begin = 0
+        for name, bounded, sign in zip((HORIZON_LOWER, HORIZON_UPPER), kind.horizon_bounds, (1, -1), strict=True):
+            if bounded:
+                names.append(name)
+                functions.append(self._of_state(self._bound([self.constants - 1], begin, sign), 2))
+                begin += 1
+        for name, entries, sign in ((PARAMETERS_LOWER, kind.below, 1), (PARAMETERS_UPPER, kind.above, -1)):
+            if entries:
+                names.append(name)
+                functions.append(self._of_state(self._bound(list(entries), begin, sign), 2))
+                begin += len(entries)
+        at_nodes = tuple(self._of_state(self._node_limit(place), 1) for place in range(len(own.node_names)))
+        held = (*own.names, *names), tuple(functions), own.at_first | frozenset(names)
+        clock = not kind.horizon if self.own.time_dependent else None
+        return Inequalities(own.lower, own.upper, *held, own.node_names, at_nodes, clock)
+
+    def _node_limit(self, place: int) -> Callable[[tuple, Any], Any]:
+        def limit(y: tuple, given: Any) -> Any:
+            q, bound, _ = self._at(y, given)
+            return bound._limits.node_functions[place](q)
+
+        return limit
+
+    def _limit(self, place: int) -> Callable[[tuple, Ambient, Any], Any]:
+        def limit(y: tuple, u: Ambient, given: Any) -> Any:
+            q, bound, _ = self._at(y, given)
+            return bound._limits.functions[place](q, u)
+
+        return limit
+
+    def _bound(self, entries: list[int], begin: int, sign: int) -> Callable[[tuple, Ambient, Any], Array]:
+        def bound(y: tuple, u: Ambient, given: Any) -> Array:
+            (bounds,) = given[1]
+            return sign * (bounds[begin : begin + len(entries)] - y[1][np.array(entries)])
+
+        return bound
+
+    def _of_state(self, function: Callable[..., Any], count: int) -> Callable[..., Any]:
+        """A function with parameters, or without if there are none."""
+        if count == 1:
+            return (lambda y, given: function(y, given)) if self.takes else (lambda y: function(y, ((), ())))
+        return (lambda y, u, given: function(y, u, given)) if self.takes else (lambda y, u: function(y, u, ((), ())))
+
+
+def _names(values: dict[str, Any]) -> dict[str, Any]:
+    """Values of the factors of Q, without the added states, under the names of the factors in Q."""
+    return {name.removeprefix(OWN_FACTOR): value for name, value in values.items() if name.startswith(OWN_FACTOR)}
+
+
+def extend_method(method: Method, beside: list[Addition]) -> Method:
+    """The method on the product with vector spaces."""
+    if isinstance(method, Gauss):
+        return Gauss(method.stages, ProductRetraction(method.retraction, *beside))
+    if isinstance(method, Theta):
+        other = None if method.other is None else ProductRetraction(method.other, *beside)
+        return Theta(ProductRetraction(method.backward, *beside), method.theta, other)
+    return _MethodBeside(method, tuple(beside))
+
+
+@final
+class _MethodBeside(DiscretizationMap):
+    """A discretization map on a manifold, beside steps of vector spaces of which the base point has the same place."""
+
+    first: DiscretizationMap
+    beside: tuple[Addition, ...]
+
+    @property
+    def theta(self) -> float:
+        return self.first.theta
+
+    @property
+    def retraction(self) -> Retraction:
+        return ProductRetraction(self.first.retraction, *self.beside)
+
+    def __call__(self, x: tuple, v: tuple) -> tuple[tuple, tuple]:
+        begin, end = self.first(x[0], v[0])
+        rest = list(zip(x[1:], v[1:], strict=True))
+        return (begin, *(a - self.theta * b for a, b in rest)), (end, *(a + (1 - self.theta) * b for a, b in rest))

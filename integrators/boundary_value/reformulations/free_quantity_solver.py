@@ -1,0 +1,301 @@
+"""Solutions with a free horizon, free parameters or an explicit time: by a solver of their formulation in more
+states."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ....compute.at_points import evaluate_at_each
+from ....manifolds.numerics import ambient as vec
+from ...problem.free_quantities import Free, guess_of, guesses_of, is_free, with_scaled_guess
+from ...reporting.results import sentence
+from ..guess import Guess
+from ..inputs.arguments import BoundaryData
+from ..inputs.inputs import InputReader, Inputs
+from ..solution.batch import Solutions
+from ..solution.record import Solution, Statistics
+from ..solution.resampling import resample
+from ..solution.sensitivity import Sensitivity
+from .free_quantities import Reformulation, ReformulationKind
+from .vanishing_horizons import TENDS, VANISHED_WORDS, VanishingHorizon
+
+SINGULAR_WORDS = (
+    "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters "
+    "or an explicit time; expected a running cost with curvature in every control, as u @ u / 2, or bounds that hold "
+    "the controls; a running cost that is constant with a free horizon is minimum time, and needs control_bounds or "
+    "constraints"
+)
+LOST_WORDS = (
+    "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an "
+    "upper bound, or a guess of the trajectory."
+)
+UNDETERMINED_WORDS = (
+    "The horizon tends to {:.3g}, or is hidden by other costs: the Hamiltonian, zero at an extremal, is {:.1e} of its "
+    "parts there; try another guess of it, a lower or an upper bound, or a guess of the trajectory."
+)
+GROWN_WORDS = (
+    " The horizon grew from {:.3g} to {:.3g}, where a longer one still costs less: there may be no best one; try an "
+    "upper bound of it, or a cost of the time."
+)
+SHRUNK_WORDS = (
+    " The horizon shrank from {:.3g} to {:.3g}: the cost may have an infimum, near {:.6g}, where the horizon tends to "
+    "zero and all conditions vanish with it; try a lower bound of the horizon, or a guess near to the best one."
+)
+ADVICE, LONGER_HORIZON = (
+    "; try ",
+    "a longer horizon",
+)  # where the advice of a result begins, and one that a growing one refutes
+HORIZON_AT_BOUND, UNMET = (
+    1.01,
+    1e-3,
+)  # times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero
+LOST_HORIZON = 1e3  # times the guess, or a share of it: a horizon that is found without success, and named
+RESTART, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
+MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: horizons from which it is tried again
+
+
+@final
+class ReformulationSolver:
+    """Solvers of the formulations of a problem, one for each kind of free quantities, made when they are asked for.
+
+    ``at_guess``: the constant that stands for a free horizon, at its guess.
+    """
+
+    def __init__(self, reader: InputReader, make: Callable[[Reformulation], Any], at_guess: float = 1.0) -> None:
+        self.reader, self._make, self.at_guess = reader, make, at_guess
+        self._made: dict[ReformulationKind, tuple[Reformulation, Any]] = {}
+        self._vanishing = dict[ReformulationKind, VanishingHorizon]()
+        self._found: WeakKeyDictionary[Solution, tuple[Reformulation, Any, Solution]] = WeakKeyDictionary()
+
+    def on(self, reader: InputReader, make: Callable[[Reformulation], Any], steps: Any) -> "ReformulationSolver":
+        """The same on another mesh."""
+        other = ReformulationSolver(reader, make, self.at_guess)
+        other._made = {
+            kind: (formulation, solver.with_steps(steps)) for kind, (formulation, solver) in self._made.items()
+        }
+        other._found = self._found
+        return other
+
+    @property
+    def solvers(self) -> list[Any]:
+        """The solvers that are made."""
+        return [solver for _, solver in self._made.values()]
+
+    def of(self, horizon: Any, parameters: Any) -> tuple[Reformulation, Any]:
+        """The formulation for a horizon and parameters, and its solver."""
+        kind = ReformulationKind.of(horizon, parameters)
+        if kind not in self._made:
+            example = self.reader.problem.with_parameters(guesses_of(parameters)).at_time(0.0)
+            example._require_values()
+            formulation = Reformulation(self.reader.problem, self.reader.method, kind, self.at_guess)
+            self._made[kind] = formulation, self._make(formulation)
+        return self._made[kind]
+
+    def solve(self, inputs: Inputs) -> Solution:
+        """The extremal of a single trajectory."""
+        return self._from_elsewhere(inputs, self._settled(inputs, self._solved(inputs)))
+
+    def _from_elsewhere(self, inputs: Inputs, first: Solution) -> Solution:
+        """The solution, or without success and with a free horizon, the solution from the nearest other magnitude that
+        has one."""
+        horizon = inputs.given.horizon
+        if not is_free(horizon) or _is_final(first):
+            return first
+        effort = first.statistics
+        for factor in MAGNITUDES:
+            guess = with_scaled_guess(horizon, factor)
+            if guess is not None:
+                again = inputs.again(self.reader, inputs.given._replace(horizon=guess), inputs.guess)
+                found = self._settled(again, self._solved(again))
+                effort = _sum(effort, found.statistics)
+                if _is_final(found):
+                    return self._renewed(found, statistics=effort)
+        return self._renewed(first, statistics=effort, result=self._result(horizon, first))
+
+    def _result(self, horizon: Free, solution: Solution) -> str:
+        """The result of a solution without success, with a sentence on a horizon far from its guess.
+
+        A horizon far shorter than guessed adds a sentence. A horizon that is far longer, and is to be longer still,
+        replaces the advice. The cost changes by ``-H`` with the horizon.
+        """
+        if HORIZON_AT_BOUND * horizon.lower < solution.horizon <= guess_of(horizon) / LOST_HORIZON:
+            return solution.result + SHRUNK_WORDS.format(guess_of(horizon), solution.horizon, solution.cost)
+        longer = (
+            solution.horizon >= LOST_HORIZON * guess_of(horizon) and HORIZON_AT_BOUND * solution.horizon < horizon.upper
+        )
+        pull = np.mean(solution.hamiltonians) if longer and not self.reader.problem.time_dependent else 0.0
+        cheaper = pull > 0 and pull > UNMET * self._size_of_parts(solution)
+        if not cheaper:
+            return solution.result
+        happened, _, rest = solution.result.partition(ADVICE)
+        advice, _, more = rest.partition(". ")
+        kept = f"{happened}. {more}".strip() if LONGER_HORIZON in advice else solution.result
+        return kept + GROWN_WORDS.format(guess_of(horizon), solution.horizon)
+
+    def _size_of_parts(self, solution: Solution) -> float:
+        """The largest of ``<p, X>`` and ``F`` at the stages, however small.
+
+        The size in the checks is no less than rounding with controls of size 1, which says nothing of far smaller ones.
+        """
+        problem = self.reader.problem.with_parameters(solution.parameters)
+        with np.errstate(all="ignore"):
+            rates = evaluate_at_each(
+                lambda point: problem.cost_rate(*point), (solution.stage_states, solution.controls)
+            )
+        return float(max(np.max(np.abs(rates)), np.max(np.abs(solution.hamiltonians + rates))))
+
+    def _settled(self, inputs: Inputs, solution: Solution) -> Solution:
+        """The solution in its own units, without success where its horizon tends to zero."""
+        horizon, parameters = inputs.given.horizon, inputs.given.parameters
+        solution = self._in_own_units(inputs, solution)
+        if not is_free(horizon) or solution.statistics.stopped:
+            return solution
+        kind = ReformulationKind.of(horizon, parameters)
+        if kind not in self._vanishing:
+            self._vanishing[kind] = VanishingHorizon(self.reader.problem, guesses_of(parameters))
+        if not self._vanishing[kind](solution, inputs.options.tolerance):
+            return solution
+        words = VANISHED_WORDS.format("The horizon", solution.horizon)
+        return self._renewed(solution, success=False, result=words)
+
+    def _in_own_units(self, inputs: Inputs, solution: Solution) -> Solution:
+        """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
+
+        A horizon that tends to zero takes all conditions with it.
+        """
+        for _ in range(AGAIN):
+            horizon = inputs.given.horizon
+            ratio = solution.horizon / guess_of(horizon)
+            if not (solution.success and is_free(horizon)):
+                return solution
+            if 1 / RESTART < ratio < RESTART:
+                return self._with_its_hamiltonian(horizon, solution)
+            if not 0 < solution.horizon < np.inf:
+                break
+            if solution.statistics.stopped:
+                return self._renewed(solution, success=False, result=sentence("stopped"))
+            before = solution.statistics
+            inputs = inputs.again(self.reader, inputs.given.near(solution), solution)
+            solution = self._solved(inputs)
+            solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
+        return self._renewed(solution, success=False, result=LOST_WORDS.format(solution.horizon))
+
+    def _with_its_hamiltonian(self, horizon: Free, solution: Solution) -> Solution:
+        """The solution, without success where the Hamiltonian is nowhere zero, as its mean is between the bounds of a
+        free horizon.
+
+        Beside other costs, as those of the ends, it is not seen in the residuals where the horizon is next to nothing.
+        """
+        size = solution.checks.hamiltonian_size
+        held = not HORIZON_AT_BOUND * horizon.lower < solution.horizon < horizon.upper / HORIZON_AT_BOUND
+        values = solution.hamiltonians / (size if size > 0 else 1.0)
+        if held or self.reader.problem.time_dependent or (values.min() <= UNMET and values.max() >= -UNMET):
+            return solution
+        words = UNDETERMINED_WORDS.format(solution.horizon, solution.hamiltonians[0] / size)
+        return self._renewed(solution, success=False, result=words)
+
+    def _solved(self, inputs: Inputs) -> Solution:
+        formulation, solver, own = self.formulated(inputs)
+        return self._kept(formulation, solver, solver._found(own), inputs.given.parameters)
+
+    def formulated(self, inputs: Inputs, begins: float | None = None) -> tuple[Reformulation, Any, Inputs]:
+        """The formulation of a single trajectory, its solver, and what is asked of that.
+
+        The time starts at zero, or is free at the start and guessed to begin there.
+        """
+        given, horizon = inputs.given, float(inputs.horizons[0])
+        formulation, solver = self.of(given.horizon, given.parameters)
+        own = inputs.guess_of(0)
+        constants, times = formulation.guesses(given.horizon, given.parameters, own), inputs.horizons + (begins or 0.0)
+        start, end = formulation.start(given.start, constants, begins), formulation.end(given.end, times)
+        guess = self._guess(formulation, inputs, 0, constants, begins or 0.0)
+        if isinstance(inputs.guess, Solution) and guess is not None:
+            guess = self._with_covectors(formulation, guess, inputs.guess, horizon)
+        own = BoundaryData(start, end, horizon, formulation.parameters(given.horizon, given.parameters))
+        return formulation, solver, inputs.again(solver._reader, own, guess)
+
+    def solve_many(self, inputs: Inputs) -> Solutions:
+        """The extremals of a batch."""
+        members = [inputs.member(k) for k in range(len(inputs))]
+        each = [(member.given.horizon, member.given.parameters) for member in members]
+        formulation, solver = self.of(*each[0])
+        constants = np.stack([formulation.guesses(*own, inputs.guess_of(k)) for k, own in enumerate(each)])
+        parameters = [formulation.parameters(*own) for own in each]
+        stacked = vec.stacked(parameters) if formulation.takes else None
+        guesses = [self._guess(formulation, inputs, k, c) for k, c in enumerate(constants)]
+        start = formulation.start(inputs.given.start, constants)
+        end = formulation.end(inputs.given.end, inputs.horizons[:, None])
+        own = BoundaryData(start, end, inputs.horizons, stacked)
+        found = solver._all_found(inputs.again(solver._reader, own, None if inputs.guesses is None else guesses))
+        solutions, stopped = list[Solution](), False
+        for member, one in zip(members, found, strict=True):
+            solution = self._kept(formulation, solver, one, member.given.parameters)
+            if stopped:  # in a search of a member before
+                solution = self._renewed(solution, statistics=replace(solution.statistics, stopped=True))
+            solution = self._from_elsewhere(member, self._settled(member, solution))
+            stopped = solution.statistics.stopped
+            solutions.append(solution)
+        return Solutions.of(solutions)
+
+    def sensitivity(self, solution: Solution) -> Sensitivity | None:
+        """Derivatives of a solution that was found here; None for any other."""
+        if not isinstance(solution, Solution) or solution not in self._found:
+            return None
+        formulation, solver, found = self._found[solution]
+        return formulation.sensitivity(solver.sensitivity(found))
+
+    def _guess(
+        self, formulation: Reformulation, inputs: Inputs, k: int, constants: np.ndarray, begins: float = 0.0
+    ) -> Guess | None:
+        guess, (nodes, stages) = inputs.guess_of(k), self.reader.mesh.times(float(inputs.horizons[k]))
+        return None if guess is None else formulation.guess(guess, constants, (begins + nodes, begins + stages))
+
+    def _with_covectors(self, formulation: Reformulation, guess: Guess, solution: Solution, horizon: float) -> Guess:
+        """A guess that is a solution of the same formulation, with its covectors of the constants and of the clock."""
+        kept, _, found = self._found.get(solution, (None, None, None))
+        if kept is not formulation or found is None:
+            return guess
+        mesh = self.reader.mesh._replace(interpolant=found.interpolant)
+        own, rates = resample(found, mesh), [1.0] * bool(formulation.constants)
+        rates += [found.horizon / horizon] * self.reader.problem.time_dependent  # the clock runs to another time
+
+        def completed(given: Any, known: Any) -> tuple:
+            return given[0], *(rate * p for rate, p in zip(rates, known[1:], strict=True))
+
+        pairs = {name: (getattr(guess, name), getattr(own, name)) for name in ("costates", "stage_costates")}
+        return guess._replace(**{name: completed(*pair) for name, pair in pairs.items()})
+
+    def _kept(self, formulation: Reformulation, solver: Any, found: Solution, parameters: Any) -> Solution:
+        solution = formulation.solution(found, parameters, self.reader.mesh.interpolant)
+        self._found[solution] = formulation, solver, found
+        return solution
+
+    def _renewed(self, solution: Solution, **changes: Any) -> Solution:
+        """The solution with changes, of which the derivatives can be asked for as before."""
+        changed = replace(solution, **changes)
+        self.keep(changed, solution)
+        return changed
+
+    def keep(self, changed: Solution, solution: Solution) -> None:
+        """Keep what belongs to a solution for another record of it."""
+        if solution in self._found:
+            self._found[changed] = self._found[solution]
+
+
+def _is_final(solution: Solution) -> bool:
+    """Whether no other guess of the horizon is tried: with success, where it was stopped, and where its failure says
+    why there is no minimum."""
+    says_why = TENDS in solution.result or solution.result.startswith(sentence("concave"))
+    return solution.success or solution.statistics.stopped or says_why
+
+
+def _sum(one: Statistics, other: Statistics) -> Statistics:
+    return Statistics(
+        one.iterations + other.iterations,
+        one.compile_seconds + other.compile_seconds,
+        one.run_seconds + other.run_seconds,
+        one.stopped or other.stopped,
+    )

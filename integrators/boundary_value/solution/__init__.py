@@ -1,0 +1,10 @@
+"""Records of solutions, with builder, report, interpolation, sensitivity and files."""
+
+from typing import Any
+
+from ....former_names import former_module
+
+
+def __getattr__(name: str) -> Any:
+    """The names of the module that this package was."""
+    return former_module(__name__, name)

@@ -1,0 +1,215 @@
+"""The records of what an iteration found."""
+
+from collections.abc import Callable
+from typing import Any, final
+
+import jax
+import numpy as np
+
+from ....manifolds.numerics import ambient as vec
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.path_constraints import LOWER, UPPER
+from ...problem.point_layout import PointLayout
+from ...reporting.results import reasons, sentence
+from ..audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
+from ..audit.termination_status import termination_statuses
+from ..audit.unmoved_entries import unmoved_words
+from ..engine.diagnosis import Diagnostics
+from ..engine.found import Found
+from ..engine.transcription import AtStages
+from ..inputs.arguments import Options, require_tangent_dynamics
+from ..transcription.transcribed_problem import TranscribedProblem
+from .diagnostics import RegularChecks
+from .interpolation import Interpolant
+from .record import Solution, Statistics
+
+STUCK_RESULTS = (
+    "singular",
+    "too_many_iterations",
+    "no_improvement",
+    "infeasible",
+)  # as where equations of the end are dependent
+SMALL = 1e-3  # of the largest violation: smaller ones are not named
+VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why there is no success
+
+
+@final
+class SolutionBuilder:
+    """Makes the records of extremals of a problem, with the stages of a step at some places, fractions of it."""
+
+    def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
+        self.problem, self.stages, self.interpolant = problem, stages, interpolant
+        self.quantities, self._constrained = problem.quantities, problem._limits.of_points_along
+        self.formulation: Any = None  # that the problem is of another one, whose names and times users know
+        self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
+
+    def of(
+        self,
+        transcribed: TranscribedProblem,
+        parameters: Any,
+        found: Found,
+        options: Options,
+        seconds: tuple[float, float],
+    ) -> tuple[dict[str, Any], Callable[[int], Solution]]:
+        """The fields of the records of a batch, and what makes the record of a member.
+
+        ``parameters``: with the members along the leading axis; ``seconds`` to trace and to run.
+        """
+        nodes, data, traced = found.assembled.nodes, transcribed.conditions.data, transcribed.traced
+        at_nodes = traced.diagnosis.at_nodes(nodes, found.assembled.costates)
+        costates = at_nodes.costates
+        stages = traced.steps.at_stages(found.iterate.unknowns, costates, data, found.iterate.slacks)
+        diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
+        require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
+        trajectories, held = self._trajectories(nodes, costates, stages, data.steps), _active_rows(transcribed, found)
+        success, results = self._judged(transcribed, found, stages, held, trajectories, options.tolerance)
+        statistics = [Statistics(int(count), *seconds, found.stopped) for count in found.iterations]
+        numbers = {"cost": found.assembled.cost, "success": success}
+        fields = {
+            **trajectories,
+            "hamiltonians": diagnostics.hamiltonians,
+            "momenta": diagnostics.momenta,
+            "body_costates": diagnostics.body,
+            "spatial_costates": diagnostics.spatial,
+            **_multipliers(transcribed, found),
+        }
+        active = _active(transcribed, held)
+        if self._constrained:
+            diagnostics = _without_symmetries(diagnostics, active)
+        known = {**_known_checks(found, success), "active": active}
+
+        def member(k: int) -> Solution:
+            own, arrays = vec.taken((diagnostics, fields), k)
+            return Solution(
+                **arrays,
+                **{name: values[k].item() for name, values in numbers.items()},
+                result=results[k],
+                checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
+                statistics=statistics[k],
+                quantities=self.quantities,
+                interpolant=self.interpolant,
+                parameters=None if parameters is None else jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
+            )
+
+        return {**fields, **numbers, "parameters": parameters, "result": results, "statistics": statistics}, member
+
+    def _judged(
+        self,
+        transcribed: TranscribedProblem,
+        found: Found,
+        stages: AtStages,
+        held: np.ndarray | None,
+        trajectories: dict[str, Any],
+        tolerance: float,
+    ) -> tuple[np.ndarray, list[str]]:
+        """Whether each member has success, and the results of all in words."""
+        success, results = termination_statuses(found, tolerance)
+        notes = found.notes or [""] * len(results)
+        stuck = [sentence(name) for name in STUCK_RESULTS]
+        for k, words in enumerate(results):
+            more = self._unmoved(transcribed, found, k) if words in stuck else ""
+            results[k] = reasons(words + more + _violation_words(transcribed, found, k, tolerance), notes[k])
+        for k, one in find_concave_directions(transcribed, found, stages, held, success).items():
+            success[k] = False
+            results[k] = f"{sentence('concave')} {self._where(one, k, trajectories, stages)}"
+        return success, results
+
+    def _unmoved(self, transcribed: TranscribedProblem, found: Found, k: int) -> str:
+        """Words on a part of the end that follows from the rest, by the names of the user."""
+        if transcribed.conditions.joint:
+            return ""
+        own = self.quantities if self.formulation is None else self.formulation.own.quantities
+        names = [name for quantity in own.states for name in quantity.columns]
+        return unmoved_words(transcribed.conditions, found.assembled, k, names)
+
+    def _where(self, one: ConcaveDirection, k: int, fields: dict[str, Any], stages: AtStages) -> str:
+        """Where the cost of a member is concave, by the names and in the time that its user knows."""
+        own, times = self.quantities, fields["stage_times"][k]
+        if self.formulation is not None:
+            own = self.formulation.own.quantities
+            times = times * float(self.formulation.rate(vec.taken(fields["states"], (k, 0))))
+        names = [name for quantity in own.controls for name in quantity.columns]
+        return concave_words(self.problem, one, names, stages[1][k], times)
+
+    def _trajectories(
+        self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray
+    ) -> dict[str, Any]:
+        """Times, states, costates and controls of a batch, with a common array for the values at the stages."""
+        times = np.zeros((len(nodes), nodes.shape[1]))
+        steps.cumsum(axis=1, out=times[:, 1:])
+        between = times[:, :-1, None] + steps[:, :, None] * self.stages
+        return {
+            "times": times,
+            "states": self.state.points(nodes),
+            "costates": self.state.points(costates),
+            "stage_times": between.reshape(len(nodes), -1),
+            "stage_states": self.state.points(stages[0]),
+            "stage_costates": self.state.points(stages[2]),
+            "controls": self.control.points(stages[1]),
+        }
+
+
+def _without_symmetries(diagnostics: Diagnostics, active: list[dict[str, int]]) -> Diagnostics:
+    """The diagnostics, with momenta that may change where constraints hold a trajectory: they may break symmetries."""
+    held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in active]
+    free = np.where(held, np.inf, 0.0)[:, None]
+    return diagnostics._replace(brackets={name: rates + free for name, rates in diagnostics.brackets.items()})
+
+
+def _known_checks(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
+    """The checks of each member that the iteration computes."""
+    residuals = found.residuals
+    values = {
+        "defect": residuals.gap,
+        "stationarity": residuals.stationarity,
+        "strict_minimum": found.strict_minimum & success,
+        "violation": np.maximum(residuals.violation, residuals.excess),
+        "complementarity": residuals.complementarity,
+    }
+    return {name: array.tolist() for name, array in values.items()}
+
+
+def _active_rows(transcribed: TranscribedProblem, found: Found) -> np.ndarray | None:
+    """Where inequalities hold each trajectory: where a multiplier exceeds the slack, in their units."""
+    slacks, barrier = found.iterate.slacks, transcribed.conditions.barrier
+    if slacks is None or barrier is None:
+        return None
+    return slacks.multipliers / barrier.multiplier > slacks.slacks / barrier.unit
+
+
+def _active(transcribed: TranscribedProblem, held: np.ndarray | None) -> list[dict[str, int]]:
+    """At how many stages, or nodes, inequalities of each name hold each trajectory."""
+    rows = transcribed.traced.rows
+    if held is None:
+        return [{} for _ in transcribed.conditions.data.steps]
+    named = {**rows.at_stages(held), **rows.at_nodes(held)}
+    return [{name: int(np.sum(np.any(own[k], axis=1))) for name, own in named.items()} for k in range(len(held))]
+
+
+def _multipliers(transcribed: TranscribedProblem, found: Found) -> dict[str, dict[str, np.ndarray]]:
+    """Multipliers by their names: of the inequalities at the stages and of what ends are bound by, and of the
+    inequalities at the nodes."""
+    slacks, rows, ends = found.iterate.slacks, transcribed.traced.rows, found.boundary or {}
+    if slacks is None:
+        return {"multipliers": ends, "node_multipliers": {}}
+    jumps = transcribed.conditions.data.steps[:, :, None, None] * slacks.multipliers
+    return {
+        "multipliers": {**rows.at_stages(slacks.multipliers), **ends},
+        "node_multipliers": rows.at_nodes(jumps),
+    }
+
+
+def _violation_words(transcribed: TranscribedProblem, found: Found, k: int, tolerance: float) -> str:
+    """By how much a member without success violates which inequalities, if it does."""
+    slacks, barrier, rows = found.iterate.slacks, transcribed.conditions.barrier, transcribed.traced.rows
+    if slacks is None or barrier is None or found.claimed[k]:
+        return ""
+    held, own = found.assembled.blocks.inequalities, slice(k, k + 1)
+    excess = np.where(held.weights[own] > 0, np.maximum(held.values[own], 0.0), 0.0)
+    if not np.max(excess / barrier.unit[own], initial=0.0) > (tolerance if found.contradictory[k] else VIOLATED):
+        return ""
+    worst = {name: np.max(own) for name, own in {**rows.at_stages(excess), **rows.at_nodes(excess)}.items() if own.size}
+    named = [f"{name} by up to {most:.3g}" for name, most in worst.items() if most > SMALL * np.max(excess)]
+    return (
+        f" {'It' if found.contradictory[k] else 'Where this ended, it'} violates {', '.join(named)}." if named else ""
+    )

@@ -1,0 +1,284 @@
+"""An extremal between its nodes: the polynomials of its method in the charts of its steps."""
+
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple, Self, final
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array
+
+from ....compute.automatic import AutomaticEvaluator
+from ....compute.base import PointwiseFunction
+from ....manifolds import DomainError, InvalidInputError, Manifold
+from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.tolerances import EPS
+from ....retractions import Retraction, default_retraction
+from ....tracing import one_tracing
+from ...problem.point_layout import PointLayout
+from ...reporting.geometry_text import as_text, from_text
+from ...reporting.text import brief
+from ..engine.chart import Chart, lagrange
+from ..guess import Guess
+
+if TYPE_CHECKING:
+    from .record import Solution
+
+SUMMED = 8 * EPS  # relative to the horizon, and for each step: what the sum of the steps loses
+
+
+class Sample(NamedTuple):
+    """States, controls and costates of an extremal at some times, which are along the leading axes of the arrays."""
+
+    times: np.ndarray
+    states: Any
+    controls: Any
+    costates: Any
+
+
+class _Step(NamedTuple):
+    """Some steps of an extremal, as flat points: its nodes, and its s stages."""
+
+    begin: np.ndarray  # (K, E)
+    end: np.ndarray
+    begin_costates: np.ndarray
+    end_costates: np.ndarray
+    states: np.ndarray  # (K, s, E)
+    costates: np.ndarray
+    controls: np.ndarray  # (K, s, U)
+    places: np.ndarray  # (s,)
+    jumps: np.ndarray  # (K, 2): whether the covectors at the ends are those beyond a jump, seen from the step
+
+
+@final
+class Interpolant:
+    """The interpolation of a method between the nodes of an extremal.
+
+    The states of a step are a polynomial of time in the chart of the retraction around the step's centre, for ``s > 1``
+    stages of degree ``s``, through both nodes and the points, which is the collocation polynomial; for one stage of
+    degree 1, around the base point of the discretization map. The costates are, as covectors of that chart, a
+    polynomial through those at the nodes and at the points. Both are continuous, and of order ``s + 1``, or that of the
+    map [Hairer, Norsett, Wanner 1993, II.7]; but where a constraint at a node makes the costates jump, they are a
+    polynomial through what is on this side of it, of one order less. The controls are the polynomial through those of
+    the stages, of order ``s``, in a chart of their manifold.
+    """
+
+    def __init__(self, retraction: Retraction, controls: Manifold) -> None:
+        if not (isinstance(retraction, Retraction) and isinstance(controls, Manifold)):
+            raise InvalidInputError(
+                "a solution is interpolated with a retraction and the manifold of the controls, got "
+                f"{brief(retraction)} and {brief(controls)}; try those of its method and its problem"
+            )
+        self.retraction, self.controls = retraction, controls
+        self.state, self.control = PointLayout.of(retraction.manifold), PointLayout.of(controls)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Without what is traced, which no other process could use."""
+        return Interpolant, (self.retraction, self.controls)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether the other interpolant has the same retraction and controls."""
+        return isinstance(other, Interpolant) and bool(
+            eqx.tree_equal((self.retraction, self.controls), (other.retraction, other.controls))
+        )
+
+    def __hash__(self) -> int:
+        return hash((repr(self.retraction), repr(self.controls)))
+
+    @property
+    def text(self) -> str | None:
+        """The text of the interpolant in a file; None unless classes of the library and numbers describe the
+        interpolant."""
+        return as_text(self.retraction, self.controls)
+
+    @classmethod
+    def from_text(cls, text: str) -> Self:
+        """The interpolant that wrote ``text``; raises ``InvalidInputError`` for another one."""
+        found = from_text(text)
+        if len(found) != 2:
+            raise InvalidInputError(
+                f"geometry has {len(found)} parts, expected a retraction and the manifold of the controls"
+            )
+        return cls(*found)
+
+    def require_fits(self, what: str, states: Any, controls: Any) -> None:
+        """Raise unless these are points of its manifolds, along a leading axis."""
+        for name, manifold, given in (
+            ("states", self.retraction.manifold, states),
+            ("controls", self.controls, controls),
+        ):
+            expected, got = (
+                jax.tree.map(lambda s: s.shape, manifold.ambient),
+                jax.tree.map(lambda a: np.shape(a)[1:], given),
+            )
+            if expected != got:
+                raise InvalidInputError(
+                    f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}"
+                )
+            for s, a in zip(jax.tree.leaves(manifold.ambient), jax.tree.leaves(given), strict=True):
+                if np.iscomplexobj(a) and not np.issubdtype(s.dtype, np.complexfloating):
+                    raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
+
+    def __call__(self, record: "Solution", t: Any) -> Sample:
+        """The extremal at a time, or at an array of times.
+
+        Raises ``InvalidInputError`` for a time outside the horizon, ``DomainError`` where a step does not fit into a
+        chart.
+        """
+        times = checked_times(t, record.times)
+        flat = times.ravel()
+        k = np.clip(np.searchsorted(record.times, flat, side="right") - 1, 0, len(record.times) - 2)
+        places = (flat - record.times[k]) / np.diff(record.times)[k]
+        needed, where = np.unique(k, return_inverse=True)
+        with one_tracing(), np.errstate(all="ignore"):
+            states, costates, controls = self._evaluated(self._steps(record, needed), where, places)
+        lost = ~np.all(np.isfinite(np.concatenate([states, costates, controls], axis=1)), axis=1)
+        if np.any(lost):
+            raise DomainError(
+                f"the step of the solution at t = {flat[lost][0]:.6g} does not fit into one chart of its retraction, "
+                "and has no polynomial there; try more steps, or a retraction with a larger image"
+            )
+        rows = (a.reshape(*times.shape, a.shape[1]) for a in (states, controls, costates))
+        q, u, p = (layout.points(a) for layout, a in zip((self.state, self.control, self.state), rows, strict=True))
+        return Sample(times, q, u, p)
+
+    def guess(self, record: "Solution", times: np.ndarray, stage_times: np.ndarray) -> Guess:
+        """The extremal at times of nodes and of stages."""
+        nodes, stages = (self(record, np.minimum(t, record.times[-1])) for t in (times, stage_times))
+        own, at_nodes = record.stage_multipliers, record.node_multipliers
+        multipliers = {name: _along(stage_times, record.stage_times, rows) for name, rows in own.items()}
+        before, after = _shares(record.times), _shares(times)
+        jumps = {name: after * _along(times, record.times, rows / before) for name, rows in at_nodes.items()}
+        return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers, jumps)
+
+    def within(self, record: "Solution", places: np.ndarray, costates: bool = True) -> Sample:
+        """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own
+        controls.
+
+        Entries are NaN where a step does not fit into a chart. Without costates these are None.
+        """
+        count = len(record.times) - 1
+        each, at = np.repeat(np.arange(count), len(places)), np.tile(places, count)
+        with one_tracing(), np.errstate(all="ignore"):
+            rows = self._evaluated(self._steps(record, np.arange(count)), each, at, costates)
+        q, p, u = (
+            layout.points(a.reshape(count, len(places), -1)) if len(a) else None
+            for layout, a in zip((self.state, self.state, self.control), rows, strict=True)
+        )
+        return Sample(record.times[each].reshape(count, -1) + np.outer(np.diff(record.times), places), q, u, p)
+
+    def _steps(self, record: "Solution", k: np.ndarray) -> _Step:
+        """The steps of these numbers."""
+        count = len(record.times) - 1
+        nodes, points = (self.state.rows(part, 1) for part in (record.states, record.stage_states))
+        at_nodes, at_points = (self.state.rows(part, 1) for part in (record.costates, record.stage_costates))
+        longest = np.argmax(np.diff(record.times))
+        stage_times = record.stage_times.reshape(count, -1)[longest]
+        places = (stage_times - record.times[longest]) / np.diff(record.times)[longest]
+        states, costates = (a.reshape(count, len(places), -1)[k] for a in (points, at_points))
+        controls = self.control.rows(record.controls, 1).reshape(count, len(places), -1)[k]
+        ends = nodes[k], nodes[k + 1], at_nodes[k], at_nodes[k + 1]
+        jumps = np.stack([record.jumps[k] & (k == 0), record.jumps[k + 1]], axis=1)
+        return _Step(*ends, states, costates, controls, places, jumps)
+
+    def _evaluated(
+        self, steps: _Step, where: np.ndarray, places: np.ndarray, costates: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them.
+
+        There is an empty array in place of the costates unless these are asked for.
+        """
+        if len(steps.places) == 1:  # the base point of a discretization map, which may be at a node
+            centres, through = steps.states[:, 0], np.array([0.0, 1.0])
+            coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
+        else:
+            through, centres, coordinates = self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
+        shares, found = lagrange(through, places), np.zeros(0)
+        c = np.einsum("tj,tjn->tn", shares, coordinates[where])
+        states = self.chart.points(centres[where], c)
+        if costates:
+            momenta = self._momenta(steps, through, centres, coordinates)
+            momentum = np.einsum("tj,tjn->tn", shares, momenta[where])
+            found = self.chart.pushed(centres[where], c, momentum)
+        bases = steps.controls[:, 0]
+        (offsets,) = self._offset.at(2, bases[:, None], steps.controls)
+        offset = np.einsum("tj,tjm->tm", lagrange(steps.places, places), offsets[where])
+        return states, found, self._steered.at(1, bases[where], offset)[0]
+
+    def _momenta(self, steps: _Step, through: np.ndarray, centres: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
+        """The covectors of the charts of steps at the places ``through`` which their polynomials go."""
+        inner = () if len(steps.places) == 1 else np.moveaxis(steps.costates, 1, 0)
+        covectors = np.stack([steps.begin_costates, *inner, steps.end_costates], axis=1)
+        momenta = self.chart.pulled(centres[:, None], coordinates, covectors)
+        return self._on_this_side(steps, centres, (through, momenta)) if np.any(steps.jumps) else momenta
+
+    def _on_this_side(self, steps: _Step, centres: np.ndarray, known: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+        """The momenta at the places of steps, at a jump from the polynomial through the remaining momenta."""
+        (through, momenta), found = known, np.array(known[1])
+        one = len(through) == 2
+        if one:  # the stage has the covector theta p_0 + (1 - theta) p_1
+            middle = self.chart.pulled(centres, np.zeros_like(momenta[:, 0]), steps.costates[:, 0])
+            momenta = np.stack([momenta[:, 0], middle, momenta[:, 1]], axis=1)
+        for first, last in ((1, 0), (0, 1), (1, 1)):
+            which, kept = np.all(steps.jumps == (first, last), axis=1), slice(first, momenta.shape[1] - last)
+            if one:
+                place = 1 - steps.places[0]
+                place = 0.5 if place == first else place  # as the only covector that is left
+                through = np.array([0.0, place, 1.0])
+            for place, end in ((0, 0.0), (-1, 1.0)):
+                if (first, last)[place]:
+                    shares = lagrange(through[kept], np.array([end]))[0]
+                    found[which, place] = np.einsum("j,kjn->kn", shares, momenta[which, kept])
+        return found
+
+    @cached_property
+    def chart(self) -> Chart:
+        """The charts of the retraction."""
+        return Chart(self.retraction, AutomaticEvaluator())
+
+    @cached_property
+    def _offset(self) -> PointwiseFunction:
+        return AutomaticEvaluator().values(self._offset_of, self.control.size, self.control.size)
+
+    @cached_property
+    def _steered(self) -> PointwiseFunction:
+        return AutomaticEvaluator().values(self._steered_of, self.control.size, self.controls.dimension)
+
+    def _offset_of(self, base: Array, control: Array) -> tuple[Array]:
+        u = self.control.point(base)
+        v = default_retraction(self.controls).preimage(u, self.control.point(control))
+        return (vec.components(self.controls.basis(u), v),)
+
+    def _steered_of(self, base: Array, offset: Array) -> tuple[Array]:
+        u, turn = self.control.point(base), default_retraction(self.controls)
+        return (self.control.flat(turn.chart(u, turn.frame(u), offset)),)
+
+
+def _shares(times: np.ndarray) -> np.ndarray:
+    """The length of the step that ends at each node, for the first one that begins there, as a column."""
+    steps = np.diff(times)
+    return np.concatenate([steps[:1], steps])[:, None]
+
+
+def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Multipliers at some times, linear between the known times; a multiplier of the first point alone stays there."""
+    found = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
+    if not np.any(rows[1:]):
+        found[0] = rows[0]
+    return found
+
+
+def checked_times(t: Any, times: np.ndarray) -> np.ndarray:
+    """Times of an extremal as an array; raises ``InvalidInputError`` for what is none."""
+    given = np.asarray(t)
+    if given.size == 0 or given.dtype.kind not in "fiu" or not np.all(np.isfinite(given)):
+        raise InvalidInputError(f"the time must be a finite real number, or an array of them, got {brief(t)}")
+    first, last = float(times[0]), float(times[-1])
+    slack = SUMMED * len(times) * max(abs(first), abs(last))
+    outside = (given < first - slack) | (given > last + slack)
+    if np.any(outside):
+        raise InvalidInputError(
+            f"the time {float(given[outside].flat[0]):.10g} is outside the horizon of the solution, expected one in "
+            f"[{first:.10g}, {last:.10g}]"
+        )
+    return np.clip(given.astype(float), first, last)

@@ -1,0 +1,173 @@
+"""The printed report of a solution."""
+
+import re
+from collections.abc import Iterator
+
+import numpy as np
+
+from ....manifolds.numerics import ambient as vec
+from ...reporting.text import counted, table
+from .diagnostics import RegularChecks
+from .factor_distances import factor_distances
+from .record import SingularArc, Solution
+
+LONGEST_MOMENTUM = 6
+LONGEST_TURN = 2 * np.pi / 3  # radians: larger turns in one step hardly tell one direction from the other
+EQUAL = 1e-9  # relative: steps that differ by less are of one length
+
+
+def report_text(solution: Solution, *, result: bool = True) -> str:
+    """The report of a solution: the outcome and the effort, then the residuals and the geometry.
+
+    ``result``: whether the report begins with the sentence on how the search ended.
+    """
+    rows = [*_outcome(solution), *_turns(solution), *_effort(solution)]
+    return "\n\n".join(map(table, (rows if result else rows[1:], [*_residuals(solution), *_geometry(solution)])))
+
+
+def _outcome(solution: Solution) -> Iterator[tuple[str, str]]:
+    checks = solution.checks
+    yield "result", solution.result
+    yield "cost", f"{solution.cost:.12g}{_unit(solution, 'cost')}"
+    yield "horizon", f"{solution.horizon:.9g}{_unit(solution, 'time')}"
+    if solution.singular is not None:
+        yield from _singular(solution.singular)
+        return
+    kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
+    yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
+    if isinstance(checks, RegularChecks) and checks.error is not None:
+        yield "accuracy", f"error of the steps {checks.error:.1e} (relative, the sum)"
+        for name, largest in checks.between.items():
+            yield "", f"{name}: violated between the stages by up to {largest:.1e}"
+    for name, values in solution.multipliers.items():
+        if values.ndim == 1:
+            yield "boundary", f"{name}: multipliers {np.array2string(values, precision=8)}"
+    if (solution.stage_multipliers or solution.node_multipliers) and isinstance(checks, RegularChecks):
+        yield from _inequalities(solution, checks)
+
+
+def _inequalities(solution: Solution, checks: RegularChecks) -> Iterator[tuple[str, str]]:
+    every = {"stages": solution.stage_multipliers, "nodes": solution.node_multipliers}
+    places = " and ".join(place for place, multipliers in every.items() if multipliers)
+    held = (
+        f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the {places})"
+    )
+    yield "inequalities", held
+    for place, multipliers in every.items():
+        for name, rows in multipliers.items():
+            yield "", f"{name}: {_active(name, rows, place, checks)}"
+
+
+def _unit(solution: Solution, of: str) -> str:
+    """The unit of time or cost, behind a space; empty where it is not known."""
+    unit = getattr(solution.quantities, of, "")
+    return f" {unit}" if unit else ""
+
+
+def _active(name: str, rows: np.ndarray, place: str, checks: RegularChecks) -> str:
+    """At how many stages or nodes an inequality holds a trajectory, and by how much."""
+    count = checks.active.get(name, 0)
+    return f"active at {count} of {len(rows)} {place}" + (f", largest multiplier {np.max(rows):.3g}" if count else "")
+
+
+def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:
+    form = f"its form has a kernel of dimension {arc.kernel}" if arc.kernel else "symplectic"
+    gauge = f"; {counted(arc.gauge_controls, 'gauge control')}" if arc.gauge_controls else ""
+    yield "problem", f"singular: the extremal lies in P_f, of dimension {arc.dimension}, {form}{gauge}"
+    kind = "presymplectic" if arc.presymplectic else "not presymplectic"
+    yield "integrator", f"{kind}\n{arc.strategy}"
+    yield "second order", arc.second_order
+    yield (
+        "ends",
+        f"{counted(len(arc.conditions), 'condition')}, {counted(arc.independent, 'coordinate')} of "
+        "them independent on P_f",
+    )
+    for name, violation in arc.conditions.items():
+        yield "", f"{name} missed by {violation:.1e}"
+
+
+def _turns(solution: Solution) -> Iterator[tuple[str, str]]:
+    """The angles of rotations, and of points of spheres, from the start to the end and in one step."""
+    if solution.interpolant is None:
+        return
+    manifold, states = solution.interpolant.retraction.manifold, solution.states
+    ends = factor_distances(manifold, vec.taken(states, 0), vec.taken(states, -1))
+    steps = factor_distances(manifold, vec.taken(states, slice(-1)), vec.taken(states, slice(1, None)))
+    for (name, whole, is_angle), (_, own, _) in zip(ends, steps, strict=True):
+        if not is_angle:
+            continue
+        largest = float(np.max(own))
+        yield (
+            "turn",
+            f"{name_with_label(name, solution)}: {np.degrees(whole):.4g} degrees from start to end, at most "
+            f"{np.degrees(largest):.3g} degrees in one step",
+        )
+        if largest > LONGEST_TURN:
+            yield (
+                "",
+                "a step turns too far to be trusted: increase steps, and check that angles and rates are in radians",
+            )
+
+
+def _residuals(solution: Solution) -> Iterator[tuple[str, str]]:
+    """The residuals of the conditions of an extremal."""
+    checks = solution.checks
+    kind, other = ("KKT residual", "stationarity") if solution.singular is None else ("residual", "equations of P_f")
+    yield kind, f"defect {checks.defect:.1e}, {other} {checks.stationarity:.1e} (relative)"
+
+
+def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
+    checks = solution.checks
+    for equation, violation in checks.violations.items():
+        yield "constraint error", f"{name_with_label(equation, solution)}: {violation:.1e}"
+    share = checks.hamiltonian_spread / checks.hamiltonian_size if checks.hamiltonian_size else 0.0
+    yield (
+        "Hamiltonian",
+        f"{checks.hamiltonian:.10g}, spread over the stages {checks.hamiltonian_spread:.1e} ({share:.1e} of its parts)",
+    )
+    if solution.success and checks.too_coarse:
+        yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
+    for name, momentum in solution.momenta.items() if solution.success else ():
+        title = "spatial covector" if name in solution.spatial_costates else "momentum"
+        label = name_with_label(name, solution)
+        conserved, count = checks.conserved[name], momentum.shape[1]
+        constant = f"constant along this extremal: {conserved or 'none'} of {count} components"
+        if not conserved:
+            yield title, f"{label}: {constant}"
+            continue
+        first = np.array2string(momentum[0], precision=8) if count <= LONGEST_MOMENTUM else "at the start"
+        size, spread = np.max(np.abs(momentum)), checks.momentum_spreads[name]
+        # The spread of those that are not constant is no error.
+        kept = f", spread over the nodes {spread:.1e}" if conserved == count else ""
+        yield title, f"{label}: {first}, size {size:.3g}; {constant}{kept}"
+
+
+def name_with_label(name: str, solution: Solution) -> str:
+    """A name that begins with ``factor k``, with the label of that factor instead."""
+    states, quantities = solution.states, solution.quantities
+    if not isinstance(states, tuple) or quantities is None:
+        return name
+    return re.sub(r"^factor (\d+)", lambda found: quantities.factors(len(states))[int(found[1])], name)
+
+
+def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
+    statistics, steps = solution.statistics, np.diff(solution.times)
+    method = "Newton" if solution.singular is None else "Gauss-Newton"
+    least, most = float(steps.min()), float(steps.max())
+    length = f"{least:.6g}" if most - least <= EQUAL * most else f"{least:.3g} to {most:.3g}"
+    length += _unit(solution, "time")
+    if solution.interpolant is not None and len(solution.stage_times):
+        stages = counted(len(solution.stage_times) // solution.steps, "stage")
+        yield "discretization", f"{stages} a step, retraction {solution.interpolant.retraction}"
+    yield (
+        "iterations",
+        f"{counted(statistics.iterations, f'{method} step')} on {counted(solution.steps, 'step')} of {length}",
+    )
+    if solution.singular is not None:
+        seconds = statistics.compile_seconds + statistics.run_seconds
+        yield "time", f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it for the first guess"
+        return
+    yield (
+        "time",
+        f"{1e3 * statistics.run_seconds:.1f} ms to run; to trace and compile {statistics.compile_seconds:.2f} s",
+    )

@@ -1,0 +1,158 @@
+"""A problem as equations: its functions traced with a method, the conditions of the members of a batch, and their
+guesses."""
+
+from functools import cached_property
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ....compute.base import Evaluator
+from ....retractions import Gauss, Midpoint
+from ....undisturbed import undisturbed
+from ...problem.initial_controls import resting_control, within_bounds
+from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.point_layout import PointLayout
+from ..engine import first_use
+from ..engine.collocation import Collocation
+from ..engine.conditions import Conditions
+from ..engine.coupling import Coupling
+from ..engine.diagnosis import Diagnosis
+from ..engine.inequalities import Slacks
+from ..engine.kkt_system import Ends, Iterate
+from ..engine.start import Start
+from ..engine.transcription import Data, Known, Nodes, OneStage
+from ..inputs.arguments import Method, structure_of
+from ..inputs.guess_arrays import FlatGuess
+from ..inputs.inputs import Inputs, repeat_for_all
+from .inequality_rows import InequalityRows
+from .linkages import PhaseProblem, linkages_of
+
+
+class TracedFunctions(NamedTuple):
+    """The functions of a problem with parameters of one structure."""
+
+    steps: OneStage | Collocation
+    nodes: Nodes
+    diagnosis: Diagnosis
+    rows: InequalityRows
+    own: PhaseProblem
+    coupling: Coupling | None  # of the ends, if they are coupled
+    evaluator: Evaluator
+
+
+class TranscribedProblem(NamedTuple):
+    """The conditions of some trajectories, with the traced functions, and the guesses."""
+
+    traced: TracedFunctions
+    conditions: Conditions
+    guess: Iterate
+
+
+@final
+class Transcription:
+    """Poses trajectories of a problem as equations of a method."""
+
+    def __init__(
+        self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator
+    ) -> None:
+        self.problem, self.method, self.fractions, self.evaluator = problem, method, fractions, evaluator
+        self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
+        self.stages = np.array(method.nodes) if isinstance(method, Gauss) else np.array([method.theta])
+        self._start = Start(problem.manifold, method.retraction)
+        starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
+        # Of all stages, fractions of the horizon.
+        self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()
+        self._found: dict[Any, TracedFunctions] = {}
+
+    def on(self, fractions: np.ndarray) -> "Transcription":
+        """The same on another mesh; what is traced serves both."""
+        other = Transcription(self.problem, self.method, fractions, self.evaluator)
+        other._found, other._start = self._found, self._start
+        return other
+
+    def compile(self) -> bool:
+        """Make machine code of what is traced; whether the functions of the problem are."""
+        self.evaluator.compile()
+        self._start.compile()
+        return bool(self._found)
+
+    def traced(self, parameters: Any) -> TracedFunctions:
+        """The functions with parameters of this structure."""
+        key = structure_of(parameters)
+        if key not in self._found:
+            self._found[key] = undisturbed(self._traced)(parameters)
+        return self._found[key]
+
+    def _traced(self, parameters: Any) -> TracedFunctions:
+        """The same, traced anew."""
+        example = self.problem.with_parameters(parameters)
+        example._require_values()
+        given = self.problem, parameters, self.evaluator
+        if isinstance(self.method, Gauss) and self.method.stages > 1:
+            steps: Any = Collocation(self.problem, self.method, *given[1:])
+        else:
+            method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
+            steps = OneStage(self.problem, method, *given[1:])
+        if self.evaluator.name == "tape":
+            first_use.begin()
+        rows = InequalityRows(self.problem, parameters, len(self.stages))
+        own = PhaseProblem(self.problem, parameters)
+        coupling = linkages_of([own], self.evaluator) if self.problem._boundary.any else None
+        functions = steps, Nodes(*given), Diagnosis(*given)
+        return TracedFunctions(*functions, rows, own, coupling, self.evaluator)
+
+    def of(self, inputs: Inputs) -> TracedFunctions:
+        """The functions with the parameters of a request."""
+        return (
+            self._found[inputs.structure] if inputs.structure in self._found else self.traced(inputs.parameters_of(0))
+        )
+
+    def posed(self, inputs: Inputs, repeated: bool = False) -> TranscribedProblem:
+        """The conditions and guesses of a request; ``repeated`` if the constraints of its first node belong to another
+        phase."""
+        traced, ends = self.of(inputs), inputs.ends
+        rows = repeat_for_all(ends.start, len(inputs)), repeat_for_all(ends.end, len(inputs))
+        first, last = ends.prescribed
+        mask = traced.rows.mask(len(self.fractions), (first, last), repeated)
+        asked = None if mask is None else repeat_for_all(mask.astype(float)[None], len(inputs))
+        data = Data(inputs.horizons[:, None] * self.fractions, inputs.rows, asked)
+        own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
+        conditions = Conditions(traced.steps, traced.nodes, own, data)
+        return TranscribedProblem(traced, conditions, self._guess(traced, inputs, rows, data))
+
+    @cached_property
+    def _first_control(self) -> np.ndarray:
+        """The control at rest, or inside the bounds if it is not."""
+        return self.control.rows(within_bounds(self.problem._limits, resting_control(self.problem.controls)), 0)
+
+    def _guess(
+        self, traced: TracedFunctions, inputs: Inputs, rows: tuple[np.ndarray, np.ndarray], data: Data
+    ) -> Iterate:
+        """The guesses that are given, or curves from start to end with first controls and costates zero."""
+        count, size = len(inputs), self.state.size
+        shape = count, len(self.fractions), len(self.stages)
+        if inputs.guesses is None:
+            inputs.ends.require_known(inputs.given.start)
+            slacks, states = None, self._start.states(*rows, self._places).reshape(*shape, size)
+            controls = np.empty((*shape, self.control.size))
+            controls[...] = self._first_control
+            costates, known = np.zeros((count, shape[1] + 1, size)), None
+        else:
+            own = inputs.guesses.of(count)
+            states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
+            costates, slacks = own.costates, self._pulling(traced, own, data)
+            both = own.nodes, own.stage_costates
+            known = (
+                Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
+            )
+        return Iterate(traced.steps.begin(states, controls, costates, data, known), costates, slacks)
+
+    @staticmethod
+    def _pulling(traced: TracedFunctions, guess: FlatGuess, data: Data) -> Slacks | None:
+        """The multipliers of guesses that know them of the inequalities."""
+        known = list(zip(guess.multipliers, guess.node_multipliers, strict=True))
+        if data.asked is None or not any(any(both) for both in known):
+            return None
+        known = known if len(known) > 1 else known * len(data.steps)
+        rows = [traced.rows.flat(*both, steps) for both, steps in zip(known, data.steps, strict=True)]
+        return Slacks.none(data.asked.shape)._replace(multipliers=np.stack(rows))

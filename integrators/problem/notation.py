@@ -1,0 +1,64 @@
+"""A problem in mathematical notation."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .boundary_conditions import identity
+from .user_functions import BoundFunction
+
+if TYPE_CHECKING:
+    from .optimal_control_problem import OptimalControlProblem
+
+
+def problem_notation(problem: "OptimalControlProblem") -> str:
+    """The statement of the problem in a few lines: minimised costs and conditions, with the names of the functions."""
+    t, p = (", t" if problem.time_dependent else ""), (", p" if problem.takes_parameters else "")
+    rate = "" if problem.abnormal else f"int_0^T {_name(problem.running_cost)}(q, u{t}{p}) dt"
+    ends = ("q(0)", problem.initial_cost, ""), ("q(T)", problem.terminal_cost, ", T" if t else "")
+    first, last = (f"{_name(cost)}({q}{time}{p})" if cost is not None else "" for q, cost, time in ends)
+    terms = " + ".join(term for term in (first, rate, last) if term)
+    lines = [
+        f"minimise    {terms or '0, an abnormal problem'}",
+        f"subject to  q' = {_name(problem.dynamics)}(q, u{t}{p}),  q in {problem.manifold},  u in {problem.controls}",
+    ]
+    lines += [f"            {text}" for text in _bounds(problem.control_bounds)]
+    lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem.constraints]
+    lines += [f"            {name}(q{t}{p}) <= 0 at the nodes" for name in problem.node_constraints]
+    last = ", T" if t else ""
+    lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem._boundary.names]
+    turn = problem._boundary.turn
+    if turn is not None:
+        lines.append("            q(T) = q(0)" if turn is identity else f"            q(T) = {_name(turn)}(q(0){p})")
+    lines += [f"{'where' if not place else '':12}{text}" for place, text in enumerate(problem.quantities.lines)]
+    return "\n".join(lines)
+
+
+def _bounds(bounds: tuple[np.ndarray, np.ndarray] | None) -> list[str]:
+    """The bounds of the controls: one line where all entries have the same."""
+    if bounds is None:
+        return []
+    lower, upper = bounds
+    pairs = [(float(a), float(b)) for a, b in zip(lower.ravel(), upper.ravel(), strict=True)]
+    if len(set(pairs)) == 1:
+        return [text for text in [_between("u", *pairs[0])] if text]
+    texts = [
+        _between(f"u[{', '.join(map(str, place))}]", *pair)
+        for place, pair in zip(np.ndindex(lower.shape), pairs, strict=True)
+    ]
+    return [", ".join(text for text in texts if text)]
+
+
+def _between(name: str, lower: float, upper: float) -> str:
+    below, above = (f"{lower:g} <= " if np.isfinite(lower) else ""), (f" <= {upper:g}" if np.isfinite(upper) else "")
+    return f"{below}{name}{above}" if below or above else ""
+
+
+def _name(function: Callable[..., Any] | Any) -> str:
+    """The name of a function."""
+    while isinstance(function, partial | BoundFunction):
+        function = function.func if isinstance(function, partial) else function.function
+    name = getattr(function, "__name__", type(function).__name__)
+    return "(lambda)" if name == "<lambda>" else name

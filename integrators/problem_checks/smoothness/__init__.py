@@ -1,0 +1,1 @@
+"""Searches for kinks, discontinuities and derivatives that miss a change."""

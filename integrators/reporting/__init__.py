@@ -1,0 +1,1 @@
+"""Records and their files, text of reports, the table of results."""

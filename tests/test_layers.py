@@ -1,0 +1,186 @@
+"""Imports go down the floors of docs/architecture.md, and no files import one another in a circle, but for what a
+record lists.
+
+Imports inside functions and under ``TYPE_CHECKING`` count. The record can only shrink: an exception that is none any
+more has to leave it. ``python tests/test_layers.py`` writes it anew.
+"""
+
+import ast
+import tomllib
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+FOLDERS = {
+    "src/retrax": "retrax",
+    "manifolds": "retrax.manifolds",
+    "retractions": "retrax.retractions",
+    "integrators": "retrax.integrators",
+}
+RECORD = Path(__file__).parent / "layers.toml"
+VALUE = "integrators.boundary_value"
+# From the ground up; a module belongs to the floor of the longest prefix of its name.
+FLOORS = (
+    ("tools", "errors module optional progress former_names newton_constants jaxpr_tools constant_folding tracing "
+     "index_bounds undisturbed aligned kernels linked _version compute.threads compute.core compute.tape_machine "
+     "compute.block_elimination compute.condensing"),
+    ("tape", "tape"),
+    ("manifolds", "manifolds"),
+    ("retractions", "retractions"),
+    ("reporting", "integrators.reporting former_order"),
+    ("compute", "compute"),
+    ("problem", "integrators.problem"),
+    ("stages", "integrators.stages"),
+    ("problem checks", "integrators.problem_checks"),
+    ("initial value", "integrators.initial_value"),
+    ("dirac", "integrators.dirac"),
+    ("singular", "integrators.singular"),
+    ("inputs", f"{VALUE}.inputs {VALUE}.guess"),
+    ("engine", f"{VALUE}.engine {VALUE}.iteration_table"),
+    ("transcription", f"{VALUE}.transcription"),
+    ("solution", f"{VALUE}.solution"),
+    ("reformulations and audit", " ".join(
+        f"{VALUE}.{name}" for name in ("reformulations", "audit", "shooting", "regularity", "regular_extremals")
+    )),
+    ("solver", f"{VALUE}.solver"),
+    ("drivers", f"{VALUE}.drivers"),
+    ("solve", f"{VALUE} integrators"),
+    ("doors", "named_columns loading interop testing problems plotting sweeps"),
+    ("retrax", "__main__ "),
+)  # fmt: skip
+
+
+def modules() -> dict[str, Path]:
+    """The files of the project by the names of their modules, without ``retrax.``."""
+    found = {}
+    for folder, package in FOLDERS.items():
+        for path in (ROOT / folder).rglob("*.py"):
+            parts = [package, *path.relative_to(ROOT / folder).with_suffix("").parts]
+            name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+            found[name.removeprefix("retrax").removeprefix(".")] = path
+    return found
+
+
+def imported(name: str, source: str, is_package: bool, known: set[str]) -> set[str]:
+    """The modules of the project that a module imports anywhere."""
+    found: set[str] = set()
+    parts = name.split(".") if name else []
+    package = parts if is_package else parts[:-1]
+    for node in ast.walk(ast.parse(source)):
+        if not isinstance(node, ast.ImportFrom) or not node.level:
+            continue
+        base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
+        for alias in node.names:
+            whole = ".".join([*base, alias.name])
+            found.add(whole if whole in known else ".".join(base))
+    return found - {name}
+
+
+@cache
+def graph() -> dict[str, frozenset[str]]:
+    """The imports of each module."""
+    files = modules()
+    return {
+        name: frozenset(imported(name, path.read_text(), path.name == "__init__.py", set(files)))
+        for name, path in files.items()
+    }
+
+
+def floor(name: str) -> int:
+    """The floor of a module, counted from the ground."""
+    best, level = -1, -1
+    for k, (_, prefixes) in enumerate(FLOORS):
+        for prefix in prefixes.split(" "):
+            if (name == prefix or name.startswith(f"{prefix}.") or not prefix) and len(prefix) > best:
+                best, level = len(prefix), k
+    return level
+
+
+def arrows_up(imports: dict[str, frozenset[str]]) -> dict[str, list[str]]:
+    """The imports of a higher floor, by module."""
+    found = {name: sorted(other for other in own if floor(other) > floor(name)) for name, own in imports.items()}
+    return {name: others for name, others in sorted(found.items()) if others}
+
+
+def circles(imports: dict[str, frozenset[str]]) -> list[set[str]]:
+    """The sets of modules that reach one another by imports, Tarjan (1972), largest first."""
+    index: dict[str, int] = {}
+    low: dict[str, int] = {}
+    stack: list[str] = []
+    found: list[set[str]] = []
+
+    def visit(name: str) -> None:
+        index[name] = low[name] = len(index)
+        stack.append(name)
+        for other in imports.get(name, ()):
+            if other not in index:
+                visit(other)
+            if other in stack:
+                low[name] = min(low[name], low[other])
+        if low[name] == index[name]:
+            at = stack.index(name)
+            found.append(set(stack[at:]))
+            del stack[at:]
+
+    for name in imports:
+        if name not in index:
+            visit(name)
+    return sorted((circle for circle in found if len(circle) > 1), key=len, reverse=True)
+
+
+def current() -> dict[str, dict[str, list[str]]]:
+    """The exceptions of today: imports of a higher floor, and files in circles."""
+    return {
+        "imports of a higher floor": arrows_up(graph()),
+        "circles": {str(k + 1): sorted(circle) for k, circle in enumerate(circles(graph()))},
+    }
+
+
+def recorded() -> dict[str, dict[str, list[str]]]:
+    """The exceptions that are left."""
+    return tomllib.loads(RECORD.read_text())
+
+
+def test_imports_go_down_but_for_the_record():
+    now, allowed = current()["imports of a higher floor"], recorded()["imports of a higher floor"]
+    new = {name: sorted(set(own) - set(allowed.get(name, []))) for name, own in now.items()}
+    assert not any(new.values()), {name: own for name, own in new.items() if own}
+
+
+def test_no_more_files_import_one_another_in_a_circle():
+    allowed = set().union(*map(set, recorded()["circles"].values()))
+    assert not set().union(*circles(graph())) - allowed
+
+
+def test_the_record_has_nothing_that_is_mended():
+    now, then = current(), recorded()
+    arrows = "imports of a higher floor"
+    mended = {name: sorted(set(own) - set(now[arrows].get(name, []))) for name, own in then[arrows].items()}
+    assert not any(mended.values()), f"run python {Path(__file__).name}: {mended}"
+    circular = set().union(*map(set, then["circles"].values())) - set().union(*circles(graph()))
+    assert not circular, f"run python {Path(__file__).name}: {sorted(circular)}"
+
+
+def test_the_test_sees_an_import_in_a_function_and_a_circle():
+    source = "def f():\n    from ..problem.notation import g\n    return g\n"
+    known = {"integrators.problem.notation", "integrators.reporting.text"}
+    assert imported("integrators.reporting.text", source, False, known) == {"integrators.problem.notation"}
+    below = {"integrators.reporting.text": frozenset({"integrators.problem.notation"})}
+    assert arrows_up(below) == {"integrators.reporting.text": ["integrators.problem.notation"]}
+    assert circles({"a": frozenset("b"), "b": frozenset("c"), "c": frozenset("a"), "d": frozenset("a")}) == [
+        {"a", "b", "c"}
+    ]
+
+
+def write() -> None:
+    """Record the exceptions of today in the place of those before."""
+    lines = ["# Imports that go up, and files in circles, by module: python tests/test_layers.py writes this list."]
+    for kind, own in current().items():
+        lines += ["", f'["{kind}"]']
+        for name, others in own.items():
+            lines += [f'"{name}" = [', *(f'    "{other}",' for other in others), "]"]
+    RECORD.write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    write()
