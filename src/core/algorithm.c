@@ -273,8 +273,8 @@ retrax_search_status retrax_search_run(retrax_search *search) {
             renew(search);
             status = status_of(search);
         }
-        const bool stopped = status != RETRAX_DEGENERATE && report(search);
-        if (status != RETRAX_GOING_ON || stopped) {
+        search->stopped = status != RETRAX_DEGENERATE && report(search);
+        if (status != RETRAX_GOING_ON || search->stopped) {
             return status == RETRAX_GOING_ON ? RETRAX_STOPPED : status;
         }
         iterate(search);

@@ -703,6 +703,7 @@ typedef struct {
     bool solvable;              /* whether the last step is finite, with a shift that is not too large */
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
     bool falls;                 /* whether the cost falls as if it had no lower bound */
+    bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
 } retrax_search_result;
 
 /* Returns what the last run has found. */

@@ -78,5 +78,6 @@ retrax_search_result retrax_search_read(const retrax_search *search) {
         .solvable = step->finite && step->shift < RETRAX_LARGEST_SHIFT,
         .infeasible = retrax_is_infeasible(search),
         .falls = retrax_cost_falls(search),
+        .stopped = search->stopped,
     };
 }

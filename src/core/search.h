@@ -65,6 +65,7 @@ struct retrax_search {
     bool claimed;      /* whether the iterate counts as an extremal */
     bool done;
     bool accepted;     /* whether the last trial was */
+    bool stopped;      /* whether the report has asked to stop, be it in the last iteration */
     bool degenerate;   /* whether the guess is one from which Newton's method cannot set out */
     retrax_index trials;
 };

@@ -209,7 +209,7 @@ class CoreSearch:
                 status = search.run()
             except KeyboardInterrupt:
                 status = SearchStatus.STOPPED
-            self.stopped |= status is SearchStatus.STOPPED
+            self.stopped |= status is SearchStatus.STOPPED or search.read().stopped
             if status is not SearchStatus.DEGENERATE:
                 break
             self.lost[k] = True

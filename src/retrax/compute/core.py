@@ -308,6 +308,7 @@ class SearchResultStruct(Structure):
         ("solvable", c_bool),
         ("infeasible", c_bool),
         ("falls", c_bool),
+        ("stopped", c_bool),
     )
 
 

@@ -296,6 +296,7 @@ class SearchResult(NamedTuple):
     solvable: bool
     infeasible: bool
     falls: bool
+    stopped: bool
 
 
 @final
