@@ -198,7 +198,11 @@ static double lowered(const retrax_search *search, bool *cheap) {
         if (*cheap || !(own > (1.0 + REACHED) * last)) {
             return barrier;
         }
-        barrier = fmax(last, fmin(LESS * own, pow(own, FASTER))) * rate;
+        const double less = fmax(last, fmin(LESS * own, pow(own, FASTER))) * rate;
+        if (!(less < barrier)) {
+            return barrier; /* rounding of a rate that is next to zero */
+        }
+        barrier = less;
     }
 }
 

@@ -38,6 +38,17 @@ static double curvature_of(const retrax_layout *layout, const double *trajectory
     return hessians[(point * q + a) * q + a];
 }
 
+/* Whether an inequality is asked for at some point. */
+static bool is_asked(const retrax_layout *layout, const double *trajectory, retrax_index j) {
+    const retrax_problem *const problem = layout->problem;
+    for (retrax_index i = j; i < problem->steps * problem->points * problem->inequalities; i += problem->inequalities) {
+        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0) {
+            return true;
+        }
+    }
+    return false;
+}
+
 /* Lowers the ways of the controls to those inside inequality j, which is curved: for |u|^2 <= r^2 that is |u| + r. */
 static void find_curved_ways(retrax_search *search, const double *trajectory, retrax_index j, double *ways) {
     const retrax_layout *const layout = search->layout;
@@ -50,6 +61,9 @@ static void find_curved_ways(retrax_search *search, const double *trajectory, re
         other[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS] + i] = i % c == j ? 1.0 : 0.0;
     }
     retrax_evaluate_trajectory(layout, other);
+    if (!retrax_collocates(problem)) { /* the costs of the ends are added to the same Hessians, as in `trajectory` */
+        retrax_assemble_system(layout, other, search->workspace, search->set);
+    }
     double *const curvatures = search->control_work, *const largest = curvatures + points * m;
     memset(largest, 0, sizeof(double) * (size_t)m);
     for (retrax_index point = 0; point < points; point++) {
@@ -111,6 +125,9 @@ static void find_room(retrax_search *search, const double *trajectory, double *w
         ways[i] = INFINITY;
     }
     for (retrax_index j = 0; j < problem->inequalities; j++) {
+        if (!is_asked(search->layout, trajectory, j)) {
+            continue;
+        }
         find_straight_ways(search, trajectory, j, ways);
         if (j >= problem->bounds) {
             find_curved_ways(search, trajectory, j, ways);

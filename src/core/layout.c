@@ -61,7 +61,9 @@ static bool fits(const retrax_problem *problem) {
             return false;
         }
     }
-    return problem->steps >= 1 && problem->steps <= MOST_STEPS;
+    const bool of_nodes = problem->node_inequalities == 0 || retrax_collocates(problem);
+    const bool of_controls = problem->curved_controls || problem->control_numbers == problem->control_size;
+    return problem->steps >= 1 && problem->steps <= MOST_STEPS && of_nodes && of_controls;
 }
 
 /* Writes where the arrays stand; returns the numbers of a trajectory, 0 if it exceeds the address space. */
@@ -326,10 +328,10 @@ void retrax_layout_make(const retrax_problem *problem, void *memory, retrax_layo
 static size_t larger_of(size_t a, size_t b) { return a == 0 || b == 0 ? 0 : (a > b ? a : b); }
 
 size_t retrax_workspace(const retrax_problem *problem) {
-    const retrax_index n = problem->state_size, z = n + problem->points * problem->control_size;
     if (!fits(problem)) {
         return 0;
     }
+    const retrax_index n = problem->state_size, z = n + problem->points * problem->control_size;
     size_t found = retrax_block_workspace(problem->steps, n, z, 1);
     found = larger_of(found, retrax_scaling_workspace(problem));
     return retrax_collocates(problem)

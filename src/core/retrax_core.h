@@ -43,7 +43,7 @@ extern "C" {
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Version of the interface below; it changes whenever a struct or a function does. */
-#define RETRAX_CORE_VERSION 2
+#define RETRAX_CORE_VERSION 3
 
 /* Counts and places in arrays; signed, as wide as a pointer. */
 typedef ptrdiff_t retrax_index;
@@ -675,7 +675,7 @@ typedef struct {
 /* A search; its arrays stand in the memory that the caller provides. */
 typedef struct retrax_search retrax_search;
 
-/* Returns the bytes of memory of a search with at most so many iterations; 0 if it exceeds the address space. */
+/* Returns the bytes of memory of a search with at most so many iterations, 1 to 2^20; 0 if that does not fit. */
 RETRAX_API size_t retrax_search_memory(const retrax_layout *layout, retrax_index max_iterations);
 
 /* Makes a search in memory of that size, aligned to 64 bytes. The layout has to last as long as the search. */

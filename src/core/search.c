@@ -4,6 +4,9 @@
 #include "search.h"
 #include "workspace.h"
 
+/* Bound of the iterations of a search, whose costs are kept. */
+#define MOST_ITERATIONS ((retrax_index)1 << 20)
+
 /* Lays out a search in a block. */
 static retrax_search *lay_out(const retrax_layout *layout, retrax_index max_iterations, retrax_block *block) {
     const retrax_problem *const problem = layout->problem;
@@ -40,7 +43,7 @@ static retrax_search *lay_out(const retrax_layout *layout, retrax_index max_iter
 
 size_t retrax_search_memory(const retrax_layout *layout, retrax_index max_iterations) {
     retrax_block block = {NULL, 0};
-    if (retrax_workspace(layout->problem) == 0) {
+    if (retrax_workspace(layout->problem) == 0 || max_iterations < 1 || max_iterations > MOST_ITERATIONS) {
         return 0;
     }
     lay_out(layout, max_iterations, &block);

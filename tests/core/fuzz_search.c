@@ -11,7 +11,6 @@
 
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #define TOLERANCE 1e-8
 
@@ -46,7 +45,6 @@ static void *allocate(size_t size) {
     if (size == 0 || posix_memalign(&found, 64, size) != 0) {
         abort();
     }
-    memset(found, 0, size);
     return found;
 }
 
@@ -101,8 +99,16 @@ static int try_search(generator *g) {
     retrax_search *const search =
         retrax_search_make(&layout, &options, (retrax_instruction_set)below(g, 1 + retrax_best_instruction_set()), memory);
     double *const guess = retrax_search_trajectory(search);
-    for (retrax_index i = 0; i < layout.numbers; i++) {
-        guess[i] = number(g);
+    static const retrax_array given[] = {
+        RETRAX_ARRAY_PARAMETERS, RETRAX_ARRAY_START,      RETRAX_ARRAY_END,      RETRAX_ARRAY_START_ENTRIES,
+        RETRAX_ARRAY_END_ENTRIES, RETRAX_ARRAY_FIXED,     RETRAX_ARRAY_CENTRES,  RETRAX_ARRAY_VELOCITIES,
+        RETRAX_ARRAY_CONTROLS,   RETRAX_ARRAY_POINT_COSTATES, RETRAX_ARRAY_COSTATES, RETRAX_ARRAY_LIMIT_MULTIPLIERS};
+    const bool warm = below(g, 2) == 0; /* whether multipliers of inequalities are known */
+    for (size_t k = 0; k < sizeof given / sizeof *given; k++) {
+        for (retrax_index i = 0; i < layout.count[given[k]]; i++) {
+            const bool unknown = given[k] == RETRAX_ARRAY_LIMIT_MULTIPLIERS && !warm;
+            guess[layout.first[given[k]] + i] = unknown ? 0.0 : number(g);
+        }
     }
     for (retrax_index i = 0; i < layout.count[RETRAX_ARRAY_STEP_SIZE]; i++) {
         guess[layout.first[RETRAX_ARRAY_STEP_SIZE] + i] = 0.5;

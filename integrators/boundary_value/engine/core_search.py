@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from threading import local
 from typing import Any, final
 from weakref import WeakKeyDictionary
 
@@ -22,7 +23,6 @@ from ...problem.point_layout import PointLayout
 from .acceptance import WIDE
 from .aside import aside
 from .barrier import Barrier
-from .batches import put as put_back
 from .collocation import Collocation, GaussUnknowns
 from .conditions import Conditions
 from .extent import ends_meet
@@ -32,7 +32,17 @@ from .kkt_system import Assembled, Iterate
 from .scaling import Units
 from .transcription import Unknowns
 
-_transcriptions: WeakKeyDictionary[Any, dict[int, Transcription]] = WeakKeyDictionary()
+KEPT = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
+
+
+class _Known(local):
+    """The transcriptions of a thread, which no other one may use at the same time."""
+
+    def __init__(self) -> None:
+        self.of: WeakKeyDictionary[Any, dict[int, Transcription]] = WeakKeyDictionary()
+
+
+_known = _Known()
 
 
 def is_on_core(conditions: Any) -> bool:
@@ -59,8 +69,10 @@ def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
 def transcription_of(conditions: Conditions) -> Transcription:
     """The transcription of a problem for the core; the last ones are kept."""
     count = conditions.data.steps.shape[1]
-    known = _transcriptions.setdefault(conditions.transcription, {})
+    known = _known.of.setdefault(conditions.transcription, {})
     if count not in known:
+        while len(known) >= KEPT:
+            del known[next(iter(known))]
         known[count] = made(conditions)
     return known[count]
 
@@ -182,9 +194,8 @@ class CoreSearch:
         self.lost, limited = np.zeros(count, bool), np.zeros(count, bool)
         told, iterates, firsts, units, wider, barriers = [], [], [], [], [], []
         for k in range(count):
-            search, status = self._searched(guess, k)
-            result = search.read()
-            limited[k] = status is SearchStatus.ITERATION_LIMIT
+            result = self._searched(guess, k).read()
+            limited[k] = result.iterations >= self.max_iterations
             iterates.append(iterate_of(result.trajectory, guess, steps))
             firsts.append(iterate_of(result.first, guess, steps))
             units.append(_units(result.judging))
@@ -192,19 +203,19 @@ class CoreSearch:
             if steps.inequalities:
                 rate, firm = np.array([result.rate]), np.array([self.firm])
                 barriers.append(Barrier(rate, result.limits[None].copy(), steps.kept[None].copy(), firm))
-            told.append(result._replace(judging=None, steps=None, limits=None))
+            told.append(result._replace(trajectory=None, first=None, judging=None, steps=None, limits=None))
         conditions.units, conditions.wider = joined(units), joined(wider)
         conditions.barrier = joined(barriers) if barriers else None
         iterate, self._first = joined(iterates), joined(firsts)
         return self._found(iterate, told, limited)
 
-    def _searched(self, guess: Iterate, k: int) -> tuple[Search, SearchStatus]:
-        """The search of a member, from its guess or from that moved aside, and how it has ended."""
+    def _searched(self, guess: Iterate, k: int) -> Search:
+        """The search of a member, from its guess or from that moved aside."""
         own, members = (self.tolerance, self.max_iterations, self.width, self.firm), np.array([k])
-        report = partial(self._report, k)
+        report, conditions = partial(self._report, k), self.conditions
         for looks in (False,) if self.as_it_is else (True, False):
-            search = Search(transcription_of(self.conditions), *own, looks=looks, report=report)
-            put(search.trajectory, self.conditions, guess, k)
+            search = Search(transcription_of(conditions), *own, looks=looks, report=report)
+            put(search.trajectory, conditions, guess, k)
             try:
                 status = search.run()
             except KeyboardInterrupt:
@@ -213,9 +224,9 @@ class CoreSearch:
             if status is not SearchStatus.DEGENERATE:
                 break
             self.lost[k] = True
-            moved = self._aside(guess, k)
-            guess = put_back(guess, members, moved)
-        return search, status
+            guess, k = self._aside(guess, k), 0
+            conditions = conditions.of(members)
+        return search
 
     def _report(self, k: int, iteration: Any) -> bool:
         """Show an iteration to the callback; whether that, or an interrupt before, asks to stop."""

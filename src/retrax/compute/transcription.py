@@ -1,9 +1,14 @@
 """Trajectories of a transcribed problem: their arrays, their linear systems, and steps from one to the next."""
 
-from collections.abc import Callable, Mapping
+import signal
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from ctypes import addressof, byref, c_void_p, cast, pointer
 from enum import IntEnum
+from functools import partial
+from threading import current_thread, main_thread
 from typing import Any, NamedTuple, final
+from weakref import ref
 
 import numpy as np
 
@@ -31,6 +36,8 @@ from .core import (
 )
 from .tape_machine import MachineProgram
 
+MOST_ITERATIONS = 1 << 20  # as in search.c
+
 
 class FunctionName(IntEnum):
     """The functions of a problem; ``retrax_core.h`` says what each reads and writes."""
@@ -47,9 +54,7 @@ class FunctionName(IntEnum):
     CONTROL_FRAMES = 9
 
 
-_OPTIONAL = frozenset(
-    {FunctionName.MIDDLE, FunctionName.START_COST, FunctionName.END_COST, FunctionName.CONTROL_FRAMES}
-)
+_OPTIONAL = FunctionName.START_COST, FunctionName.END_COST
 
 
 @final
@@ -94,7 +99,7 @@ class LimitScale(NamedTuple):
 
 @final
 class Transcription:
-    """A transcribed problem as the core has it.
+    """A transcribed problem as the core has it, for one thread: its functions share registers.
 
     ``matrix``, ``weights``: the tableau about the middle of a step, shapes ``(s, s)`` and ``(s,)``; ``groups``: the
     column of a matrix, and the array, that each entry of a state belongs to, shape ``(E,)``; ``control_groups``: the
@@ -114,7 +119,7 @@ class Transcription:
         functions: Mapping[FunctionName, MachineProgram],
         instruction_set: int | None = None,
     ) -> None:
-        self.sizes, self.programs, self._library = sizes, functions, library()
+        self.sizes, self.programs, self._library = sizes, dict(functions), library()
         self._set = best_instruction_set() if instruction_set is None else instruction_set
         (matrix, weights), s = tableau, sizes.points
         addresses = (
@@ -131,15 +136,17 @@ class Transcription:
                 raise InvalidInputError(f"columns of entries lie in 0 to {own.size - 1}, got {own}")
         self._problem = ProblemStruct(*sizes, *addresses, bounds)
         self._kept: list[object] = [matrix, weights, groups, control_groups, kept]
+        size = self._library.retrax_layout_memory(byref(self._problem))
+        room = self._library.retrax_workspace(byref(self._problem))
+        if not size or not room:
+            raise InvalidInputError(f"a problem of these sizes does not fit, or is larger than the core takes: {sizes}")
         points = (sizes.steps + 1) * s
         most = max((own.sizes[2] * own.lanes(points) for own in functions.values()), default=0)
         self._registers = aligned(max(most, 1))
         for name in FunctionName:
-            self._set_function(name, functions.get(name), points)
-        size = self._library.retrax_layout_memory(byref(self._problem))
-        if not size:
-            raise InvalidInputError(f"a problem of these sizes is larger than the core takes: {sizes}")
-        self._workspace = aligned(-(-self._library.retrax_workspace(byref(self._problem)) // BYTES))
+            if name is not FunctionName.CONTROL_FRAMES or control_groups is not None:
+                self._set_function(name, functions.get(name), points)
+        self._workspace = aligned(-(-room // BYTES))
         self._memory, self._layout = aligned(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
         self._library.retrax_layout_make(byref(self._problem), place, byref(self._layout))
@@ -319,11 +326,15 @@ class Search:
     ) -> None:
         own = self._library = library()
         self._of, self._layout = transcription, byref(transcription._layout)
-        self._memory = aligned(-(-own.retrax_search_memory(self._layout, max_iterations) // BYTES))
+        size = own.retrax_search_memory(self._layout, max_iterations)
+        if not size:
+            raise InvalidInputError(f"a search has 1 to {MOST_ITERATIONS} iterations, got {max_iterations}")
+        self._memory = aligned(-(-size // BYTES))
         self._memory[...] = 0.0
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
-        self._report, self._error = report, None  # type: Any, BaseException | None
-        self._callback = REPORT(self._told)  # C calls it
+        self._report, self._interrupted = report, False
+        self._error: BaseException | None = None
+        self._callback = REPORT(partial(_told, ref(self)))  # C calls it
         options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
         self._search = own.retrax_search_make(self._layout, byref(options), transcription._set, place)
 
@@ -336,16 +347,36 @@ class Search:
     def run(self) -> SearchStatus:
         """Search an extremal from the guess; an error of the report, or an interrupt, is raised when the search has
         ended."""
-        self._error = None
-        status = SearchStatus(self._library.retrax_search_run(self._search))
+        self._error, self._interrupted = None, False
+        with self._interrupts():
+            status = SearchStatus(self._library.retrax_search_run(self._search))
         if self._error is not None:
             raise self._error
+        if self._interrupted:
+            raise KeyboardInterrupt
         return status
 
-    def _told(self, _context: int | None, iteration: Any) -> bool:
-        """The report that C calls after each evaluation: Python looks for an interrupt then."""
+    @contextmanager
+    def _interrupts(self) -> Iterator[None]:
+        """A time in which an interrupt asks the search to stop: where C calls Python, nobody could catch it."""
+        usual = signal.default_int_handler
+        if current_thread() is not main_thread() or signal.getsignal(signal.SIGINT) is not usual:
+            yield
+            return
+
+        def note(*_: Any) -> None:
+            self._interrupted = True
+
+        signal.signal(signal.SIGINT, note)
         try:
-            return self._report is not None and self._report(iteration.contents)
+            yield
+        finally:
+            signal.signal(signal.SIGINT, usual)
+
+    def _reports(self, iteration: IterationStruct) -> bool:
+        """Whether the report, an error of that, or an interrupt asks to stop."""
+        try:
+            return self._interrupted or (self._report is not None and self._report(iteration))
         except BaseException as error:  # C knows no exceptions
             self._error = error
             return True
@@ -367,6 +398,12 @@ class Search:
         """Numbers of the memory of the search from an address on."""
         first = (place - self._memory.ctypes.data) // BYTES
         return self._memory[first : first + count]
+
+
+def _told(search: Any, _context: int | None, iteration: Any) -> bool:
+    """The report that C calls after each evaluation."""
+    own = search()
+    return own is None or own._reports(iteration.contents)
 
 
 _PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
