@@ -91,7 +91,7 @@ def former_module(module: str, name: str) -> Any:
 
 
 def _public_place(module: str, name: str, value: Any) -> str:
-    """The name by which users import an object: that of the outermost package that has it."""
+    """The name by which users import an object, from the outermost package that has it."""
     parts = module.split(".")
     packages = [".".join(parts[: k + 1]) for k in range(1, len(parts))]
     found = [package for package in packages if vars(sys.modules[package]).get(name) is value]
@@ -99,7 +99,7 @@ def _public_place(module: str, name: str, value: Any) -> str:
 
 
 class _FormerModule(MetaPathFinder, Loader):
-    """Modules by their former names, with the objects of the present ones."""
+    """Modules by their former names, with the objects of the present modules."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """The module that runs in place of a former one; None for all other names."""
