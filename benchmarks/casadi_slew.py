@@ -182,7 +182,7 @@ class CasadiSlew:
 class LeastTimeSlew(CasadiSlew):
     """The slew in the least time with limited torques: the horizon is an unknown too, the last one.
 
-    ``solve`` starts from the guess and ``HORIZON_NAME``, and returns the least horizon, s, and the node states.
+    ``solve`` starts from the guess and ``HORIZON``, and returns the least horizon, s, and the node states.
     """
 
     def __init__(self, steps, torque_limit, guess="linear"):

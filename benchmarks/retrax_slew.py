@@ -70,7 +70,7 @@ class LeastTimeSlew:
         self.start, self.end = at_rest(np.eye(3)), at_rest(turns(np.array([ANGLE]), AXIS[None])[0])
 
     def solve(self):
-        """The least horizon in s, from a guess of ``HORIZON_NAME``; raises if the solver does not converge."""
+        """The least horizon in s, from a guess of ``HORIZON``; raises if the solver does not converge."""
         self.found = self.solver.solve(self.start, self.end, Free(HORIZON), tolerance=self.tolerance)
         return self.found.cost
 

@@ -5,8 +5,8 @@ Quadrotor flip
 A quadrotor of 0.5 kg flies 3 m forward, 1 m aside and 1 m up in 1.4 s, from
 hover to hover, and makes a flip on the way. Each of the four rotors pushes with
 0 to 2.2 N. The pose is a point of :math:`SE(3)`, so no attitude is singular,
-also upside down. With the thrusts :math:`u`, their sum :math:`f`, their torques
-:math:`M u`, the body rate :math:`w` and the velocity :math:`v`:
+not even upside down. With the thrusts :math:`u`, their sum :math:`f`, their
+torques :math:`M u`, the body rate :math:`w` and the velocity :math:`v`:
 
 .. math::
 

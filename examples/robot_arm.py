@@ -90,10 +90,9 @@ print(arcs)
 # %%
 # The short way around
 # --------------------
-# The arm carries the load from one side of its base to the other, past the
-# direction of 180 degrees, where an angle would jump. The directions of the
-# links do not jump: the arm turns by 62 degrees instead of 298. The picture
-# shows the arm at equal intervals of time.
+# The arm turns from -149 to 149 degrees, through 180 degrees, where an angle
+# would jump. The directions of the links do not jump: the arm turns by 62
+# degrees instead of 298. The picture shows the arm at equal intervals of time.
 long = rx.solve(
     problem, at_rest(-2.6, 0.5), at_rest(2.6, 0.5), horizon, accuracy=1e-9
 )

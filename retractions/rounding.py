@@ -29,6 +29,6 @@ def length(v: Shaped[Array, "..."]) -> Array:
 
 
 def is_seen_beside(v: Shaped[Array, "..."]) -> Bool[Array, ""]:
-    """Whether rounding of ``x + v``, ``x`` of size 1, leaves what is of ``x``: where ``v`` is shorter than ``1 / (EDGE
-    eps)``."""
+    """Whether rounding of ``x + v``, ``x`` of size 1, leaves what is of ``x``: where ``v`` is shorter than
+    ``1 / (SINGULAR_DISTANCE eps)``."""
     return length(jax.lax.stop_gradient(v)) * SINGULAR_DISTANCE * jnp.finfo(v.dtype).eps < 1

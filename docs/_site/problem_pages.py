@@ -21,7 +21,7 @@ SUBJECTS = {
     "vehicles": "Vehicles, rods, winds and obstacles",
     "machines": "Machines",
     "flat": "Problems in R^n",
-    "bounded": "Problems in R^n with limits",
+    "control_limits": "Problems in R^n with limits",
     "flight": "Flight",
     "quantum": "Quantum systems",
 }

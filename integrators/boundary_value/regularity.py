@@ -27,14 +27,14 @@ CLASSIFYING = "the problem is singular, and is classified: functions are compile
 class Regularity:
     """The classification of a problem with the parameters that it was last asked for."""
 
-    def __init__(self, posing: Transcription, refusal: str = "") -> None:
+    def __init__(self, transcription: Transcription, refusal: str = "") -> None:
         """``refusal``: words for a singular problem, where that is not to be solved."""
-        self._transcription, self.refusal = posing, refusal
+        self._transcription, self.refusal = transcription, refusal
         self._classes: dict[Any, tuple[Any, Classification | None]] = {}  # with the parameters that it belongs to
 
-    def on(self, posing: Transcription) -> "Regularity":
+    def on(self, transcription: Transcription) -> "Regularity":
         """The same on another mesh; what is found out serves both."""
-        other = Regularity(posing, self.refusal)
+        other = Regularity(transcription, self.refusal)
         other._classes = self._classes
         return other
 

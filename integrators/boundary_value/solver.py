@@ -49,7 +49,7 @@ HELD_WORDS = ", or give what changes as parameters"
 class _LastSolution(NamedTuple):
     """The KKT system of a solution, which is one place of a batch."""
 
-    posed: TranscribedProblem
+    transcribed: TranscribedProblem
     found: Found
     place: int
     parameters: Any
@@ -113,7 +113,7 @@ class Solver:
             self._transcription.traced(None)
 
     def _inner(self, formulation: Reformulation) -> "Solver":
-        """A solver of the problem in another formulation."""
+        """A solver of a reformulation of the problem."""
         solver = Solver(formulation.problem, formulation.method, self.fractions, self._evaluator)
         solver._regularity.refusal, solver._builder.formulation = SINGULAR_WORDS, formulation
         return solver
@@ -225,12 +225,12 @@ class Solver:
         return one_tracing() if self._unchanged is None else self._unchanged.required(parameters)
 
     def _solve(self, inputs: Inputs) -> Solution:
-        """The extremal of a request, examined."""
+        """The extremal of the inputs, audited."""
         return self._examined(self._found(inputs), inputs)
 
     def _found(self, inputs: Inputs) -> Solution:
-        """The extremal of a request, with only the first-order conditions evaluated."""
-        if inputs.formulated:
+        """The extremal of the inputs, with only the first-order conditions evaluated."""
+        if inputs.needs_reformulation:
             return self._reformulation.solve(inputs)
         regularity = self._regularity
         solution = self._solved(inputs)[0] if regularity.has_to_be_shown(inputs) else None
@@ -290,7 +290,7 @@ class Solver:
 
     def _all_found(self, inputs: Inputs) -> Solutions:
         """The extremals of a batch, with only the first-order conditions evaluated."""
-        if inputs.formulated:
+        if inputs.needs_reformulation:
             return self._reformulation.solve_many(inputs)
         self._regularity.require_regular(inputs)
         return self._solved(inputs)
@@ -314,9 +314,9 @@ class Solver:
             conjugate.
         """
         require_treated(self.problem, "sensitivity", *ALONG)
-        formulated = self._reformulation.sensitivity(solution)
-        if formulated is not None:
-            return formulated
+        sensitivity = self._reformulation.sensitivity(solution)
+        if sensitivity is not None:
+            return sensitivity
         if not isinstance(solution, Solution) or solution not in self._kept or not solution.success:
             raise InvalidInputError(
                 "sensitivity takes a solution with success of a regular problem that this solver found, got "
@@ -326,10 +326,10 @@ class Solver:
         key, place = structure_of(kept.parameters), np.array([kept.place])
         with self._required(kept.parameters), np.errstate(all="ignore"):
             if key not in self._derivatives:
-                traced = kept.posed.traced
+                traced = kept.transcribed.traced
                 self._derivatives[key] = Sensitivities(traced.steps, traced.nodes, self._evaluator)
             system = taken((kept.found.iterate, kept.found.assembled), place)
-            columns = self._derivatives[key](kept.posed.conditions.of(place), *system)
+            columns = self._derivatives[key](kept.transcribed.conditions.of(place), *system)
         require_isolated(columns, solution)
         layouts = self._transcription.state, self._transcription.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
@@ -369,7 +369,7 @@ class Solver:
 
     def _solved(self, inputs: Inputs) -> Solutions:
         """Solutions of regular problems."""
-        transcribed = self._transcription.posed(inputs)
+        transcribed = self._transcription.transcribe(inputs)
         tracing = time.perf_counter() - inputs.began
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
             found = find_extremals(transcribed, inputs.options)

@@ -188,7 +188,7 @@ def _flatten(values: dict[str, Any]) -> dict[str, np.ndarray]:
 
 
 def _unflatten(name: str, flat: dict[str, np.ndarray]) -> Any:
-    """The value that ``_flattened`` took apart, removed from ``flat``; raises if something is missing."""
+    """The value that ``_flatten`` took apart, removed from ``flat``; raises if something is missing."""
     if f"{name}/none" in flat:
         if flat.pop(f"{name}/none").tolist() is not True:
             raise InvalidInputError(f"{name}/none is not True")

@@ -3,7 +3,6 @@
 import sys
 import warnings
 from collections.abc import Mapping
-from functools import partial
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -12,7 +11,7 @@ from operator import attrgetter
 from types import ModuleType
 from typing import Any
 
-# The present names of modules with public classes, by the former ones.
+# The present names of modules with public classes, and classes in pickles, by the former ones.
 MODULES = {
     f"retrax.{former}": f"retrax.{present}"
     for former, present in {
@@ -20,6 +19,7 @@ MODULES = {
         "integrators.boundary_value.checks": "integrators.boundary_value.solution.diagnostics",
         "integrators.boundary_value.continuation": "integrators.boundary_value.drivers.continuation",
         "integrators.boundary_value.differentiable": "integrators.boundary_value.solution.differentiable_solution",
+        "integrators.boundary_value.interpolation": "integrators.boundary_value.solution.interpolation",
         "integrators.boundary_value.multistart": "integrators.boundary_value.drivers.multistart",
         "integrators.boundary_value.phased_solution": "integrators.boundary_value.solution.multiphase_solution",
         "integrators.boundary_value.phases": "integrators.boundary_value.drivers.phases",
@@ -31,11 +31,25 @@ MODULES = {
         "integrators.boundary_value.solutions": "integrators.boundary_value.solution.batch",
         "integrators.boundary_value.step_errors": "integrators.boundary_value.audit.step_errors",
         "integrators.boundary_value.structure": "integrators.boundary_value.audit.switching_structure",
+        "integrators.boundary_conditions": "integrators.problem.boundary_conditions",
+        "integrators.constraints": "integrators.problem.path_constraints",
         "integrators.free": "integrators.problem.free_quantities",
         "integrators.initial_value.many": "integrators.initial_value.batch",
         "integrators.problem": "integrators.problem.optimal_control_problem",
         "integrators.quantities": "integrators.problem.quantities",
         "integrators.results": "integrators.reporting.results",
+        "integrators.singular.integrability.final": "integrators.singular.integrability.final_equations",
+        "integrators.singular.integrability.hulls": "integrators.singular.integrability.affine_hulls",
+        "integrators.singular.integrability.jets": "integrators.singular.integrability.derivative_array",
+        "integrators.singular.integrability.levels": "integrators.singular.integrability.algorithm_stages",
+        "integrators.singular.strategies.affine": "integrators.singular.strategies.control_affine_splitting",
+        "integrators.singular.strategies.chain": "integrators.singular.strategies.goh_chain",
+        "integrators.singular.strategies.direct": "integrators.singular.strategies.final_manifold_stages",
+        "integrators.singular.strategies.dynamics": "integrators.singular.strategies.final_dynamics",
+        "integrators.singular.strategies.leaf_factors": "integrators.singular.strategies.euclidean_part",
+        "integrators.singular.strategies.project": "integrators.singular.strategies.projection",
+        "integrators.singular.strategies.reduced": "integrators.singular.strategies.goh_reduced_integrator",
+        "integrators.singular.strategies.reduction": "integrators.singular.strategies.goh_reduction",
         "interop.doors": "interop.adapters",
     }.items()
 }
@@ -62,18 +76,30 @@ def former_field(owner: str, former_name: str, name: str) -> property:
     return property(read, doc=f"The former name of ``{name}``.")
 
 
-def former_module(package: str, name: str) -> Any:
-    """The object of this name in the module that a package was."""
-    present = sys.modules.get(MODULES[package])
+def former_module(module: str, name: str) -> Any:
+    """The object of this name in a module of a former name, whose warning names the public place, if there is one."""
+    present = sys.modules.get(MODULES[module])
     value = vars(present).get(name) if present else None
-    if getattr(value, "__module__", None) != MODULES[package]:
-        raise AttributeError(f"module {package!r} has no attribute {name!r}")
-    warnings.warn(f"{package}.{name} is deprecated; use {MODULES[package]}", DeprecationWarning, stacklevel=3)
+    if getattr(value, "__module__", None) != MODULES[module]:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    warnings.warn(
+        f"{module}.{name} is deprecated; use {_public_place(MODULES[module], name, value)}",
+        DeprecationWarning,
+        stacklevel=3,
+    )
     return value
 
 
+def _public_place(module: str, name: str, value: Any) -> str:
+    """The name by which users import an object, from the outermost package that has it."""
+    parts = module.split(".")
+    packages = [".".join(parts[: k + 1]) for k in range(1, len(parts))]
+    found = [package for package in packages if vars(sys.modules[package]).get(name) is value]
+    return f"{found[0]}.{name}"
+
+
 class _FormerModule(MetaPathFinder, Loader):
-    """Modules by their former names, with their present names."""
+    """Modules by their former names, with the objects of the present modules."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         """The module that runs in place of a former one; None for all other names."""
@@ -81,9 +107,12 @@ class _FormerModule(MetaPathFinder, Loader):
 
     def exec_module(self, module: ModuleType) -> None:
         """Let the names be found in the present module."""
-        present = MODULES[module.__name__]
-        warnings.warn(f"{module.__name__} is deprecated; use {present}", DeprecationWarning, stacklevel=2)
-        module.__dict__["__getattr__"] = partial(getattr, import_module(present))
+        import_module(MODULES[module.__name__])
+
+        def read(name: str) -> Any:
+            return former_module(module.__name__, name)
+
+        module.__dict__["__getattr__"] = read
 
 
 def find_former_modules() -> None:

@@ -99,7 +99,7 @@ def laid(form: Any, first: int = 0) -> Any:
     """``arrays(numbers, places)``, to be used in a compiled function: arrays that lie in a vector.
 
     ``form``: their types, in tuples of tuples, as which they come; row ``first + k`` of ``places``, shape (arrays,
-    ``LONGEST_SAMPLE``): where the k-th begins, then its lengths. A form of few arrays takes less time to compile than
+    ``LONGEST``): where the k-th begins, then its lengths. A form of few arrays takes less time to compile than
     the same arrays in one of many, of which Numba moves all wherever one is used.
     """
 

@@ -75,7 +75,7 @@ def test_what_is_not_given_is_completed():
     """A free end is as the other one, a tolerance ``eps^0.7``, free quantities as they are guessed."""
     solver = Solver(QUICK, METHOD, 6)
     asked = Inputs.of(solver._reader, BoundaryData(REST, None, Free(2.0), None), None, Options.of(None, 100))
-    assert asked.formulated
+    assert asked.needs_reformulation
     np.testing.assert_array_equal(asked.ends.end[0], REST)
     assert asked.horizons.tolist() == [2.0]
     assert asked.options.tolerance == np.finfo(float).eps ** 0.7

@@ -95,7 +95,7 @@ def test_failed_members_keep_their_reason_and_harm_no_other(whole):
 
 @pytest.mark.parametrize("size", [1, 7, COUNT, 10 * COUNT])
 def test_the_size_of_chunks_and_of_batches_changes_no_result(whole, size, tmp_path, monkeypatch):
-    monkeypatch.setattr(sys.modules[Study.__module__], "BATCH", max(1, size // 3))
+    monkeypatch.setattr(sys.modules[Study.__module__], "CHUNK_MEMBERS", max(1, size // 3))
     count = COUNT if size > 1 else 3
     found = sweep(base, count, tmp_path, chunk=size)
     np.testing.assert_allclose(found.cost, whole.cost[:count], rtol=1e-9)

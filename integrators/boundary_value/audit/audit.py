@@ -119,7 +119,7 @@ class Audit:
         return self._needed[key]
 
     def is_silent(self, parameters: Any, free_horizon: bool) -> bool:
-        """Whether an earlier examination showed that such a solution needs no examination."""
+        """Whether an earlier audit showed that such a solution needs none."""
         return not self._named and self._needed.get((structure_of(parameters), free_horizon)) is False
 
     def _examiners(self, free_horizon: bool, parameters: Any) -> tuple[SmoothnessAlongSolution, DerivativeCheck]:

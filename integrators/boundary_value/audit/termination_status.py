@@ -1,4 +1,4 @@
-"""How an iteration ended, in words."""
+"""Success or failure at the end of an iteration, and the reason in words."""
 
 from dataclasses import replace
 from typing import Any

@@ -23,7 +23,7 @@ from ..solution.record import Solution, Statistics
 from ..solution.resampling import Mesh
 from ..solver import Solver
 
-REFINEMENT_ROUNDS = 25  # of refinement
+REFINEMENT_ROUNDS = 25  # at most
 MOST_REFINED_STEPS, MOST_STAGES = 5000, 6
 FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most

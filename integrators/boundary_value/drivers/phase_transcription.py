@@ -47,33 +47,33 @@ class PhaseEnds(NamedTuple):
 
 @final
 class _InnerProblem:
-    """The means to solve a phase, in the states of its formulation."""
+    """The means to solve a phase, in the states of its reformulation."""
 
     def __init__(
         self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator
     ) -> None:
-        self.problem, self.posing = problem, Transcription(problem, method, fractions, evaluator)
+        self.problem, self.transcription = problem, Transcription(problem, method, fractions, evaluator)
         self.interpolant = Interpolant(method.retraction, problem.controls)
-        mesh = Mesh(fractions, self.posing.stages, self.interpolant)
+        mesh = Mesh(fractions, self.transcription.stages, self.interpolant)
         self._reader = InputReader(problem, method, mesh, evaluator)
-        self.recording = SolutionBuilder(problem, self.posing.stages, self.interpolant)
-        self.examination = Audit(problem)
+        self.builder = SolutionBuilder(problem, self.transcription.stages, self.interpolant)
+        self.audit = Audit(problem)
         # Zero: durations come from afar, where one that is one at its guess would pass through zero.
-        self.formulated = ReformulationSolver(self._reader, lambda own: self._of(own, fractions, evaluator), 0.0)
+        self.reformulation = ReformulationSolver(self._reader, lambda own: self._of(own, fractions, evaluator), 0.0)
 
     @staticmethod
     def _of(formulation: Reformulation, fractions: np.ndarray, evaluator: Evaluator) -> "_InnerProblem":
-        """The means to solve a formulation."""
+        """The means to solve a reformulation."""
         inner = _InnerProblem(formulation.problem, formulation.method, fractions, evaluator)
-        inner.recording.formulation = formulation
+        inner.builder.formulation = formulation
         return inner
 
 
 @final
 class TranscribedPhase(NamedTuple):
-    """A phase as equations: the problem as given, its formulation if it has one, and the equations of that.
+    """A phase as equations: the problem as given, its reformulation if it has one, and the equations of that.
 
-    ``request``: what is asked of the problem; ``own``: of its formulation.
+    ``inputs``: what is asked of the problem; ``own``: of its reformulation.
     """
 
     problem: OptimalControlProblem
@@ -82,7 +82,7 @@ class TranscribedPhase(NamedTuple):
     inner: _InnerProblem
     inputs: Inputs
     own: Inputs
-    posed: TranscribedProblem
+    transcribed: TranscribedProblem
 
     def state(self, y: Any) -> Any:
         """The state of the problem as given."""
@@ -99,7 +99,7 @@ class TranscribedPhase(NamedTuple):
 
     def recorded(self, found: Found, seconds: tuple[float, float]) -> Solution:
         """The solution of the phase."""
-        _, member = self.inner.recording.of(self.posed, self.own.parameters(), found, self.own.options, seconds)
+        _, member = self.inner.builder.of(self.transcribed, self.own.parameters(), found, self.own.options, seconds)
         solution = member(0)
         if self.formulation is not None:
             solution = self.formulation.solution(solution, self.inputs.given.parameters, self.outer.interpolant)
@@ -108,14 +108,14 @@ class TranscribedPhase(NamedTuple):
     def checked(self, solution: Solution, free: bool) -> Solution:
         """The solution after the checks that its conditions do not show; ``free`` if times of any phase are free."""
         solution = solution if self.formulation is not None else explain_failure(self.own.problem, solution)
-        return self.outer.examination(solution, free, self.inputs.ends.prescribed)
+        return self.outer.audit(solution, free, self.inputs.ends.prescribed)
 
 
 @final
 class PhaseTranscription:
     """Makes the equations of phases, and traces phases with the same problem, method and steps once.
 
-    The request of a phase is checked the first time, and not again for other guesses.
+    The inputs of a phase are checked the first time, and not again for other guesses.
     """
 
     def __init__(self, options: Options) -> None:
@@ -140,7 +140,7 @@ class PhaseTranscription:
         return self._vanishing[key][1]
 
     def inputs(self, number: int, phase: Any) -> Inputs:
-        """The request of a phase."""
+        """The inputs of a phase."""
         reader, given = (
             self.inner(phase)._reader,
             BoundaryData(phase.start, phase.end, phase.duration, phase.parameters),
@@ -161,9 +161,9 @@ def transcribe_phase(
     inner, formulation = outer, None
     try:
         own = inputs = phases.inputs(number, phase)
-        if inputs.formulated:
-            formulation, inner, own = outer.formulated.formulated(inputs, begins if number else None)
-        equations = inner.posing.posed(own, repeated)
+        if inputs.needs_reformulation:
+            formulation, inner, own = outer.reformulation.reformulate(inputs, begins if number else None)
+        equations = inner.transcription.transcribe(own, repeated)
         bound, guess = own.problem, own.guess_of(0)
         ends = own.conditions_of(0)[0].point, None
         first, control = ends if guess is None else vec.taken((guess.states, guess.controls), 0)

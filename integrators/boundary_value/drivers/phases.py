@@ -222,8 +222,8 @@ class _Task:
         coupling = linkages_of(
             owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at)
         )
-        joint = JointConditions(tuple(part.posed.conditions for part in parts), coupling)
-        first = joint.guess(tuple(part.posed.guess for part in parts))
+        joint = JointConditions(tuple(part.transcribed.conditions for part in parts), coupling)
+        first = joint.guess(tuple(part.transcribed.guess for part in parts))
         names = [*equation_words(owns), *(f"{name}[{i}]" for name, size in sizes.items() for i in range(size))]
         require_independent(joint, first, names)
         tracing = time.perf_counter() - began

@@ -335,7 +335,7 @@ def pursue(
 
     It ends ``FAR`` where a step leads to ends of steps that are not near each other; ``TRIED`` where a trial is
     written, and is not one of those that are only followed here, or none is to be judged, ``most`` being 0;
-    ``LOST_RANK`` where the first step of a search is not, and ``APART`` where ends of steps of a guess are not near
+    ``LOST`` where the first step of a search is not, and ``APART`` where ends of steps of a guess are not near
     each other; ``ARRIVED`` where a trial meets the conditions whose step was Newton's last, ``EXACT`` where one that
     was gone on from meets them to rounding, and so the step from it would be; ``CHANGED`` where a trial is one that
     lowers the barrier, and is not gone on from; else ``GOING``. ``standing``: what stands, and behind it the cost after

@@ -1,4 +1,4 @@
-"""The request to a solver: arguments checked and completed once, in flat arrays, for all computations."""
+"""The inputs of a solver: arguments checked and completed once, in flat arrays, for all computations."""
 
 import time
 import warnings
@@ -52,7 +52,7 @@ RESTORING = 2  # Newton steps, which converge quadratically, from there to the r
 
 @final
 class InputReader:
-    """The reader of requests to a solver, with the checked problem, the method and the mesh."""
+    """The reader of the inputs of a solver, with the checked problem, the method and the mesh."""
 
     def __init__(self, problem: OptimalControlProblem, method: Method, mesh: Mesh, evaluator: Evaluator) -> None:
         self.problem, self.method, self.mesh, self.ends = problem, method, mesh, BoundaryDataReader.of(problem)
@@ -164,7 +164,10 @@ class Inputs:
             _require_horizon(horizon, "horizon" + (f", member {k}," if np.ndim(known.horizon) and count > 1 else ""))
         check_parameters(reader.problem, known.parameters)
         inputs = cls._read(reader, given, known, guesses, options, None, 1, count)
-        if inputs.formulated and len({ReformulationKind.of(own.horizon, own.parameters) for own in inputs.each}) > 1:
+        if (
+            inputs.needs_reformulation
+            and len({ReformulationKind.of(own.horizon, own.parameters) for own in inputs.each}) > 1
+        ):
             raise InvalidInputError("the members of a batch have other bounds; solve those with the same ones together")
         return inputs
 
@@ -180,7 +183,7 @@ class Inputs:
         axes: int = 0,
         count: int = 1,
     ) -> "Inputs":
-        """The request in flat arrays; raises if ends or guesses are no points of the manifold."""
+        """The inputs in flat arrays; raises if ends or guesses are no points of the manifold."""
         began = time.perf_counter()
         guesses = reader.flat_guess(guess if axes and _are_several(guess) else [guess])
         ends = reader.ends.ends(given.start, given.end, bool(axes))
@@ -194,7 +197,7 @@ class Inputs:
         return cls(*asked, ends, np.full(count, known.horizon, float), guesses, *parameters)._on_manifold()
 
     def _on_manifold(self) -> "Inputs":
-        """The request with ends that are on the manifold to rounding.
+        """The inputs with ends that are on the manifold to rounding.
 
         Ends that were rounded to six digits, or to single precision, are moved onto the manifold with a warning. Raises
         ``NotOnManifoldError`` for ends farther off, and for a guess off the manifold.
@@ -223,12 +226,12 @@ class Inputs:
         return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
 
     def again(self, reader: InputReader, given: BoundaryData, guess: Any) -> "Inputs":
-        """The request with another problem, mesh or guess, of which only these are checked again."""
+        """The inputs with another problem, mesh or guess, of which only these are checked again."""
         known = _known_guess(reader.problem, given)
         return self._read(reader, given, known, guess, self.options, self.integrator, self.axes, len(self))
 
     def classified(self, c: Classification | None) -> "Inputs":
-        """The request with the classification of a singular problem, without one for a regular problem.
+        """The inputs with the classification of a singular problem, without one for a regular problem.
 
         Raises where it is not to be solved like this.
         """
@@ -242,7 +245,7 @@ class Inputs:
         return len(self.horizons)
 
     @property
-    def formulated(self) -> bool:
+    def needs_reformulation(self) -> bool:
         """Whether there is something that needs more states."""
         return self.known is not self.given
 
@@ -252,7 +255,7 @@ class Inputs:
         return tuple(_member(self.reader.ends, self.given, k) for k in range(len(self))) if self.axes else (self.given,)
 
     def member(self, k: int) -> "Inputs":
-        """The request of one member, without its guess."""
+        """The inputs of one member, without its guess."""
         known, rows = _known_guess(self.reader.problem, self.each[k]), self.rows[k : k + 1]
         ends = self.ends._replace(start=_row(self.ends.start, k)[None], end=_row(self.ends.end, k)[None])
         own: Any = {"known": known, "ends": ends, "horizons": self.horizons[k : k + 1], "rows": rows}

@@ -35,7 +35,7 @@ OWN_FACTOR = f"{factor_name(0)}, "  # how the names of the factors of Q begin in
 
 
 class ReformulationKind(NamedTuple):
-    """The free and the bounded quantities, which decide the functions of a formulation."""
+    """The free and the bounded quantities, which decide the functions of a reformulation."""
 
     horizon: bool
     horizon_bounds: tuple[bool, bool]
@@ -146,7 +146,7 @@ class Reformulation:
         return np.full(int(free), self.at_guess + own)
 
     def parameters(self, horizon: Any, parameters: Any) -> Any:
-        """The parameters of the formulation, fixed parameters and bounds, or None without any."""
+        """The parameters of the reformulation, fixed parameters and bounds, or None without any."""
         if not self.takes:
             return None
         leaves = jax.tree.leaves(parameters, is_leaf=is_free)

@@ -1,4 +1,4 @@
-"""Solutions with a free horizon, free parameters or an explicit time: by a solver of their formulation in more
+"""Solutions with a free horizon, free parameters or an explicit time: by a solver of their reformulation in more
 states."""
 
 from collections.abc import Callable
@@ -59,7 +59,7 @@ MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: hori
 
 @final
 class ReformulationSolver:
-    """Solvers of the formulations of a problem, one for each kind of free quantities, made when they are asked for.
+    """Solvers of the reformulations of a problem, one for each kind of free quantities, made when they are asked for.
 
     ``at_guess``: the constant that stands for a free horizon, at its guess.
     """
@@ -85,7 +85,7 @@ class ReformulationSolver:
         return [solver for _, solver in self._made.values()]
 
     def of(self, horizon: Any, parameters: Any) -> tuple[Reformulation, Any]:
-        """The formulation for a horizon and parameters, and its solver."""
+        """The reformulation for a horizon and parameters, and its solver."""
         kind = ReformulationKind.of(horizon, parameters)
         if kind not in self._made:
             example = self.reader.problem.with_parameters(guesses_of(parameters)).at_time(0.0)
@@ -198,11 +198,11 @@ class ReformulationSolver:
         return self._renewed(solution, success=False, result=words)
 
     def _solved(self, inputs: Inputs) -> Solution:
-        formulation, solver, own = self.formulated(inputs)
+        formulation, solver, own = self.reformulate(inputs)
         return self._kept(formulation, solver, solver._found(own), inputs.given.parameters)
 
-    def formulated(self, inputs: Inputs, begins: float | None = None) -> tuple[Reformulation, Any, Inputs]:
-        """The formulation of a single trajectory, its solver, and what is asked of that.
+    def reformulate(self, inputs: Inputs, begins: float | None = None) -> tuple[Reformulation, Any, Inputs]:
+        """The reformulation of a single trajectory, its solver, and what is asked of that.
 
         The time starts at zero, or is free at the start and guessed to begin there.
         """
@@ -254,7 +254,7 @@ class ReformulationSolver:
         return None if guess is None else formulation.guess(guess, constants, (begins + nodes, begins + stages))
 
     def _with_covectors(self, formulation: Reformulation, guess: Guess, solution: Solution, horizon: float) -> Guess:
-        """A guess that is a solution of the same formulation, with its covectors of the constants and of the clock."""
+        """A guess that is a solution of this reformulation, with its covectors of the constants and of the clock."""
         kept, _, found = self._found.get(solution, (None, None, None))
         if kept is not formulation or found is None:
             return guess

@@ -102,13 +102,13 @@ class Transcription:
         return TracedFunctions(*functions, rows, own, coupling, self.evaluator)
 
     def of(self, inputs: Inputs) -> TracedFunctions:
-        """The functions with the parameters of a request."""
+        """The functions with the parameters of the inputs."""
         return (
             self._found[inputs.structure] if inputs.structure in self._found else self.traced(inputs.parameters_of(0))
         )
 
-    def posed(self, inputs: Inputs, repeated: bool = False) -> TranscribedProblem:
-        """The conditions and guesses of a request; ``repeated`` if the constraints of its first node belong to another
+    def transcribe(self, inputs: Inputs, repeated: bool = False) -> TranscribedProblem:
+        """The conditions and guesses of the inputs; ``repeated`` if the constraints of its first node belong to another
         phase."""
         traced, ends = self.of(inputs), inputs.ends
         rows = repeat_for_all(ends.start, len(inputs)), repeat_for_all(ends.end, len(inputs))

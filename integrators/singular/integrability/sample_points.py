@@ -99,7 +99,7 @@ def _kernel() -> Callable[..., Linearisation]:
 class Points:
     """A batch of points of the jet space, with the array linearised there, and how the search for them ended.
 
-    ``beside``: the same at points a tiny step away, leaves ``(SAMPLES, batch, ...)``; ``level``: the last of the
+    ``beside``: the same at points a tiny step away, leaves ``(TINY_STEPS, batch, ...)``; ``level``: the last of the
     equations that they were moved to, -1 for starts. ``slow``: the residual shrank slowly; ``away``: so it did while
     the steps stayed long, as where ``e^u`` is to vanish; ``unclear``: ranks there are not decided; ``opposed``: no
     direction makes all equations smaller; ``stiff``: the costate is moved less than the state.
@@ -186,13 +186,13 @@ class Points:
         return replace(self, at=at, beside=beside)
 
     def stack(self, name: str) -> np.ndarray:
-        """A part of the linearised array at the points and beside them, ``(batch, 1 + SAMPLES, ...)``."""
+        """A part of the linearised array at the points and beside them, ``(batch, 1 + TINY_STEPS, ...)``."""
         return np.concatenate([getattr(self.at, name)[:, None], np.moveaxis(getattr(self.beside, name), 0, 1)], axis=1)
 
     def stacks(self, level: int) -> tuple[np.ndarray, np.ndarray]:
         """``F_z`` and ``F_U`` of the levels up to this one, at the points and beside them, in units.
 
-        Shapes ``(batch, 1 + SAMPLES, rows, 2n)`` and ``(batch, 1 + SAMPLES, rows, rows)``.
+        Shapes ``(batch, 1 + TINY_STEPS, rows, 2n)`` and ``(batch, 1 + TINY_STEPS, rows, rows)``.
         """
         return in_units(*self.slopes, self.units, level)
 
@@ -247,7 +247,7 @@ def move(
 ) -> Linearisation:
     """The array linearised at points, moved by coordinates ``d`` if these are given.
 
-    Batches are filled up with their first point to a multiple of ``CHUNK_MEMBERS``: there is one kernel for those that
+    Batches are filled up with their first point to a multiple of ``KERNEL_POINTS``: there is one kernel for those that
     shrink.
     """
     size = CotangentBundle(array.problem.manifold).dimension + jets[0].size

@@ -20,7 +20,7 @@ from . import general
 Matrix = Shaped[Array, "n n"]
 
 _HALVINGS = 3
-_SCHULZ_STEPS = 3  # from an error of 0.2, that at EDGE, to rounding
+_SCHULZ_STEPS = 3  # from an error of 0.2, that at SINGULAR_DISTANCE, to rounding
 _BISECTIONS = 60  # of an interval at most two full turns long
 _UNITARITY = 0.45  # power of eps: what long products lose of it is far below
 

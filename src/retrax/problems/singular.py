@@ -1,6 +1,6 @@
 """Singular optimal control problems, and a few that are not, with the known outcome of the integrability algorithm.
 
-``SINGULAR_WORDS`` names functions that make them: ``SINGULAR["aly-chan"]()``.
+``SINGULAR`` names functions that make them: ``SINGULAR["aly-chan"]()``.
 """
 
 from collections.abc import Callable

@@ -146,7 +146,7 @@ def _replace(
 
 
 def _cut(instructions: list[Instruction]) -> set[int]:
-    """The instructions that ``SMALLEST_EXTENT`` and ``CEIL`` round to a whole number, whose own rounding may change the
+    """The instructions that ``FLOOR`` and ``CEIL`` round to a whole number, whose own rounding may change the
     result."""
     found = set[int]()
     for instruction in instructions:

@@ -119,7 +119,7 @@ class DomainEdge:
 
     def __call__(self, x: np.ndarray, u: np.ndarray, longest: float) -> float:
         """Length up to which the multiples of the unit tangent vector ``u`` lie in the domain, at most
-        ``longest_arc``."""
+        ``longest``."""
         rungs = longest * np.arange(RUNGS + 1) / RUNGS
         outside = next((k for k in range(1, RUNGS + 1) if not self._inside(x, rungs[k] * u)), None)
         if outside is None:

@@ -86,14 +86,14 @@ STEP_SCALES = 4.0 ** -np.arange(4)  # of a step: the longest at which both order
 
 
 def along(function: Callable[[jax.Array], jax.Array], step: Any) -> jax.Array:
-    """Values of a function of a number at ``step NODES``, and at shorter steps: of shape ``(steps, nodes, ...)``."""
+    """Values of a function of a number at ``step CENTRAL_NODES``, and at shorter steps, ``(steps, nodes, ...)``."""
     times = step * jnp.asarray(STEP_SCALES[:, None] * CENTRAL_NODES, working_precision())
     values = jax.vmap(function)(times.reshape(-1))
     return values.reshape(times.shape + values.shape[1:])
 
 
 def differences(values: np.ndarray, h: float) -> np.ndarray:
-    """Derivative at 0, to order ``h^6``, of a function with these ``values`` at ``h NODES``."""
+    """Derivative at 0, to order ``h^6``, of a function with these ``values`` at ``h CENTRAL_NODES``."""
     return central_difference(values, h, 6)
 
 

@@ -18,10 +18,10 @@ def least_seen(
     """How much the equations see of the normal displacement that they see least of, and the unit normal vector along
     it.
 
-    About 1 where the violations grow in proportion to the displacement, about ``1 / LONG`` where they grow as its
-    square. The violations are to first order a convex, homogeneous function of the displacement. It is 0 along one that
-    all its slopes found so far are normal to, or its slope there is a new one: as many slopes as there are normals are
-    enough.
+    About 1 where the violations grow in proportion to the displacement, about ``1 / LENGTH_RATIO`` where they grow as
+    its square. The violations are to first order a convex, homogeneous function of the displacement. It is 0 along one
+    that all its slopes found so far are normal to, or its slope there is a new one: as many slopes as there are normals
+    are enough.
     """
     if not np.all(np.isfinite(basis)):
         return np.nan, basis[0]

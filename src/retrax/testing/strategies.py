@@ -28,7 +28,7 @@ def points(manifold: Manifold) -> SearchStrategy[Ambient]:
 
 
 def tangent_vectors(manifold: Manifold, longest: float = 1.0) -> SearchStrategy[Pair]:
-    """Pairs ``(x, v)`` in random directions; the length of ``v`` is uniform up to ``longest_arc``, or 0."""
+    """Pairs ``(x, v)`` in random directions; the length of ``v`` is uniform up to ``longest``, or 0."""
     return _pairs(manifold, st.one_of(st.just(0.0), st.floats(0.0, longest)))
 
 
@@ -42,7 +42,7 @@ def tangent_vectors_near_the_edge(retraction: Retraction, longest: float = 10.0)
 
     For a domain that is derived from a round trip it is 1e-2 to 1e-1. The edge is the first one in the direction of
     ``v``, as the domain need not be star-shaped: it may begin again behind it. Where it reaches farther than
-    ``longest_arc``, that is taken for the edge.
+    ``longest``, that is taken for the edge.
     """
     sampler, edge = Sampler(retraction.manifold), DomainEdge(retraction)
 

@@ -353,7 +353,7 @@ def test_problems_without_a_reduction_are_refused_with_the_reason(reason):
 
 
 class Along(eqx.Module):
-    """``x' = u``, ``y' = bend x u``: a field that is constant for ``find_bend`` zero only."""
+    """``x' = u``, ``y' = bend x u``: a field that is constant for ``bend`` zero only."""
 
     bend: Array
 

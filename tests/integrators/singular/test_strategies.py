@@ -218,7 +218,7 @@ def test_constraints_at_the_stages_leave_the_nodes_beside_the_manifold():
 
 
 class Coiled(eqx.Module):
-    """The paper's example in the coordinate ``w = y + bend x^2``: ``P_f = {w = 0}`` is flat for ``find_bend`` zero
+    """The paper's example in the coordinate ``w = y + bend x^2``: ``P_f = {w = 0}`` is flat for ``bend`` zero
     only."""
 
     bend: Array

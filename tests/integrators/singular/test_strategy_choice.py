@@ -116,7 +116,7 @@ def test_steps_that_are_solved_at_no_length_are_said_to_be():
 
 
 class Bent(eqx.Module):
-    """The cost of Aly and Chan's problem in some units, of which ``find_bend`` makes ``P_f`` curved."""
+    """The cost of Aly and Chan's problem in some units, of which ``bend`` makes ``P_f`` curved."""
 
     bend: Array
     size: Array

@@ -61,7 +61,7 @@ def derivative_at_zero_is_the_identity(facts: RetractionFacts) -> Comparison:
 
 
 def short_errors(facts: RetractionFacts) -> tuple[np.ndarray, np.ndarray]:
-    """``|R(x, t u) - x - t u|`` for each sample and each ``t`` of ``MEASURED_LENGTHS``, and for each sample what is
+    """``|R(x, t u) - x - t u|`` for each sample and each ``t`` of ``ORDER_LENGTHS``, and for each sample what is
     rounding of it."""
     f = facts.measure(_values, "zero")
     errors = np.linalg.norm(f["short"] - f["x"][:, None] - ORDER_LENGTHS[None, :, None] * f["u"][:, None], axis=2)
