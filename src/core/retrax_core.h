@@ -3,7 +3,7 @@
  *
  * C99 and libm. The functions below allocate no memory, keep no state between calls, and use no global
  * variable: the caller owns every array. Two threads may call any of them at the same time, as long as they
- * write to different arrays.
+ * write to different arrays, among them the registers of tapes.
  *
  * Contents
  *   1. Types, status codes and the instruction set of the processor
@@ -373,7 +373,7 @@ typedef struct {
 /* A tape as a function of the problem: the context of retrax_evaluate_tape. */
 typedef struct {
     const retrax_tape *tape;
-    double *registers; /* [tape.registers][lanes]; functions may share them */
+    double *registers; /* [tape.registers][lanes]; functions of one problem may share them: then one thread may run it */
     retrax_index lanes;
     retrax_instruction_set set;
 } retrax_tape_function;
@@ -404,7 +404,7 @@ typedef struct {
     retrax_function functions[RETRAX_FUNCTIONS];
 } retrax_problem;
 
-/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0 p = s n,
+/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0, p = s n,
  * and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie on a
  * manifold that is not flat, else 0. */
 #define RETRAX_ARRAYS(X)                                                                                       \

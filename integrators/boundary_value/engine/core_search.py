@@ -35,14 +35,14 @@ from .transcription import Unknowns
 KEPT = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
 
 
-class _Known(local):
+class _ThreadTranscriptions(local):
     """The transcriptions of a thread, which no other one may use at the same time."""
 
     def __init__(self) -> None:
         self.of: WeakKeyDictionary[Any, dict[int, Transcription]] = WeakKeyDictionary()
 
 
-_known = _Known()
+_known = _ThreadTranscriptions()
 
 
 def is_on_core(conditions: Any) -> bool:
