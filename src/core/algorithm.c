@@ -221,7 +221,9 @@ static retrax_search_status status_of(const retrax_search *search) {
     if (is_elsewhere(search)) {
         return RETRAX_ELSEWHERE;
     }
-    return search->trials > search->options.max_iterations ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
+    const bool arrived = RESIDUAL(search->at, STEADY) <= search->options.tolerance;
+    const retrax_index most = search->options.max_iterations + (arrived ? RETRAX_SETTLING : 0);
+    return search->trials > most ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
 }
 
 /* Stands at the iterate with a step that is not tried yet. */

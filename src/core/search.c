@@ -25,7 +25,7 @@ static retrax_search *lay_out(const retrax_layout *layout, retrax_index max_iter
     to->steps.nodes = retrax_take(block, n, 1, sizeof(double));
     to->fresh.unknowns = retrax_take(block, z, 1, sizeof(double));
     to->fresh.nodes = retrax_take(block, n, 1, sizeof(double));
-    to->costs = retrax_take(block, max_iterations + 3, 1, sizeof(double));
+    to->costs = retrax_take(block, max_iterations + RETRAX_SETTLING + 3, 1, sizeof(double));
     to->limit_sizes = retrax_take(block, c, 1, sizeof(double));
     to->curvatures = retrax_take(block, z, 1, sizeof(double));
     to->largest = retrax_take(block, z, 1, sizeof(double));

@@ -9,6 +9,9 @@
 /* The largest shift of a Hessian: with a larger one a step says nothing. */
 #define RETRAX_LARGEST_SHIFT 1e10
 
+/* Trials beyond the limit where all but the barrier meets the tolerance there: they tell what the iterate is. */
+#define RETRAX_SETTLING 5
+
 /* A Newton step, and what its elimination tells of the linear system. */
 typedef struct {
     double shift;       /* of the Hessian, which makes the step descend */

