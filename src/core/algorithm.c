@@ -18,12 +18,6 @@
 /* A shift has to shorten a step to this share; a step is cut no further than to the other. */
 #define SHORTER 0.5
 #define SLOW 1e-6
-#define SHORTEST 0.0625
-/* The shift with which a step is the least that the constraints ask for. */
-#define LEAST_SHIFT 1e6
-/* Share of a size by which what is smaller is measured; motion that is rounding of a value. */
-#define SHARE 1e-3
-#define STILL 1e-12
 
 #define RESIDUAL(trajectory, name) ((trajectory)[search->layout->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_##name])
 
@@ -102,9 +96,9 @@ static void settle(retrax_search *search) {
             const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], value = retrax_larger(high, low);
             const double share = ARRAY(SUPPORT)[i * E + e];
             spread = retrax_larger(spread, share * (high + low));
-            own = retrax_larger(own, share * (high + low + (high + low > STILL * value ? value : SHARE * value)));
+            own = retrax_larger(own, share * (high + low + (high + low > RETRAX_STILL * value ? value : RETRAX_SHARE * value)));
         }
-        wanted = retrax_larger(wanted, search->largest[i] / fmax(own, SHARE * unit));
+        wanted = retrax_larger(wanted, search->largest[i] / fmax(own, RETRAX_SHARE * unit));
         grown = retrax_larger(grown, spread / unit);
     }
     const bool was_isolated = search->isolated, stuck = wanted > SHRINKS * search->correction;
@@ -120,7 +114,7 @@ static bool is_vain(retrax_search *search, double length) {
     if (!(retrax_step_length(search) > SHORTER * length)) {
         return false;
     }
-    retrax_newton_step(search, LEAST_SHIFT);
+    retrax_newton_step(search, RETRAX_LEAST_SHIFT);
     return retrax_step_length(search) > SHORTER * length;
 }
 
@@ -136,7 +130,7 @@ static void next_step(retrax_search *search, const retrax_direction *before, dou
     const bool keep = arrived || (good && now <= sqrt(tolerance));
     const bool gains = good && now <= GAINED * residual && !limited;
     retrax_regularised_step(search, arrived ? 0.0 : search->direction.shift, keep, gains);
-    if (cut && before->descends && fraction > SLOW && fraction / 2.0 < SHORTEST) {
+    if (cut && before->descends && fraction > SLOW && fraction / 2.0 < RETRAX_SHORTEST) {
         const double shift = search->direction.shift;
         if (is_vain(search, length)) {
             retrax_newton_step(search, before->shift);

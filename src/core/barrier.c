@@ -12,11 +12,8 @@
 
 /* An inequality that holds at first by less than this share of its size is elastic. */
 #define INSIDE 1e-2
-/* An inequality is measured by its value where its slope changes it by less than this share of that. */
-#define VALUE 1e-2
-/* The first barrier, and the first penalty, in natural sizes. */
+/* The first barrier, in natural sizes. */
 #define FIRST_BARRIER 0.3
-#define FIRST_PENALTY 10.0
 /* Factor by which the cost counts less where penalties are too small. */
 #define DEARER 3.0
 /* A barrier problem is solved to so many times the barrier; then that falls by a factor, or by a power. */
@@ -31,9 +28,8 @@
 /* A step of a smaller fraction jams at the inequalities; with a larger shift it is stiff. */
 #define JAMMED 1e-3
 #define STIFF 1e2
-/* A slack that would be less than this share of it stays as its step made it; one that misses less is right. */
+/* A slack that would be less than this share of it stays as its step made it. */
 #define LEFT 0.01
-#define ROUNDED 1.4901161193847656e-08
 
 static retrax_index limit_of(const retrax_search *search, retrax_index i) {
     return retrax_limit_of(search->layout->problem, i).limit;
@@ -73,7 +69,7 @@ static void write_limits(retrax_search *search, const double *trajectory) {
             size = retrax_larger(size, change);
             value = of.limit == j ? retrax_larger(value, fabs(ARRAY(LIMITS)[i])) : value;
         }
-        size = size > VALUE * value ? size : value;
+        size = size > RETRAX_VALUE_SHARE * value ? size : value;
         search->limit_sizes[j] = size > 0.0 && isfinite(size) ? size : 1.0;
     }
 }
@@ -109,7 +105,7 @@ static void write_central(const retrax_search *search, double *trajectory, retra
 /* The usual first penalty of an inequality; infinite where no iterate leaves it. */
 static double first_penalty(const retrax_search *search, retrax_index i) {
     const double unit = search->limits.rate / search->limit_sizes[limit_of(search, i)];
-    return retrax_is_kept(search, i) ? INFINITY : FIRST_PENALTY * unit * search->firm;
+    return retrax_is_kept(search, i) ? INFINITY : RETRAX_FIRST_PENALTY * unit * search->firm;
 }
 
 void retrax_rest_slacks(const retrax_layout *layout, double *trajectory) {
@@ -245,7 +241,7 @@ bool retrax_reset_slacks(const retrax_search *search, double *trajectory) {
     bool found = false;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double own = ARRAY(EXCESSES)[i] - ARRAY(LIMITS)[i], made = ARRAY(SLACKS)[i];
-        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && own >= LEFT * made && fabs(own - made) > ROUNDED * made) {
+        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && own >= LEFT * made && fabs(own - made) > RETRAX_ROOT_EPS * made) {
             ARRAY(SLACKS)[i] = own;
             found = true;
         }

@@ -10,15 +10,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Share of its value by which an entry is measured where it spreads by less: values are rounded. */
-#define VALUE 1e-2
-/* Share of the natural size by which a coordinate is measured where it moves by less. */
-#define SHARE 1e-3
-/* Share of the largest entry of a frame vector up to which others are rounding: the root of the machine precision. */
-#define ROUNDING 1.4901161193847656e-08
-
-/* An entry that moves by a smaller share of its value is constant, but for rounding. */
-#define STILL 1e-12
 
 /* Rows of POINT_SURVEY. */
 enum { OF_STEP, TOTAL, OF_POINT, MULTIPLIER, SLOPE };
@@ -145,13 +136,13 @@ void retrax_measure_motion(const retrax_layout *layout, const double *trajectory
         for (retrax_index e = 0; e < E; e++) {
             const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], share = support[a * E + e];
             const double value = retrax_larger(high, low);
-            if (high + low > STILL * value) {
+            if (high + low > RETRAX_STILL * value) {
                 far = retrax_larger(far, share * (high + low));
             }
             whole = retrax_larger(whole, share * own[e]);
             most = retrax_larger(most, share * retrax_larger(value, own[e]));
         }
-        moved[a] = far > ROUNDING * whole ? far : 0.0;
+        moved[a] = far > RETRAX_ROOT_EPS * whole ? far : 0.0;
         sizes[a] = most;
     }
 }
@@ -172,15 +163,15 @@ static void write_measures(const retrax_layout *layout, double *trajectory, cons
         double value = retrax_larger(high, low);
         bool moves = false;
         for (retrax_index a = 0; a < n; a++) {
-            moves = moves || support[a * E + e] > ROUNDING * along[a];
+            moves = moves || support[a * E + e] > RETRAX_ROOT_EPS * along[a];
         }
         if (!moves) { /* the equations of the manifold say what it is, and hold to a share of one */
             value = retrax_larger(value, 1.0);
         }
-        entries[e] = retrax_larger(high + low, VALUE * value);
+        entries[e] = retrax_larger(high + low, RETRAX_VALUE_SHARE * value);
     }
     for (retrax_index a = 0; a < n; a++) {
-        along[a] = SHARE * nodes[a];
+        along[a] = RETRAX_SHARE * nodes[a];
         for (retrax_index e = 0; e < E; e++) {
             along[a] = retrax_larger(along[a], support[a * E + e] * entries[e]);
         }
@@ -207,7 +198,7 @@ static double stationarity_of(const retrax_layout *layout, const double *traject
     }
     for (retrax_index i = 0; i < z; i++) {
         const double unit = units->judging_unknowns[i];
-        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / or_one(retrax_larger(unit * ARRAY(PARTS)[i], SHARE * *scale)));
+        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / or_one(retrax_larger(unit * ARRAY(PARTS)[i], RETRAX_SHARE * *scale)));
     }
     return found;
 }
@@ -243,7 +234,7 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
     }
     for (retrax_index a = 0; a < n; a++) {
         const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[OF_POINT * n + a]);
-        const double size = or_one(retrax_larger(unit * points[MULTIPLIER * n + a], SHARE * parts));
+        const double size = or_one(retrax_larger(unit * points[MULTIPLIER * n + a], RETRAX_SHARE * parts));
         defect = retrax_larger(defect, points[OF_STEP * n + a] / or_one(ARRAY(ALONG)[a]));
         stationarity = retrax_larger(stationarity, unit * points[SLOPE * n + a] / size);
         found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[TOTAL * n + a]) / scale->nodes[a];

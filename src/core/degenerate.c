@@ -17,10 +17,6 @@
 #define UNMET 1e-3
 /* Share of the natural sizes of the nodes: of a guess that lacks less, what a step leaves is rounding. */
 #define MET 1e-8
-/* Share of the largest gap below which gaps are rounding and have no direction. */
-#define SHARE 1e-3
-/* The shift with which a step is the least that the constraints ask for. */
-#define LEAST_SHIFT 1e6
 
 /* Whether two entries belong to one piece of a state: an array, but for entries that have a coordinate of their own. */
 static bool are_together(const retrax_problem *problem, const bool *alone, retrax_index e, retrax_index f) {
@@ -101,7 +97,7 @@ static bool are_opposite(const retrax_search *search) {
     }
     for (retrax_index k = 0; k < nodes; k++) {
         const double gap = length_of(search, ARRAY(DEFECTS) + k * n);
-        if (gap > SHARE * widest && length_of(search, ARRAY(ASKED) + k * n) < OPPOSITE * gap) {
+        if (gap > RETRAX_SHARE * widest && length_of(search, ARRAY(ASKED) + k * n) < OPPOSITE * gap) {
             return true;
         }
     }
@@ -116,7 +112,7 @@ bool retrax_is_degenerate(retrax_search *search) {
     if (!is_far(search)) {
         return false;
     }
-    retrax_newton_step(search, LEAST_SHIFT);
+    retrax_newton_step(search, RETRAX_LEAST_SHIFT);
     const bool found = is_far(search);
     retrax_newton_step(search, step.shift);
     search->direction.descends = step.descends;

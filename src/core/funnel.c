@@ -24,8 +24,6 @@
 /* Times the best residual so far: of a record, and of a first step that does not descend. */
 #define RECORD 0.9
 #define FAST 1e-2
-/* The shortest fraction of a step, a power of two. */
-#define SHORTEST 0.0625
 /* Decrease of the cost, relative, that is lost in what the cost is a sum of. */
 #define ROUNDED (10.0 * DBL_EPSILON)
 /* Shifts: factors up and down, the fraction of a step from which on a smaller one is tried, the first and the smallest. */
@@ -79,7 +77,7 @@ bool retrax_judge_trial(retrax_search *search, bool first, bool *again) {
         good = residual <= FAST * search->best;
     }
     good = good && isfinite(residual) && isfinite(search->trial[search->layout->first[RETRAX_ARRAY_TOTALS]]);
-    const bool is_short = !good && part / 2.0 < SHORTEST;
+    const bool is_short = !good && part / 2.0 < RETRAX_SHORTEST;
     search->direction.shift = next_shift(step->shift, part * step->cap, good, is_short);
     if (good) {
         search->funnel = better ? width : fmax(search->funnel, now.infeasibility);

@@ -5,9 +5,6 @@
 
 #include <math.h>
 
-/* Share of its largest value along the trajectory by which an inequality is measured where that is more than its unit:
- * values are rounded. */
-#define VALUE 1e-2
 /* Factor of mu / s within which multipliers stay. */
 #define KEPT 1e10
 
@@ -113,7 +110,7 @@ static double size_of(const inequalities *own, limit_row row, double limit) {
     double found = limit;
     for (retrax_index i = row.first; i < row.last; i += row.stride) {
         if (own->weights[i] > 0.0) {
-            found = retrax_larger(found, VALUE * fabs(own->values[i]));
+            found = retrax_larger(found, RETRAX_VALUE_SHARE * fabs(own->values[i]));
         }
     }
     return found;

@@ -7,6 +7,7 @@
 #ifndef RETRAX_LAYOUT_H
 #define RETRAX_LAYOUT_H
 
+#include "constants.h"
 #include "retrax_core.h"
 
 #include <math.h>

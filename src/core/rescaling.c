@@ -9,10 +9,6 @@
 #define WIDER 10.0
 /* Share of a natural size: where the sizes of the iterate are less, they take its place. */
 #define LESS 0.1
-/* Share of a size below which motion is rounding: root of the precision. */
-#define RESTS 1.4901161193847656e-08
-/* A motion that is a smaller share of the value is rounding. */
-#define STILL 1e-12
 /* Times the size of the cost, the least fall of the cost, and the fewest trials, that tell that it has no lower bound. */
 #define FALLEN 1e2
 #define FEWEST 20
@@ -51,7 +47,7 @@ static bool moves(const retrax_layout *layout, const double *trajectory) {
         const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e];
         const double given = fmax(fabs(ARRAY(START)[e]) * ARRAY(START_ENTRIES)[e],
                                   fabs(ARRAY(END)[e]) * ARRAY(END_ENTRIES)[e]);
-        if (high + low > STILL * fmax(high, low) && given > 0.0) {
+        if (high + low > RETRAX_STILL * fmax(high, low) && given > 0.0) {
             return true;
         }
     }
@@ -73,7 +69,7 @@ static bool acts(retrax_search *search) {
             }
             pushed += sum * retrax_control_size(layout, trajectory, i - n);
         }
-        if (pushed > RESTS * search->values[a]) {
+        if (pushed > RETRAX_ROOT_EPS * search->values[a]) {
             return true;
         }
     }
@@ -89,7 +85,7 @@ static bool are_outgrown(retrax_search *search) {
         const double used = i < z ? search->judging.unknowns[i] : search->judging.cost;
         const double share = fmin(own, used) / used;
         less = less || share < LESS;
-        more = more || share > RESTS;
+        more = more || share > RETRAX_ROOT_EPS;
     }
     return less && acts(search) && (more || moves(search->layout, search->at));
 }

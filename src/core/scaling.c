@@ -8,10 +8,6 @@
 #include <math.h>
 #include <string.h>
 
-/* A motion that is a smaller share of the value is rounding. */
-#define STILL 1e-12
-/* A coordinate that controls reach by a smaller share of the terms of that sum is not reached: root of the precision. */
-#define ROUNDING 1.4901161193847656e-08
 /* Share of what changes the cost by as much as all others do: a size is no less. */
 #define MATTERS 1e-3
 /* Times as far in twice the time, controls move a coordinate without bound: no chain of six integrators comes as far. */
@@ -167,8 +163,8 @@ static double missed(const scaling *own, const double *fixed, const double *last
     double asked = 0.0;
     for (retrax_index a = 0; a < own->n; a++) {
         const double miss = fabs(own->drift[a]), reach = sqrt(fmax(last[a], 0.0));
-        const bool told = miss > STILL * retrax_larger(own->data->values[a], own->farthest[a]) &&
-                          reach > ROUNDING * sqrt(fmax(last_sizes[a], 0.0));
+        const bool told = miss > RETRAX_STILL * retrax_larger(own->data->values[a], own->farthest[a]) &&
+                          reach > RETRAX_ROOT_EPS * sqrt(fmax(last_sizes[a], 0.0));
         if (fixed[a] > 0.0 && told && isfinite(miss / reach)) {
             asked = fmax(asked, miss / reach);
         }
@@ -300,7 +296,7 @@ static double size_of(const scaling *own, double asked, bool convex) {
     if (costs > 0.0) {
         any_least = fmin(any_least, sqrt(costs));
     }
-    if (isfinite(any_least) && asked <= ROUNDING * any_least) {
+    if (isfinite(any_least) && asked <= RETRAX_ROOT_EPS * any_least) {
         asked = any_least;
     }
     return most > 0.0 && most < asked ? most : asked;
@@ -395,7 +391,7 @@ void retrax_measure_scale(const retrax_layout *layout, const double *trajectory,
     const double from_start = walk(&own, false), from_end = walk(&own, true);
     for (retrax_index a = 0; a < n; a++) {
         const double found = reached(&own, a, 0);
-        own.reach[a] = found > ROUNDING * reached(&own, a, 1) ? found : 0.0;
+        own.reach[a] = found > RETRAX_ROOT_EPS * reached(&own, a, 1) ? found : 0.0;
     }
     write_unknowns(&own, size_of(&own, fmin(from_start, from_end), convex), scale->unknowns);
     balance(&own, scale->unknowns);

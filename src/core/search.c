@@ -58,7 +58,7 @@ retrax_search *retrax_search_make(const retrax_layout *layout, const retrax_opti
     own->options = *options;
     own->set = set;
     own->firm = options->firm;
-    own->limits = (retrax_limit_scale){0.0, own->limit_sizes, 10.0, 0.5, 1e6};
+    own->limits = (retrax_limit_scale){0.0, own->limit_sizes, RETRAX_FIRST_PENALTY, 0.5, 1e6};
     return own;
 }
 

@@ -12,9 +12,6 @@
 
 /* Times the size of a point, which is the radius of the sphere that it stays on, the farthest motion. */
 #define DIAMETER 2.0
-/* Sizes that differ by a smaller share are the same, and entries that move by a smaller share do not: root of the
- * precision. */
-#define UNCHANGED 1.4901161193847656e-08
 
 /* Points with what each of their coordinates moves them by. */
 typedef struct {
@@ -43,7 +40,7 @@ static bool is_steady(const moving_points *own, const double *points, const retr
         least = fmin(least, size);
         most = fmax(most, size);
     }
-    return most - least <= UNCHANGED * most;
+    return most - least <= RETRAX_ROOT_EPS * most;
 }
 
 /* Whether a group of entries has the sizes at all points that it had before. */
@@ -52,7 +49,7 @@ static bool is_kept(const moving_points *own, const double *before, const double
     for (retrax_index k = 0; k < own->points; k++) {
         const double size = sqrt(square_of(own, before + k * own->numbers, groups, group));
         const double now = sqrt(square_of(own, after + k * own->numbers, groups, group));
-        if (!(fabs(now - size) <= UNCHANGED * size)) {
+        if (!(fabs(now - size) <= RETRAX_ROOT_EPS * size)) {
             return false;
         }
     }
@@ -63,7 +60,7 @@ static bool is_kept(const moving_points *own, const double *before, const double
 static bool moves_alone(const moving_points *own, retrax_index a, retrax_index array) {
     bool touches = false;
     for (retrax_index e = 0; e < own->numbers; e++) {
-        if (own->support[a * own->numbers + e] > UNCHANGED) {
+        if (own->support[a * own->numbers + e] > RETRAX_ROOT_EPS) {
             if (own->arrays[e] != array || !own->steady[own->columns[e]]) {
                 return false;
             }

@@ -1,0 +1,22 @@
+/*
+ * Constants with one meaning in several files; those of one file stand there.
+ */
+#ifndef RETRAX_CONSTANTS_H
+#define RETRAX_CONSTANTS_H
+
+/* Root of the precision: half of the digits. Relative to what a number is made of, a smaller part is rounding. */
+#define RETRAX_ROOT_EPS 1.4901161193847656e-08
+/* An entry that moves by a smaller share of its value is constant, but for rounding. */
+#define RETRAX_STILL 1e-12
+/* Share of its natural size by which a coordinate, or a part of a sum, is measured where it is less. */
+#define RETRAX_SHARE 1e-3
+/* Share of its value by which an entry, or an inequality, is measured where it changes by less: values are rounded. */
+#define RETRAX_VALUE_SHARE 1e-2
+/* The shift of the Hessian with which a step is the least that the constraints ask for, whatever it costs. */
+#define RETRAX_LEAST_SHIFT 1e6
+/* The shortest fraction of a step, a power of two. */
+#define RETRAX_SHORTEST 0.0625
+/* The usual first penalty of an excess, in natural sizes. */
+#define RETRAX_FIRST_PENALTY 10.0
+
+#endif /* RETRAX_CONSTANTS_H */
