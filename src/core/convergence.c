@@ -10,10 +10,6 @@
 #include <math.h>
 #include <string.h>
 
-
-/* Rows of POINT_SURVEY. */
-enum { OF_STEP, TOTAL, OF_POINT, MULTIPLIER, SLOPE };
-
 static double or_one(double size) { return size > 0.0 ? size : 1.0; }
 
 static void fill(double *to, double value, retrax_index count) {
@@ -74,13 +70,13 @@ static void survey_points(const retrax_layout *layout, double *trajectory) {
                 const double defect = ARRAY(POINT_DEFECTS)[i * n + a], multiplier = ARRAY(POINT_MULTIPLIERS)[i * n + a];
                 const double slope = fabs(ARRAY(SLOPES_BY_VELOCITIES)[i * n + a]) / ARRAY(POINT_WEIGHTS)[i];
                 total += fabs(defect);
-                found[OF_POINT * n + a] = retrax_larger(found[OF_POINT * n + a], fabs(defect));
-                found[MULTIPLIER * n + a] = retrax_larger(found[MULTIPLIER * n + a], fabs(multiplier));
-                found[SLOPE * n + a] = retrax_larger(found[SLOPE * n + a], slope);
+                found[RETRAX_POINTS_OF_POINT * n + a] = retrax_larger(found[RETRAX_POINTS_OF_POINT * n + a], fabs(defect));
+                found[RETRAX_POINTS_MULTIPLIER * n + a] = retrax_larger(found[RETRAX_POINTS_MULTIPLIER * n + a], fabs(multiplier));
+                found[RETRAX_POINTS_SLOPE * n + a] = retrax_larger(found[RETRAX_POINTS_SLOPE * n + a], slope);
                 ARRAY(TOTALS)[1] += multiplier * defect;
             }
-            found[OF_STEP * n + a] = retrax_larger(found[OF_STEP * n + a], total);
-            found[TOTAL * n + a] += total;
+            found[RETRAX_POINTS_OF_STEP * n + a] = retrax_larger(found[RETRAX_POINTS_OF_STEP * n + a], total);
+            found[RETRAX_POINTS_TOTAL * n + a] += total;
         }
     }
 }
@@ -233,11 +229,11 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
         defect = retrax_larger(defect, ARRAY(DISTANCE)[e] / or_one(ARRAY(ENTRIES)[e]));
     }
     for (retrax_index a = 0; a < n; a++) {
-        const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[OF_POINT * n + a]);
-        const double size = or_one(retrax_larger(unit * points[MULTIPLIER * n + a], RETRAX_SHARE * parts));
-        defect = retrax_larger(defect, points[OF_STEP * n + a] / or_one(ARRAY(ALONG)[a]));
-        stationarity = retrax_larger(stationarity, unit * points[SLOPE * n + a] / size);
-        found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[TOTAL * n + a]) / scale->nodes[a];
+        const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
+        const double size = or_one(retrax_larger(unit * points[RETRAX_POINTS_MULTIPLIER * n + a], RETRAX_SHARE * parts));
+        defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / or_one(ARRAY(ALONG)[a]));
+        stationarity = retrax_larger(stationarity, unit * points[RETRAX_POINTS_SLOPE * n + a] / size);
+        found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / scale->nodes[a];
         found[RETRAX_UNMET] = retrax_larger(found[RETRAX_UNMET], most / unit);
         found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], most / scale->nodes[a]);
     }

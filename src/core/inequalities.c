@@ -239,10 +239,10 @@ void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, d
         ARRAY(EXCESS_STEPS)[i] = dt;
     }
     double *const found = ARRAY(LIMIT_STEP);
-    found[0] = primal;
-    found[1] = dual;
-    found[2] = ahead;
-    found[3] = held;
+    found[RETRAX_STEP_PRIMAL] = primal;
+    found[RETRAX_STEP_DUAL] = dual;
+    found[RETRAX_STEP_AHEAD] = ahead;
+    found[RETRAX_STEP_HELD] = held;
 }
 
 void retrax_move_inequalities(const retrax_layout *layout, const double *from, double primal, double dual,

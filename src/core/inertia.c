@@ -70,8 +70,8 @@ static void write_promise(retrax_search *search) {
         }
     }
     if (retrax_is_limited(layout->problem)) {
-        ahead += ARRAY(LIMIT_STEP)[2];
-        dual = found->dual * ARRAY(LIMIT_STEP)[3];
+        ahead += ARRAY(LIMIT_STEP)[RETRAX_STEP_AHEAD];
+        dual = found->dual * ARRAY(LIMIT_STEP)[RETRAX_STEP_HELD];
     }
     found->promised = found->reach * ahead / search->steps.cost;
     found->turned = (found->reach * turned + dual) / search->steps.cost;
@@ -133,8 +133,8 @@ void retrax_newton_step(retrax_search *search, double shift) {
     found->reach = found->cap;
     if (retrax_is_limited(layout->problem)) {
         retrax_step_inequalities(layout, trajectory, BOUNDARY);
-        found->reach = fmin(found->cap, ARRAY(LIMIT_STEP)[0]);
-        found->dual = ARRAY(LIMIT_STEP)[1];
+        found->reach = fmin(found->cap, ARRAY(LIMIT_STEP)[RETRAX_STEP_PRIMAL]);
+        found->dual = ARRAY(LIMIT_STEP)[RETRAX_STEP_DUAL];
     }
     write_promise(search);
 }

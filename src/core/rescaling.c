@@ -15,8 +15,7 @@
 
 /* What nodes and points lack in coordinate a, summed over the trajectory. */
 static double lacking(const retrax_layout *layout, const double *trajectory, retrax_index a) {
-    const retrax_index total = 1; /* row of POINT_SURVEY */
-    return ARRAY(MISSING)[a] + ARRAY(POINT_SURVEY)[total * layout->problem->state_size + a];
+    return ARRAY(MISSING)[a] + ARRAY(POINT_SURVEY)[RETRAX_POINTS_TOTAL * layout->problem->state_size + a];
 }
 
 bool retrax_widen_scale(retrax_search *search, double part, double length) {

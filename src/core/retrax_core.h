@@ -441,14 +441,14 @@ typedef struct {
     X(LIMITS, l) X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z) + N * d * 2 * n)                                            \
     /* what is largest along the trajectory, and how far it is from its conditions: see 8 */                   \
     X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(MISSING, n) X(LACKING, n) X(PARTS, z) X(LARGEST_SLOPES, z)   \
-    X(CURVATURES, z) X(POINT_SURVEY, 5 * n) X(TOTALS, 2) X(LIMIT_SURVEY, 10) X(ALONG, n) X(ENTRIES, E)         \
+    X(CURVATURES, z) X(POINT_SURVEY, RETRAX_POINTS_ROWS * n) X(TOTALS, 2) X(LIMIT_SURVEY, RETRAX_LIMIT_ROWS) X(ALONG, n) X(ENTRIES, E)         \
     X(RESIDUALS, RETRAX_RESIDUALS)                                                                             \
     /* Newton step from here, and room for the parts of it that a move makes */                                \
     X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(COVECTOR_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
     X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U) X(CENTRE_PARTS, N *(s > 1 ? n : z))                    \
     X(CONTROL_SUPPORT, g *m *U) X(CONTROL_FRAMES, g *N *s *m *U) X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)                                                             \
     X(SLACK_STEPS, l) X(LIMIT_MULTIPLIER_STEPS, l) X(EXCESS_STEPS, l)                        \
-    X(POINT_STEPS, v *q) X(END_STEPS, (d > 0) * N * 2 * n) X(LIMIT_STEP, 4)
+    X(POINT_STEPS, v *q) X(END_STEPS, (d > 0) * N * 2 * n) X(LIMIT_STEP, RETRAX_STEP_ENTRIES)
 
 #define RETRAX_NAME_OF(name, count) RETRAX_ARRAY_##name,
 typedef enum { RETRAX_ARRAYS(RETRAX_NAME_OF) RETRAX_ARRAY_TOTAL } retrax_array;
@@ -535,7 +535,17 @@ enum {
     RETRAX_LIMIT_HELD,      /* sum of w nu (g + s - t) */
     RETRAX_LIMIT_DEAR,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */
     RETRAX_LIMIT_CHEAP,     /* 1 where a multiplier comes near to its penalty and that may still grow */
-    RETRAX_LIMIT_LEFT       /* the largest excess whose multiplier comes near to the last penalty, relative to limit */
+    RETRAX_LIMIT_LEFT,      /* the largest excess whose multiplier comes near to the last penalty, relative to limit */
+    RETRAX_LIMIT_ROWS       /* their number */
+};
+
+/* Entries of LIMIT_STEP. */
+enum {
+    RETRAX_STEP_PRIMAL, /* fraction of the steps of slacks and excesses that stays inside */
+    RETRAX_STEP_DUAL,   /* the same of the steps of the multipliers */
+    RETRAX_STEP_AHEAD,  /* derivative of the potential along the whole step */
+    RETRAX_STEP_HELD,   /* sum of w dnu (g + s - t) */
+    RETRAX_STEP_ENTRIES /* their number */
 };
 
 /* Adds the share of the inequalities to the Hessians of the points, and writes RIGHT_SLOPES and BARRIER_SLOPES, for a
@@ -560,6 +570,17 @@ RETRAX_API void retrax_move_inequalities(const retrax_layout *layout, const doub
 /* ------------------------------------------------------------------------------------------------------
  * 8. Convergence: how far a trajectory is from satisfying its conditions
  * ------------------------------------------------------------------------------------------------------ */
+
+/* Rows of POINT_SURVEY, each [n]: of the defects of collocation points, of their multipliers, and of the slopes of the Lagrangian
+ * by their velocities. */
+enum {
+    RETRAX_POINTS_OF_STEP,    /* the largest sum of the sizes of the defects of a step */
+    RETRAX_POINTS_TOTAL,      /* the sum of all */
+    RETRAX_POINTS_OF_POINT,   /* the largest one */
+    RETRAX_POINTS_MULTIPLIER, /* the largest multiplier */
+    RETRAX_POINTS_SLOPE,      /* the largest slope over the weight of its point */
+    RETRAX_POINTS_ROWS        /* their number */
+};
 
 /* Entries of RESIDUALS. The first nine are relative to what they are made of. */
 enum {
