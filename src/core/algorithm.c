@@ -79,8 +79,8 @@ static void reset_funnel(retrax_search *search) {
 
 /* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
  *
- * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is one of
- * a family of extremals, or it has grown along the null vector until rounding hides that there is none. */
+ * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is
+ * one of a family of extremals, or it has grown along the null vector until rounding hides that there is none. */
 static void settle(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     const double *const trajectory = search->at;
@@ -184,8 +184,8 @@ static void iterate(retrax_search *search) {
 
 /* Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
  *
- * Near the end, or where all was met before, the normal part of what is missing is the square of its size: from there it
- * moves. */
+ * Near the end, or where all was met before, the normal part of what is missing is the square of its size: from there
+ * it moves. */
 static bool is_elsewhere(const retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     const double *const trajectory = search->at, tolerance = search->options.tolerance;

@@ -5,8 +5,8 @@
 
 #include <string.h>
 
-/* The equations of the collocation points as condensing takes them; slope, end_slope: of the Lagrangian with what is added to
- * them. */
+/* The equations of the collocation points as condensing takes them; slope, end_slope: of the Lagrangian with what is
+ * added to them. */
 static retrax_collocation_system system_of(const retrax_layout *layout, double *trajectory, const double *slope,
                                             const double *end_slope) {
     const retrax_problem *const problem = layout->problem;

@@ -52,8 +52,8 @@ static double size_of_unknown(const retrax_search *search, const retrax_limit *o
     return a < 2 * n ? search->steps.nodes[a % n] : 0.0; /* no inequality depends on velocities */
 }
 
-/* Writes the natural sizes of the inequalities: what a step of natural size changes them by, or their values where that is next
- * to nothing, as that of a ball where its derivative vanishes. */
+/* Writes the natural sizes of the inequalities: what a step of natural size changes them by, or their values where that
+ * is next to nothing, as that of a ball where its derivative vanishes. */
 static void write_limits(retrax_search *search, const double *trajectory) {
     const retrax_layout *const layout = search->layout;
     const retrax_problem *const problem = layout->problem;
@@ -166,8 +166,8 @@ static void multiply(double *numbers, double factor, retrax_index count) {
     }
 }
 
-/* Makes the cost of a trajectory count less: all multipliers grow with the penalties. The barrier does not: it would hold the
- * trajectory far from its inequalities, where the cost, which counts less and less, no longer leads it back. */
+/* Makes the cost of a trajectory count less: all multipliers grow with the penalties. The barrier does not: it would
+ * hold the trajectory far from its inequalities, where the cost, which counts less and less, no longer leads it back. */
 static void raise_penalties(const retrax_layout *layout, double *trajectory) {
     static const retrax_array scaled[] = {RETRAX_ARRAY_POINT_COSTATES, RETRAX_ARRAY_COSTATES,
                                           RETRAX_ARRAY_LIMIT_MULTIPLIERS, RETRAX_ARRAY_PENALTIES};

@@ -34,11 +34,12 @@ typedef struct {
 } retrax_pivots;
 
 /* Factorises the first `pivots` rows of a front as P' L D L' P with pivots of size one and two, and subtracts them from
- * the border; returns the inertia. guess: an order to try first, [guesses], as of a front like this one; NULL if guesses is 0.
+ * the border; returns the inertia. guess: an order to try first, [guesses], as of a front like this one; NULL if
+ * guesses is 0.
  *
- * Each pivot is chosen such that its entry is about the largest in both its rows (bounded Bunch-Kaufman pivoting), which
- * bounds the factors, so that the smallest pivot shows how close to singular the matrix is [Ashcraft, Grimes, Lewis,
- * Accurate symmetric indefinite linear equation solvers, SIAM J. Matrix Anal. Appl. 20, 1998]. */
+ * Each pivot is chosen such that its entry is about the largest in both its rows (bounded Bunch-Kaufman pivoting),
+ * which bounds the factors, so that the smallest pivot shows how close to singular the matrix is [Ashcraft, Grimes,
+ * Lewis, Accurate symmetric indefinite linear equation solvers, SIAM J. Matrix Anal. Appl. 20, 1998]. */
 retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_front *front, retrax_index pivots,
                                       const retrax_index *guess, retrax_index guesses, retrax_pivots *found);
 

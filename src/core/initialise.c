@@ -8,8 +8,8 @@
 
 /* Share of the largest curvature in the controls, by their ways to the bounds, of which less is rounding. */
 #define FLAT 1e-8
-/* Share of the largest slope, or curvature, of an inequality in a control along the trajectory: where one passes through
- * zero, as those of a cone do, it says nothing of the way. */
+/* Share of the largest slope, or curvature, of an inequality in a control along the trajectory: where one passes
+ * through zero, as those of a cone do, it says nothing of the way. */
 #define LEAST 1e-2
 /* Curvature of an inequality, relative to the one that it is added to, which is rounding. */
 #define SUM_ROUNDING 1e-13
@@ -115,8 +115,8 @@ static void find_straight_ways(const retrax_search *search, const double *trajec
     }
 }
 
-/* Writes half of the way of each control of a step from one inequality to the other, or that to the only one, 0 where there
- * is none, the largest of all steps; and the same in search->room, but infinite where a side is open. */
+/* Writes half of the way of each control of a step from one inequality to the other, or that to the only one, 0 where
+ * there is none, the largest of all steps; and the same in search->room, but infinite where a side is open. */
 static void find_room(retrax_search *search, const double *trajectory, double *ways_found) {
     const retrax_problem *const problem = search->layout->problem;
     const retrax_index m = problem->control_size, s = problem->points, points = problem->steps * s;
@@ -214,8 +214,8 @@ static bool is_without_costates(const retrax_layout *layout, const double *traje
     return true;
 }
 
-/* Whether no block of the Hessian has a negative eigenvalue beyond rounding: whether that with a little more diagonal has a
- * Cholesky factor. matrix: [z][z] workspace. */
+/* Whether no block of the Hessian has a negative eigenvalue beyond rounding: whether that with a little more diagonal
+ * has a Cholesky factor. matrix: [z][z] workspace. */
 static bool is_convex(const retrax_layout *layout, const double *trajectory, double *matrix) {
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
@@ -254,9 +254,9 @@ static bool has_flat_controls(const retrax_layout *layout, const double *traject
 /* Sets the multipliers of the nodes and points to those of a step in which all moves cost about what their sizes make
  * natural; the unknowns stay.
  *
- * Without multipliers the Hessian of the Lagrangian is that of the cost. Where it is flat in a direction that the constraints
- * leave free, as in every problem of least time, how the constraints bend is what bounds a step, and that the multipliers
- * weigh. */
+ * Without multipliers the Hessian of the Lagrangian is that of the cost. Where it is flat in a direction that the
+ * constraints leave free, as in every problem of least time, how the constraints bend is what bounds a step, and that
+ * the multipliers weigh. */
 static void find_first_multipliers(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     retrax_newton_step(search, FIRST_SHIFT);
@@ -285,8 +285,8 @@ static bool knows_multipliers(const retrax_layout *layout, const double *traject
     return false;
 }
 
-/* Finds the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. Known multipliers that do
- * not fit tell nothing, nor do the costates that came with them: then the guess has none. */
+/* Finds the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. Known multipliers
+ * that do not fit tell nothing, nor do the costates that came with them: then the guess has none. */
 static void begin(retrax_search *search) {
     const retrax_layout *const layout = search->layout;
     double *const trajectory = search->at;

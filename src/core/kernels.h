@@ -9,8 +9,8 @@
 #include "retrax_core.h"
 
 typedef struct {
-    /* y[i][j] -= sum_s f[s][i] x[s][j] for i < rows, j < columns, s < terms; rows of y, f and x are y_width, f_width and
-     * x_width numbers apart. */
+    /* y[i][j] -= sum_s f[s][i] x[s][j] for i < rows, j < columns, s < terms; rows of y, f and x are y_width, f_width
+     * and x_width numbers apart. */
     void (*subtract_products)(retrax_index rows, retrax_index columns, retrax_index terms, double *y,
                               retrax_index y_width, const double *f, retrax_index f_width, const double *x,
                               retrax_index x_width);

@@ -79,8 +79,8 @@ static retrax_index place_arrays(const retrax_problem *problem, retrax_layout *l
 
 /* ---------------------------------------------------------------------------------------- places of functions */
 
-/* What a function reads or writes at one place: `width` numbers of an array, from number `offset` on; the numbers of the
- * next place are `stride` farther. */
+/* What a function reads or writes at one place: `width` numbers of an array, from number `offset` on; the numbers of
+ * the next place are `stride` farther. */
 typedef struct {
     retrax_array array;
     retrax_index offset, width, stride;

@@ -156,10 +156,10 @@ RETRAX_API void retrax_tape_run(const retrax_tape *tape, const retrax_tape_data 
  * 3. Dense linear algebra for small matrices
  * ------------------------------------------------------------------------------------------------------ */
 
-/* Factorises a[n][n] in place as P a = L U by Gauss's elimination. A pivot is the entry of its column that is largest in
- * proportion to its row; a row that has nothing but its diagonal is a pivot first. On return the upper triangle is U, and
- * below the diagonal stands L, whose diagonal is 1. swaps: [n], row k was exchanged with row swaps[k] >= k; weights: [n]
- * workspace. A singular matrix has factors that are not finite. */
+/* Factorises a[n][n] in place as P a = L U by Gauss's elimination. A pivot is the entry of its column that is largest
+ * in proportion to its row; a row that has nothing but its diagonal is a pivot first. On return the upper triangle is
+ * U, and below the diagonal stands L, whose diagonal is 1. swaps: [n], row k was exchanged with row swaps[k] >= k;
+ * weights: [n] workspace. A singular matrix has factors that are not finite. */
 RETRAX_API void retrax_lu_factorise(retrax_index n, double *a, retrax_index *swaps, double *weights);
 
 /* Solves a x = b in place with the factors of retrax_lu_factorise; b is [n][width], width a multiple of RETRAX_VECTOR. */
@@ -230,8 +230,8 @@ typedef struct {
     double size;             /* sum_k d_k' S d_k of column 0, in units of stage_scale */
 } retrax_block_solution;
 
-/* Returns the bytes of workspace that retrax_block_eliminate needs for a system of these sizes; 0 if a size is less than
- * 1 or the workspace would exceed the address space. */
+/* Returns the bytes of workspace that retrax_block_eliminate needs for a system of these sizes; 0 if a size is less
+ * than 1 or the workspace would exceed the address space. */
 RETRAX_API size_t retrax_block_workspace(retrax_index stages, retrax_index node_size, retrax_index stage_size,
                                          retrax_index columns);
 
@@ -328,34 +328,35 @@ RETRAX_API void retrax_condense_slope(const retrax_collocation_system *system,
  * of such a step.
  * ------------------------------------------------------------------------------------------------------ */
 
-/* The functions of a problem, with what they read -> write at one place. Derivatives are at the iterate, by the steps of
- * the unknowns in their charts; "Lagrangian" is the cost with all multipliers. q = 3 n + m, z = n + s m. */
+/* The functions of a problem, with what they read -> write at one place. Derivatives are at the iterate, by the steps
+ * of the unknowns in their charts; "Lagrangian" is the cost with all multipliers. q = 3 n + m, z = n + s m. */
 typedef enum {
     /* Discretization map: x, u, h, parameters -> begin [E], finish [E]. Collocation: x, eta -> the same. */
     RETRAX_ENDS,
     /* two points of the manifold -> a point amid them [E] */
     RETRAX_MIDDLE,
-    /* node, fixed [n], gap [E], covector [E] -> frame [n][E]; in it, where fixed is 1, defect [n] and multipliers [n]; the
-     * covector with these multipliers [E] */
+    /* node, fixed [n], gap [E], covector [E] -> frame [n][E]; in it, where fixed is 1, defect [n] and multipliers [n];
+     * the covector with these multipliers [E] */
     RETRAX_FRAMES,
     /* Discretization map: x, u, the nodes on either side, the covectors there, h, parameters, multipliers of the
-     * inequalities [c] -> Hessian [z][z] and slope [z] of the Lagrangian, left [n][z], right [n][z], gradient [z] of the
-     * cost, derivatives [c][z] of the inequalities, both ends in the frames of the nodes [2][n], cost, inequalities [c].
-     * Collocation: x, xi, nu, u, lambda, weight, parameters, multipliers [c] -> Hessian [q][q], slope [q], derivatives
-     * [n][q] of the defect, gradient [q], derivatives [c][q], defect [n], cost, inequalities [c], frame [n][E],
-     * coordinates of lambda in it [n]. */
+     * inequalities [c] -> Hessian [z][z] and slope [z] of the Lagrangian, left [n][z], right [n][z], gradient [z] of
+     * the cost, derivatives [c][z] of the inequalities, both ends in the frames of the nodes [2][n], cost, inequalities
+     * [c]. Collocation: x, xi, nu, u, lambda, weight, parameters, multipliers [c] -> Hessian [q][q], slope [q],
+     * derivatives [n][q] of the defect, gradient [q], derivatives [c][q], defect [n], cost, inequalities [c], frame
+     * [n][E], coordinates of lambda in it [n]. */
     RETRAX_POINTS,
-    /* Collocation alone: x, eta, the nodes on either side, the covectors there, and with inequalities at nodes h, parameters,
-     * multipliers [d] -> Hessian [2 n][2 n] and slope [2 n] of the Lagrangian by (dx, deta), left [n][2 n], right [n][2 n],
-     * with inequalities their derivatives [d][2 n], both ends in the frames of the nodes [2][n], inequalities [d] */
+    /* Collocation alone: x, eta, the nodes on either side, the covectors there, and with inequalities at nodes h,
+     * parameters, multipliers [d] -> Hessian [2 n][2 n] and slope [2 n] of the Lagrangian by (dx, deta), left [n][2 n],
+     * right [n][2 n], with inequalities their derivatives [d][2 n], both ends in the frames of the nodes [2][n],
+     * inequalities [d] */
     RETRAX_BOTH_ENDS,
     /* Discretization map: x, u, step [z], h, parameters -> x, u. Collocation: x, dx -> x, and the matrix [n][n] that
      * carries velocities from one chart to the other. */
     RETRAX_MOVE,
     /* Collocation alone: u, du -> u */
     RETRAX_MOVE_CONTROLS,
-    /* Where the start, or the end, costs something: node, parameters -> cost, its derivative [E], that in the frame of the node
-     * [n], its Hessian there [n][n] */
+    /* Where the start, or the end, costs something: node, parameters -> cost, its derivative [E], that in the frame of
+     * the node [n], its Hessian there [n][n] */
     RETRAX_START_COST,
     RETRAX_END_COST,
     /* Where the controls lie on a manifold that is not flat: u -> frame [m][U] */
@@ -363,8 +364,8 @@ typedef enum {
     RETRAX_FUNCTIONS /* their number */
 } retrax_function_name;
 
-/* A function of the problem. `evaluate` reads and writes at `points` places, as retrax_tape_run does with a tape; numbers
- * that it cannot compute are NaN. It is NULL where a problem does not have the function. */
+/* A function of the problem. `evaluate` reads and writes at `points` places, as retrax_tape_run does with a tape;
+ * numbers that it cannot compute are NaN. It is NULL where a problem does not have the function. */
 typedef struct {
     void (*evaluate)(void *context, const retrax_tape_data *data, retrax_index points);
     void *context;
@@ -405,50 +406,49 @@ typedef struct {
 } retrax_problem;
 
 /* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0, p = s n,
- * and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie on a
- * manifold that is not flat, else 0. */
-#define RETRAX_ARRAYS(X)                                                                                       \
-    /* given */                                                                                                \
-    X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                             \
-    X(START_ENTRIES, E) X(END_ENTRIES, E)                  /* 1 where an entry of them is prescribed, else 0 */ \
-    X(FIXED, (N + 1) * n)                                  /* 1 where an equation of a node counts, else 0 */   \
-    X(LIMIT_WEIGHTS, l) X(PENALTIES, l) X(BARRIER, 1) /* see 7 */                                   \
-    /* unknowns */                                                                                             \
-    X(CENTRES, N *E) X(VELOCITIES, v *n) X(CONTROLS, N *s *U) X(POINT_COSTATES, v *E) X(COSTATES, (N + 1) * E) \
-    X(SLACKS, l) X(LIMIT_MULTIPLIERS, l) X(EXCESSES, l) /* of the inequalities */            \
-    /* points and ends of the steps in their charts */                                                         \
-    X(POINT_CENTRES, v *E) X(XI, v *n) X(ETA, v / s *n) X(POINT_WEIGHTS, v)                                    \
-    /* nodes */                                                                                                \
-    X(BEGINS, N *E) X(FINISHES, N *E) X(NODES, (N + 1) * E) X(GAPS, (N + 1) * E) X(SEEN, (N + 1) * E)          \
-    X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID, 3 * E)                                                     \
-    X(NODE_FRAMES, (N + 1) * n * E) X(DEFECTS, (N + 1) * n) X(ASKED, (N + 1) * n) X(MULTIPLIERS, (N + 1) * n)       \
-    X(NODE_COSTATES, (N + 1) * E) X(TURNED_COSTATES, (N + 1) * E)                                              \
-    X(START_COST, 1 + E + n + n * n) X(END_COST, 1 + E + n + n * n)                                            \
-    /* points of collocation */                                                                                \
-    X(POINT_HESSIANS, v *q *q) X(POINT_SLOPES, v *q) X(POINT_JACOBIANS, v *n *q) X(POINT_GRADIENTS, v *q)      \
-    X(POINT_DEFECTS, v *n) X(POINT_COSTS, v) X(POINT_FRAMES, v *n *E) X(POINT_MULTIPLIERS, v *n)               \
-    X(END_HESSIANS, v / s * 4 * n * n) X(END_SLOPES, v / s * 2 * n) X(END_LEFT, v / s * 2 * n * n)             \
-    X(END_RIGHT, v / s * 2 * n * n)                                                                            \
-    X(RIGHT_SLOPES, (l > 0) * v * q) X(BARRIER_SLOPES, (l > 0) * v * q) X(NEWTON_SLOPES, (l > 0) * v * q)      \
-    X(RIGHT_END_SLOPES, (d > 0) * N * 2 * n) X(BARRIER_END_SLOPES, (d > 0) * N * 2 * n)                        \
-    X(NEWTON_END_SLOPES, (d > 0) * N * 2 * n)                                                                  \
-    X(FACTORS, v *n *p) X(SWAPS, v *n) X(VELOCITY_MAPS, v *n *(z + 1)) X(BEFORE, v / s *n) X(AFTER, v / s *n)  \
-    X(SLOPES_BY_VELOCITIES, v *n) X(GRADIENTS_BY_VELOCITIES, v *n)                                             \
+ * and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie
+ * on a manifold that is not flat, else 0. */
+#define RETRAX_ARRAYS(X)                                                                                              \
+    /* given */                                                                                                       \
+    X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                                    \
+    X(START_ENTRIES, E) X(END_ENTRIES, E) /* 1 where an entry of them is prescribed, else 0 */                        \
+    X(FIXED, (N + 1) * n) /* 1 where an equation of a node counts, else 0 */                                          \
+    X(LIMIT_WEIGHTS, l) X(PENALTIES, l) X(BARRIER, 1) /* see 7 */                                                     \
+    /* unknowns */                                                                                                    \
+    X(CENTRES, N *E) X(VELOCITIES, v *n) X(CONTROLS, N *s *U) X(POINT_COSTATES, v *E) X(COSTATES, (N + 1) * E)        \
+    X(SLACKS, l) X(LIMIT_MULTIPLIERS, l) X(EXCESSES, l) /* of the inequalities */                                     \
+    /* points and ends of the steps in their charts */                                                                \
+    X(POINT_CENTRES, v *E) X(XI, v *n) X(ETA, v / s *n) X(POINT_WEIGHTS, v)                                           \
+    /* nodes */                                                                                                       \
+    X(BEGINS, N *E) X(FINISHES, N *E) X(NODES, (N + 1) * E) X(GAPS, (N + 1) * E) X(SEEN, (N + 1) * E)                 \
+    X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID, 3 * E) X(NODE_FRAMES, (N + 1) * n * E)                \
+    X(DEFECTS, (N + 1) * n) X(ASKED, (N + 1) * n) X(MULTIPLIERS, (N + 1) * n) X(NODE_COSTATES, (N + 1) * E)           \
+    X(TURNED_COSTATES, (N + 1) * E) X(START_COST, 1 + E + n + n * n) X(END_COST, 1 + E + n + n * n)                   \
+    /* points of collocation */                                                                                       \
+    X(POINT_HESSIANS, v *q *q) X(POINT_SLOPES, v *q) X(POINT_JACOBIANS, v *n *q) X(POINT_GRADIENTS, v *q)             \
+    X(POINT_DEFECTS, v *n) X(POINT_COSTS, v) X(POINT_FRAMES, v *n *E) X(POINT_MULTIPLIERS, v *n)                      \
+    X(END_HESSIANS, v / s * 4 * n * n) X(END_SLOPES, v / s * 2 * n) X(END_LEFT, v / s * 2 * n * n)                    \
+    X(END_RIGHT, v / s * 2 * n * n) X(RIGHT_SLOPES, (l > 0) * v * q) X(BARRIER_SLOPES, (l > 0) * v * q)               \
+    X(NEWTON_SLOPES, (l > 0) * v * q) X(RIGHT_END_SLOPES, (d > 0) * N * 2 * n)                                        \
+    X(BARRIER_END_SLOPES, (d > 0) * N * 2 * n) X(NEWTON_END_SLOPES, (d > 0) * N * 2 * n) X(FACTORS, v *n *p)          \
+    X(SWAPS, v *n) X(VELOCITY_MAPS, v *n *(z + 1)) X(BEFORE, v / s *n) X(AFTER, v / s *n)                             \
+    X(SLOPES_BY_VELOCITIES, v *n) X(GRADIENTS_BY_VELOCITIES, v *n)                                                    \
     /* linear system: slopes of the Lagrangian; right sides with the share of the inequalities, and of the barrier */ \
-    X(HESSIANS, N *z *z) X(LEFT, N *n *z) X(RIGHT, N *n *z) X(SLOPES, N *z) X(RIGHT_SIDES, N *z)               \
-    X(BARRIER_SIDES, (l > 0) * N * z) X(NEWTON_SIDES, N *z) X(NEWTON_DEFECTS, (N + 1) * n)                     \
-    X(GRADIENTS, N *z) X(COSTS, N) X(END_COORDINATES, 2 * N * n)                                               \
-    X(LIMITS, l) X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z) + N * d * 2 * n)                                            \
-    /* what is largest along the trajectory, and how far it is from its conditions: see 8 */                   \
-    X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(MISSING, n) X(LACKING, n) X(PARTS, z) X(LARGEST_SLOPES, z)   \
-    X(CURVATURES, z) X(POINT_SURVEY, RETRAX_POINTS_ROWS * n) X(TOTALS, 2) X(LIMIT_SURVEY, RETRAX_LIMIT_ROWS) X(ALONG, n) X(ENTRIES, E)         \
-    X(RESIDUALS, RETRAX_RESIDUALS)                                                                             \
-    /* Newton step from here, and room for the parts of it that a move makes */                                \
-    X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(COVECTOR_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n) X(POINT_MULTIPLIER_STEPS, v *n)    \
-    X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U) X(CENTRE_PARTS, N *(s > 1 ? n : z))                    \
-    X(CONTROL_SUPPORT, g *m *U) X(CONTROL_FRAMES, g *N *s *m *U) X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n)                                                             \
-    X(SLACK_STEPS, l) X(LIMIT_MULTIPLIER_STEPS, l) X(EXCESS_STEPS, l)                        \
-    X(POINT_STEPS, v *q) X(END_STEPS, (d > 0) * N * 2 * n) X(LIMIT_STEP, RETRAX_STEP_ENTRIES)
+    X(HESSIANS, N *z *z) X(LEFT, N *n *z) X(RIGHT, N *n *z) X(SLOPES, N *z) X(RIGHT_SIDES, N *z)                      \
+    X(BARRIER_SIDES, (l > 0) * N * z) X(NEWTON_SIDES, N *z) X(NEWTON_DEFECTS, (N + 1) * n) X(GRADIENTS, N *z)         \
+    X(COSTS, N) X(END_COORDINATES, 2 * N * n) X(LIMITS, l)                                                            \
+    X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z) + N * d * 2 * n)                                                      \
+    /* what is largest along the trajectory, and how far it is from its conditions: see 8 */                          \
+    X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(MISSING, n) X(LACKING, n) X(PARTS, z) X(LARGEST_SLOPES, z)          \
+    X(CURVATURES, z) X(POINT_SURVEY, RETRAX_POINTS_ROWS * n) X(TOTALS, 2) X(LIMIT_SURVEY, RETRAX_LIMIT_ROWS)          \
+    X(ALONG, n) X(ENTRIES, E) X(RESIDUALS, RETRAX_RESIDUALS)                                                          \
+    /* Newton step from here, and room for the parts of it that a move makes */                                       \
+    X(STEPS, N *z) X(MULTIPLIER_STEPS, (N + 1) * n) X(COVECTOR_STEPS, (N + 1) * n) X(VELOCITY_STEPS, v *n)            \
+    X(POINT_MULTIPLIER_STEPS, v *n) X(CENTRES_BEFORE, N *E) X(CONTROLS_BEFORE, N *s *U)                               \
+    X(CENTRE_PARTS, N *(s > 1 ? n : z)) X(CONTROL_SUPPORT, g *m *U) X(CONTROL_FRAMES, g *N *s *m *U)                  \
+    X(CONTROL_PARTS, v *m) X(CARRIED, v / s *n *n) X(SLACK_STEPS, l) X(LIMIT_MULTIPLIER_STEPS, l)                     \
+    X(EXCESS_STEPS, l) X(POINT_STEPS, v *q) X(END_STEPS, (d > 0) * N * 2 * n)                                         \
+    X(LIMIT_STEP, RETRAX_STEP_ENTRIES)
 
 #define RETRAX_NAME_OF(name, count) RETRAX_ARRAY_##name,
 typedef enum { RETRAX_ARRAYS(RETRAX_NAME_OF) RETRAX_ARRAY_TOTAL } retrax_array;
@@ -474,16 +474,16 @@ RETRAX_API retrax_index retrax_function_outputs(const retrax_problem *problem, r
 /* Returns the bytes of memory that a layout needs; 0 if a size is out of bounds or the arrays exceed the address space. */
 RETRAX_API size_t retrax_layout_memory(const retrax_problem *problem);
 
-/* Lays out the trajectories of a problem; memory: as retrax_layout_memory says, aligned to 64 bytes. The problem and the
- * memory have to last as long as the layout. */
+/* Lays out the trajectories of a problem; memory: as retrax_layout_memory says, aligned to 64 bytes. The problem and
+ * the memory have to last as long as the layout. */
 RETRAX_API void retrax_layout_make(const retrax_problem *problem, void *memory, retrax_layout *layout);
 
-/* Returns the bytes of workspace that the functions below need, aligned to 64 bytes: one workspace serves one thread. 0 if a
- * size is out of bounds. */
+/* Returns the bytes of workspace that the functions below need, aligned to 64 bytes: one workspace serves one thread. 0
+ * if a size is out of bounds. */
 RETRAX_API size_t retrax_workspace(const retrax_problem *problem);
 
-/* Evaluates the functions of the problem at the unknowns of a trajectory. trajectory: double [layout.numbers], aligned to 64
- * bytes. */
+/* Evaluates the functions of the problem at the unknowns of a trajectory. trajectory: double [layout.numbers], aligned
+ * to 64 bytes. */
 RETRAX_API void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory);
 
 /* Assembles the linear system of a trajectory that was evaluated and, where there are inequalities, has their share. */
@@ -493,8 +493,8 @@ RETRAX_API void retrax_assemble_system(const retrax_layout *layout, double *traj
 /* Writes the right-hand sides of the Newton step at the barrier: NEWTON_SIDES, NEWTON_DEFECTS, NEWTON_SLOPES. */
 RETRAX_API void retrax_write_right_sides(const retrax_layout *layout, double *trajectory);
 
-/* Expands the Newton step: from STEPS and MULTIPLIER_STEPS to COVECTOR_STEPS, at the ends with the slopes of their costs,
- * which move, and of a collocation method to VELOCITY_STEPS and POINT_MULTIPLIER_STEPS. */
+/* Expands the Newton step: from STEPS and MULTIPLIER_STEPS to COVECTOR_STEPS, at the ends with the slopes of their
+ * costs, which move, and of a collocation method to VELOCITY_STEPS and POINT_MULTIPLIER_STEPS. */
 RETRAX_API void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *workspace);
 
 /* Writes the unknowns of a trajectory as those of `from` after a part of the Newton step from there, 0 <= part <= 1. */
@@ -549,8 +549,8 @@ enum {
 };
 
 /* Adds the share of the inequalities to the Hessians of the points, and writes RIGHT_SLOPES and BARRIER_SLOPES, for a
- * discretization map RIGHT_SIDES and BARRIER_SIDES: the slopes with their share, and what the barrier is multiplied with.
- * Call it between retrax_evaluate_trajectory and retrax_assemble_system. */
+ * discretization map RIGHT_SIDES and BARRIER_SIDES: the slopes with their share, and what the barrier is multiplied
+ * with. Call it between retrax_evaluate_trajectory and retrax_assemble_system. */
 RETRAX_API void retrax_add_inequalities(const retrax_layout *layout, double *trajectory);
 
 /* Writes LIMIT_SURVEY. Values are measured by their limit, or by a hundredth of the largest one along the trajectory. */
@@ -558,8 +558,8 @@ RETRAX_API void retrax_survey_inequalities(const retrax_layout *layout, double *
                                            const retrax_limit_scale *scale);
 
 /* Writes SLACK_STEPS, LIMIT_MULTIPLIER_STEPS and EXCESS_STEPS that belong to the Newton step, and LIMIT_STEP: which
- * fraction of the steps of slacks and excesses stays inside, `share` of the way to the boundary; the same of the steps of
- * the multipliers; the derivative of the potential along the whole step; sum of w dnu (g + s - t). */
+ * fraction of the steps of slacks and excesses stays inside, `share` of the way to the boundary; the same of the steps
+ * of the multipliers; the derivative of the potential along the whole step; sum of w dnu (g + s - t). */
 RETRAX_API void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, double share);
 
 /* Writes slacks, excesses and multipliers as those of `from` after parts of their steps, the primal ones and the dual
@@ -571,8 +571,8 @@ RETRAX_API void retrax_move_inequalities(const retrax_layout *layout, const doub
  * 8. Convergence: how far a trajectory is from satisfying its conditions
  * ------------------------------------------------------------------------------------------------------ */
 
-/* Rows of POINT_SURVEY, each [n]: of the defects of collocation points, of their multipliers, and of the slopes of the Lagrangian
- * by their velocities. */
+/* Rows of POINT_SURVEY, each [n]: of the defects of collocation points, of their multipliers, and of the slopes of the
+ * Lagrangian by their velocities. */
 enum {
     RETRAX_POINTS_OF_STEP,    /* the largest sum of the sizes of the defects of a step */
     RETRAX_POINTS_TOTAL,      /* the sum of all */
@@ -610,23 +610,23 @@ typedef struct {
     double cost;
 } retrax_residual_scale;
 
-/* Writes what is largest along an assembled trajectory: HIGHEST to CURVATURES and POINT_SURVEY; TOTALS are its cost, and
- * the sum of its multipliers times what is lacking. */
+/* Writes what is largest along an assembled trajectory: HIGHEST to CURVATURES and POINT_SURVEY; TOTALS are its cost,
+ * and the sum of its multipliers times what is lacking. */
 RETRAX_API void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory);
 
 /* Writes ALONG, ENTRIES and RESIDUALS of a trajectory that was surveyed; limits: NULL without inequalities. */
 RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *trajectory,
                                          const retrax_residual_scale *scale, const retrax_limit_scale *limits);
 
-/* ------------------------------------------------------------------------------------------------------
- * 9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
+/* ------------------------------------------------------------------------------------------------------ 9. Scaling:
+ * natural sizes of a trajectory, free of the units that its problem is written in
  *
- * A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest to a
- * deviation e costs e' G^-1 e / 2 with the Gramian G_{k+1} = A G_k A' + B W B' of the linearised steps, where W is the
- * inverse curvature of the cost in the controls. Both ends are fixed, so the smaller of the Gramians from the start and from
- * the end counts. One factor is left, the size of the trajectory: what controls have to make up for of the ends that a
- * drifting trajectory misses, and what the slope of the cost asks for. No size is next to nothing: not beside what each step
- * makes of the sizes of others, nor beside what costs as much as all others do.
+ * A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest
+ * to a deviation e costs e' G^-1 e / 2 with the Gramian G_{k+1} = A G_k A' + B W B' of the linearised steps, where W is
+ * the inverse curvature of the cost in the controls. Both ends are fixed, so the smaller of the Gramians from the start
+ * and from the end counts. One factor is left, the size of the trajectory: what controls have to make up for of the
+ * ends that a drifting trajectory misses, and what the slope of the cost asks for. No size is next to nothing: not
+ * beside what each step makes of the sizes of others, nor beside what costs as much as all others do.
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Natural sizes; the arrays belong to the caller. */
@@ -648,9 +648,9 @@ typedef struct {
 RETRAX_API void retrax_measure_scale(const retrax_layout *layout, const double *trajectory,
                                      const retrax_scale_data *data, void *workspace, retrax_scale *scale);
 
-/* Writes what each coordinate of the nodes of a surveyed trajectory moves by, 0 where that is rounding, and its size. moved
- * and sizes: [n]; work: [2 E]. Beside the size of its column a motion may be rounding, as the tilt of an attitude that turns
- * about one axis. */
+/* Writes what each coordinate of the nodes of a surveyed trajectory moves by, 0 where that is rounding, and its size.
+ * moved and sizes: [n]; work: [2 E]. Beside the size of its column a motion may be rounding, as the tilt of an attitude
+ * that turns about one axis. */
 RETRAX_API void retrax_measure_motion(const retrax_layout *layout, const double *trajectory, double *work, double *moved,
                                       double *sizes);
 

@@ -172,8 +172,8 @@ static double missed(const scaling *own, const double *fixed, const double *last
     return asked;
 }
 
-/* Walks along the steps from the start, or from the end, and writes the diagonals of the Gramians at the far ends; returns
- * the size of a trajectory that makes up for what its drift misses of the other end. */
+/* Walks along the steps from the start, or from the end, and writes the diagonals of the Gramians at the far ends;
+ * returns the size of a trajectory that makes up for what its drift misses of the other end. */
 static double walk(scaling *own, bool from_end) {
     const retrax_layout *const layout = own->layout;
     const double *const trajectory = own->trajectory, *const fixed = ARRAY(FIXED);
@@ -210,8 +210,8 @@ static double walk(scaling *own, bool from_end) {
     return missed(own, far_fixed, last, last + N * n);
 }
 
-/* How far controls move a coordinate of a node between two fixed ends; one step has no node between its ends. `sizes`: 1 for
- * the sizes of the terms. */
+/* How far controls move a coordinate of a node between two fixed ends; one step has no node between its ends. `sizes`:
+ * 1 for the sizes of the terms. */
 static double reached(const scaling *own, retrax_index a, int sizes) {
     const retrax_index N = own->N, n = own->n;
     const double *const ahead = own->gramians + sizes * N * n, *const back = ahead + 2 * N * n;
@@ -269,9 +269,9 @@ static void write_push(scaling *own, bool convex) {
     }
 }
 
-/* The size of the trajectory: what its ends (`asked`), its controls and the slope of the cost ask for, within its room. It
- * moves one of its coordinates as far as the guess does; where all else asks for rounding, one that the guess moves, if that
- * costs no more than the guess. */
+/* The size of the trajectory: what its ends (`asked`), its controls and the slope of the cost ask for, within its room.
+ * It moves one of its coordinates as far as the guess does; where all else asks for rounding, one that the guess moves,
+ * if that costs no more than the guess. */
 static double size_of(const scaling *own, double asked, bool convex) {
     const retrax_index n = own->n;
     double least = INFINITY, any_least = INFINITY, most = 0.0, costs = 0.0;
@@ -302,8 +302,8 @@ static double size_of(const scaling *own, double asked, bool convex) {
     return most > 0.0 && most < asked ? most : asked;
 }
 
-/* The largest size of a coordinate of the states that controls move without bound, as where a plant is unstable: what it moves
- * itself, or, if it rests, what it moves while another one does. */
+/* The largest size of a coordinate of the states that controls move without bound, as where a plant is unstable: what
+ * it moves itself, or, if it rests, what it moves while another one does. */
 static double farthest_of(const scaling *own, retrax_index a) {
     double moved = 0.0;
     if (own->data->sizes[a] > 0.0) {
@@ -354,8 +354,8 @@ static void write_unknowns(const scaling *own, double size, double *unknowns) {
     }
 }
 
-/* Raises sizes that are next to nothing beside what each step makes of the size of another coordinate, as that of the rate
- * of a body between two that pull equally. */
+/* Raises sizes that are next to nothing beside what each step makes of the size of another coordinate, as that of the
+ * rate of a body between two that pull equally. */
 static void balance(const scaling *own, double *nodes) {
     const retrax_index n = own->n;
     bool raised = true;

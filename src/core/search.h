@@ -81,15 +81,15 @@ double retrax_step_cap(const retrax_layout *layout, double *trajectory, const do
 /* inertia.c: computes the Newton step at the iterate with a shift of the Hessian. */
 void retrax_newton_step(retrax_search *search, double shift);
 
-/* inertia.c: computes the step with the smallest tried shift, from `shift` on, that makes it descend. keep: the shift is used
- * as it is; loose: positive curvature along the step is enough. */
+/* inertia.c: computes the step with the smallest tried shift, from `shift` on, that makes it descend. keep: the shift
+ * is used as it is; loose: positive curvature along the step is enough. */
 void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose);
 
 /* inertia.c: the largest entry of the step in natural sizes. */
 double retrax_step_length(const retrax_search *search);
 
-/* funnel.c: whether the trial is accepted; then the search goes on with its funnel, shift and best residual. again: whether
- * the step has to be computed again. first: no trial was judged before. */
+/* funnel.c: whether the trial is accepted; then the search goes on with its funnel, shift and best residual. again:
+ * whether the step has to be computed again. first: no trial was judged before. */
 bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
 
 /* funnel.c: writes the merit of a trajectory that was measured. */
@@ -98,22 +98,22 @@ retrax_merit retrax_merit_of(const retrax_search *search, const double *trajecto
 /* degenerate.c: whether Newton's method cannot set out from the guess. */
 bool retrax_is_degenerate(retrax_search *search);
 
-/* rescaling.c: widens sizes of coordinates in which a refused trial lacks more, to second order, than where all moves by its
- * size, as of a rate that only products of others change. part: of the step that was made; length: of the step. */
+/* rescaling.c: widens sizes of coordinates in which a refused trial lacks more, to second order, than where all moves
+ * by its size, as of a rate that only products of others change. part: of the step that was made; length: of the step. */
 bool retrax_widen_scale(retrax_search *search, double part, double length);
 
 /* rescaling.c: takes the natural sizes of the iterate where those in use are far larger; returns whether it does. */
 bool retrax_renew_scale(retrax_search *search);
 
-/* rescaling.c: whether the cost has fallen by far, and in the second half of the trials by no less than in the first: one with
- * a lower bound falls by less and less on the way to it. */
+/* rescaling.c: whether the cost has fallen by far, and in the second half of the trials by no less than in the first:
+ * one with a lower bound falls by less and less on the way to it. */
 bool retrax_cost_falls(const retrax_search *search);
 
 /* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
 
-/* warm_start.c: sets first slacks and multipliers near to the multipliers that a guess knows, of which the evaluated iterate has
- * the unknowns; known: a trajectory that is overwritten. Returns whether they fit. */
+/* warm_start.c: sets first slacks and multipliers near to the multipliers that a guess knows, of which the evaluated
+ * iterate has the unknowns; known: a trajectory that is overwritten. Returns whether they fit. */
 bool retrax_warm_start(retrax_search *search, double *known);
 
 /* barrier.c: whether no iterate leaves an inequality, as a bound of what is free. */
@@ -131,8 +131,8 @@ void retrax_find_limits(retrax_search *search, const double *trajectory);
 /* barrier.c: the natural sizes of the inequalities, and the first slacks of an evaluated trajectory. */
 void retrax_start_slacks(retrax_search *search, double *trajectory);
 
-/* barrier.c: lowers the barrier while its problem is solved, raises penalties that are too small, and makes inequalities
- * elastic where steps jam. Returns whether the iterate is another one. */
+/* barrier.c: lowers the barrier while its problem is solved, raises penalties that are too small, and makes
+ * inequalities elastic where steps jam. Returns whether the iterate is another one. */
 bool retrax_update_barrier(retrax_search *search);
 
 /* barrier.c: sets slacks that a step missed, where their inequalities hold; returns whether there were any. */

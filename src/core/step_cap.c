@@ -93,8 +93,8 @@ static double farthest_motion(const moving_points *own, const double *points) {
     return farthest;
 }
 
-/* Whether no coordinate moves by its share of a diameter, but for those that move nothing but arrays that are zero all along,
- * as rates at rest: then nothing else is to be found out. */
+/* Whether no coordinate moves by its share of a diameter, but for those that move nothing but arrays that are zero all
+ * along, as rates at rest: then nothing else is to be found out. */
 static bool all_small(const retrax_layout *layout, const double *trajectory, const double *largest) {
     const retrax_problem *const problem = layout->problem;
     const retrax_index n = problem->state_size, E = problem->state_numbers;

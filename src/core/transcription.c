@@ -51,11 +51,11 @@ static void write_displacements(const retrax_layout *layout, double *trajectory)
     }
 }
 
-/* Meets the ends of two steps that are far apart at a point amid them: seen from one of them, an end beyond a quarter turn
- * would come nearer by turning away. `before`: the end of the step before the node.
+/* Meets the ends of two steps that are far apart at a point amid them: seen from one of them, an end beyond a quarter
+ * turn would come nearer by turning away. `before`: the end of the step before the node.
  *
- * Each column runs along a circle. With half the chord r and the sagitta t of the node above its middle, half the angle of
- * the arc is 2 atan(t / r). The gap becomes that along the arc, of which a step sees the cosine of this angle. */
+ * Each column runs along a circle. With half the chord r and the sagitta t of the node above its middle, half the angle
+ * of the arc is 2 atan(t / r). The gap becomes that along the arc, of which a step sees the cosine of this angle. */
 static void meet_amid(const retrax_layout *layout, double *trajectory, const double *before, retrax_index node) {
     const retrax_index E = layout->problem->state_numbers, *const columns = layout->problem->columns;
     double *const gap = ARRAY(GAPS) + node * E, *const seen = ARRAY(SEEN) + node * E, *const first = ARRAY(AMID);
@@ -96,8 +96,8 @@ static bool is_far(const double *gap, const double *largest, const retrax_index 
     return far;
 }
 
-/* Writes the nodes, and the gaps there: the beginning of the step behind a node minus the end of the step before. At the
- * first and the last node a prescribed entry takes the place of the step that is not there. */
+/* Writes the nodes, and the gaps there: the beginning of the step behind a node minus the end of the step before. At
+ * the first and the last node a prescribed entry takes the place of the step that is not there. */
 static void write_nodes(const retrax_layout *layout, double *trajectory) {
     const retrax_index N = layout->problem->steps, E = layout->problem->state_numbers;
     const double *const begins = ARRAY(BEGINS), *const finishes = ARRAY(FINISHES);

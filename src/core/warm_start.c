@@ -13,9 +13,9 @@ static const double levels[] = {1.1028289493045308e-12, 1e-7, 1e-5, 1e-3, 1e-2};
 #define FOLLOWED 0.1
 #define FITS 0.1
 
-/* Writes slacks and multipliers with nu s = mu nearest to those of `known`, which may be negative: s - k nu stays as it is,
- * where k makes them of one unit. Nothing is elastic: an inequality that pulls and does not hold is left so. The slack of a
- * bound that no iterate leaves is -g, and its multiplier the known one. */
+/* Writes slacks and multipliers with nu s = mu nearest to those of `known`, which may be negative: s - k nu stays as it
+ * is, where k makes them of one unit. Nothing is elastic: an inequality that pulls and does not hold is left so. The
+ * slack of a bound that no iterate leaves is -g, and its multiplier the known one. */
 static void write_near(const retrax_search *search, const double *known, double barrier) {
     const retrax_layout *const layout = search->layout;
     double *const trajectory = search->at;
@@ -38,8 +38,8 @@ static void write_near(const retrax_search *search, const double *known, double 
     }
 }
 
-/* Writes slacks and multipliers after the whole Newton step to `led`; returns by how much one of them is below zero, in its
- * natural size. */
+/* Writes slacks and multipliers after the whole Newton step to `led`; returns by how much one of them is below zero, in
+ * its natural size. */
 static double follow(const retrax_search *search, double *led) {
     const retrax_layout *const layout = search->layout;
     const double *const trajectory = search->at;
