@@ -165,8 +165,8 @@ def iterate_of(at: Trajectory, like: Iterate, steps: Any) -> Iterate:
     slacks = None
     if steps.inequalities:
         none = {"SLACKS": 1.0, "LIMIT_MULTIPLIERS": 0.0, "EXCESSES": 0.0, "PENALTIES": np.inf}
-        parts = (whole_limits(steps, at[name], count, unasked) for name, unasked in none.items())
-        slacks = Slacks(*parts, at["BARRIER"].copy())
+        s, nu, t, rho = (whole_limits(steps, at[name], count, unasked) for name, unasked in none.items())
+        slacks = Slacks(s, nu, t, rho, at["BARRIER"].copy())
     return Iterate(unknowns, array("COSTATES", like.costates), slacks)
 
 
@@ -211,22 +211,26 @@ class CoreSearch:
 
     def _searched(self, guess: Iterate, k: int) -> Search:
         """The search of a member, from its guess or from that moved aside."""
-        own, members = (self.tolerance, self.max_iterations, self.width, self.firm), np.array([k])
-        report, conditions = partial(self._report, k), self.conditions
-        for looks in (False,) if self.as_it_is else (True, False):
-            search = Search(transcription_of(conditions), *own, looks=looks, report=report)
-            put(search.trajectory, conditions, guess, k)
-            try:
-                status = search.run()
-            except KeyboardInterrupt:
-                status = SearchStatus.STOPPED
-            self.stopped |= status is SearchStatus.STOPPED or search.read().stopped
-            if status is not SearchStatus.DEGENERATE:
-                break
-            self.lost[k] = True
-            guess, k = self._aside(guess, k), 0
-            conditions = conditions.of(members)
-        return search
+        search, status = self._run(self.conditions, guess, (k, k), looks=not self.as_it_is)
+        if status is not SearchStatus.DEGENERATE:
+            return search
+        self.lost[k] = True
+        alone, moved = self._aside(guess, k)
+        return self._run(alone, moved, (0, k), looks=False)[0]
+
+    def _run(
+        self, conditions: Conditions, guess: Iterate, places: tuple[int, int], looks: bool
+    ) -> tuple[Search, SearchStatus]:
+        """A search and how it has ended; ``places``: of the member in the guess, and in the batch of the search."""
+        own = self.tolerance, self.max_iterations, self.width, self.firm
+        search = Search(transcription_of(conditions), *own, looks=looks, report=partial(self._report, places[1]))
+        put(search.trajectory, conditions, guess, places[0])
+        try:
+            status = search.run()
+        except KeyboardInterrupt:
+            status = SearchStatus.STOPPED
+        self.stopped |= status is SearchStatus.STOPPED or search.read().stopped
+        return search, status
 
     def _report(self, k: int, iteration: Any) -> bool:
         """Show an iteration to the callback; whether that, or an interrupt before, asks to stop."""
@@ -244,12 +248,11 @@ class CoreSearch:
         """Which members have ended without success from guesses that nothing moved aside."""
         return ~(found.claimed | found.contradictory | self.lost | self.stopped)
 
-    def _aside(self, guess: Iterate, k: int) -> Iterate:
-        """The guess of a member, moved aside."""
-        alone, own = self.conditions.of(np.array([k])), taken(guess, np.array([k]))
-        bare = alone.begin(own, self.firm)
-        moved, _ = aside(alone, *bare)
-        return moved
+    def _aside(self, guess: Iterate, k: int) -> tuple[Conditions, Iterate]:
+        """The conditions of a member, and its guess moved aside."""
+        alone = self.conditions.of(np.array([k]))
+        moved, _ = aside(alone, *alone.begin(taken(guess, np.array([k])), self.firm))
+        return alone, moved
 
     def _found(self, iterate: Iterate, told: list[SearchResult], limited: np.ndarray) -> Found:
         conditions = self.conditions
