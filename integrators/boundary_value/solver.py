@@ -22,7 +22,7 @@ from ..problem_checks.requirements import require_treated
 from ..reporting.text import brief
 from ..singular import Classification, SingularIntegrator
 from .audit.audit import Audit
-from .audit.termination_status import add_compile_time, explain_failure
+from .audit.status import explain_failure
 from .engine.derivatives import Sensitivities
 from .engine.found import Found, Iteration
 from .engine.stopwatch import Stopwatch
@@ -36,6 +36,7 @@ from .regularity import Regularity
 from .shooting import solve_on_final_manifold
 from .solution.batch import Solutions
 from .solution.builder import SolutionBuilder
+from .solution.diagnostics import add_compile_time
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
 from .solution.interpolation import Interpolant
 from .solution.record import Solution

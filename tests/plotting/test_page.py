@@ -141,7 +141,7 @@ def test_phases_are_one_motion(tmp_path):
     problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3)
     first = solve(problem, np.eye(3), TURNS[8], 2.0, method=Midpoint(Cayley(SO(3))), steps=3)
     second = replace(first, times=3 * first.times, stage_times=3 * first.stage_times)
-    phased = PhasedSolution.of([first, second], {})
+    phased = PhasedSolution.of([first, second], {}, True, "")
     plotting.to_html(phased, tmp_path / "page.html")
     data = data_of(tmp_path / "page.html")[1]
     assert data["borders"] == pytest.approx([2.0])
@@ -155,7 +155,7 @@ def test_phases_are_one_motion(tmp_path):
         np.testing.assert_allclose(rotations[k], phased.phases[int(t > 2)](min(t, 8.0)).states, atol=1e-7)
     assert len(data["histories"]) == 2
     shorter_than_a_frame = replace(first, times=1e-4 * first.times, stage_times=1e-4 * first.stage_times)
-    plotting.to_html(PhasedSolution.of([first, shorter_than_a_frame, second], {}), tmp_path / "page.html")
+    plotting.to_html(PhasedSolution.of([first, shorter_than_a_frame, second], {}, True, ""), tmp_path / "page.html")
     data = data_of(tmp_path / "page.html")[1]
     assert len(data["times"]) == len(data["motions"][0]["rotations"])
 

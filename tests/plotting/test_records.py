@@ -257,7 +257,7 @@ def test_phases_follow_each_other_on_the_same_axes(turn):
         states=np.einsum("ij,njk->nik", END, turn.states),
         stage_states=np.einsum("ij,njk->nik", END, turn.stage_states),
     )
-    phased = PhasedSolution.of([turn, onward], {})
+    phased = PhasedSolution.of([turn, onward], {}, True, "")
     vector, rate = phased.plot()
     assert len(curves(vector)) == len(curves(rate)) == 3
     times, values = curves(vector)[0].T
@@ -272,7 +272,7 @@ def test_phases_follow_each_other_on_the_same_axes(turn):
 def test_phases_with_other_arrays_have_panels_by_their_names(turn):
     other = Quantity("wheel", ("rad/s",), ("0", "1", "2"), "")
     second = replace(turn, quantities=Quantities(turn.quantities.states, (other,), "s"))
-    vector, rate, wheel = plotting.histories(PhasedSolution.of([turn, second], {}))
+    vector, rate, wheel = plotting.histories(PhasedSolution.of([turn, second], {}, True, ""))
     assert [axis.get_ylabel() for axis in (rate, wheel)] == ["rate [rad/s]", "wheel [rad/s]"]
     assert [len(curves(axis)) for axis in (vector, rate, wheel)] == [6, 3, 3]
     first, last = curves(vector)[0], curves(vector)[3]

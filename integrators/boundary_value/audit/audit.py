@@ -1,7 +1,6 @@
 """Checks of a solution that its conditions do not show: jumps that it passes, controls that nothing determines."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, TypeVar, final
 
 import numpy as np
@@ -14,12 +13,12 @@ from ...problem_checks.smoothness.derivative_check import DerivativeCheck
 from ...reporting.results import reasons
 from ..inputs.arguments import structure_of
 from ..inputs.boundary_data import PrescribedEnd
-from ..solution.diagnostics import RegularChecks
 from ..solution.record import Solution
 from .constraint_qualification import ConstraintQualification
 from .control_curvature import ControlCurvature
 from .legendre_condition import longest_arc
 from .smoothness_along_solution import SmoothnessAlongSolution
+from .status import explain, fail, refute, withdraw_minimum
 
 T = TypeVar("T")
 
@@ -57,16 +56,15 @@ class Audit:
         """The same where there may be something to say."""
         wrong = self._wrong(solution, free_horizon, ends)
         if wrong:
-            how = "hold at the points, but" if solution.success else "are not met, and this may be why:"
-            return _fail(solution, f"The conditions {how} {wrong}.")
+            return refute(solution, wrong)
         outside = self._outside(solution, ends)
         if outside and solution.success:
-            return _fail(solution, outside)
+            return fail(solution, outside)
         unqualified = self._unqualified(solution)
-        solution = _withdraw_minimum(solution) if unqualified else solution
+        solution = withdraw_minimum(solution) if unqualified else solution
         undetermined = self.undetermined(solution) if solution.success else ""
         said = " ".join(filter(None, [outside, reasons(solution.result, unqualified, undetermined)]))
-        return replace(solution, result=said) if said != solution.result else solution
+        return explain(solution, said)
 
     def _wrong(self, solution: Solution, free_horizon: bool, ends: tuple[PrescribedEnd, PrescribedEnd]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
@@ -179,18 +177,3 @@ class Audit:
 def _fixed(ends: tuple[PrescribedEnd, PrescribedEnd]) -> np.ndarray:
     """Whether each coordinate of both ends is prescribed, shape ``(2, n)``."""
     return np.stack([end.coordinates for end in ends]) > 0
-
-
-def _fail(solution: Solution, words: str) -> Solution:
-    """The solution without success, and without what is claimed of one."""
-    return replace(_withdraw_minimum(solution), success=False, result=words)
-
-
-def _withdraw_minimum(solution: Solution) -> Solution:
-    """The solution without the claim of a strict minimum.
-
-    The inertia of its KKT matrix shows a minimum only where its multipliers exist and are unique.
-    """
-    checks = solution.checks
-    checks = replace(checks, strict_minimum=False) if isinstance(checks, RegularChecks) else checks
-    return replace(solution, checks=checks)

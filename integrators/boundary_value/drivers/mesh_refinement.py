@@ -11,6 +11,7 @@ from ....retractions import Gauss
 from ...problem.free_quantities import is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER
+from ..audit import status
 from ..audit.step_errors import StepErrorEstimator, StepErrors
 from ..audit.switching_structure import SwitchingStructure, switching_structure
 from ..engine.found import Iteration, stops
@@ -29,7 +30,6 @@ FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most
 SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
 SLOW_REFINEMENT, REFINEMENT_PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
-WRONG = "A control leaves a bound elsewhere than its switches are, so its arcs are others."
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
 
 
@@ -101,9 +101,7 @@ class MeshRefinement:
         try:
             best = self._judged(solution)
         except KeyboardInterrupt:
-            statistics = Statistics(*self._effort, stopped=True)
-            result = "The equations are solved, but the iteration was stopped before the error was estimated."
-            return replace(solution, statistics=statistics, success=False, result=result)
+            return status.stop_before_estimate(solution, Statistics(*self._effort, stopped=True))
         slow, why = 0, f"of the limit of {REFINEMENT_ROUNDS} refinements"
         try:
             best = self._switched(best)
@@ -304,7 +302,7 @@ class MeshRefinement:
         times = np.concatenate([[0.0], np.cumsum(durations)])
         lasting = structure._replace(times=times).without_vanished()
         right = lasting.arcs < structure.arcs or transcribed.lack(solution, arcs) <= self.accuracy
-        return solution if right else replace(solution, success=False, result=WRONG), lasting
+        return solution if right else status.fail_between_switches(solution), lasting
 
     def _horizon(self, solution: Solution) -> Any:
         """The horizon: free, or given, or the bound that holds it, whose multiplier says more than the distance from
@@ -332,16 +330,9 @@ class MeshRefinement:
         checks: Any = solution.checks
         between = {name: float(np.max(rows)) for name, rows in errors.violations.items()}
         checks = replace(checks, error=self.error(found), between=between)
-        statistics = Statistics(*self._effort, self._stopped)
-        if not why:
-            return replace(solution, checks=checks, statistics=statistics)
+        solution = replace(solution, checks=checks, statistics=Statistics(*self._effort, self._stopped))
         worst = int(np.argmax(errors.each))
-        begin, end = solution.times[worst], solution.times[worst + 1]
-        result = (
-            f"The equations are solved, but not to the accuracy of {self.accuracy:.1e} that was asked for: the error "
-            f"is {self.error(found):.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}."
-        )
-        return replace(solution, checks=checks, statistics=statistics, success=False, result=result)
+        return status.fail_in_accuracy(solution, self.accuracy, worst, why) if why else solution
 
 
 def _unit(solution: Solution) -> float:

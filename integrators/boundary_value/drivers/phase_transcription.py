@@ -13,7 +13,7 @@ from ...problem.free_quantities import guesses_of
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.inspection import inspect_problem
 from ..audit.audit import Audit
-from ..audit.termination_status import explain_failure
+from ..audit.status import explain_failure
 from ..engine.found import Found
 from ..inputs.arguments import BoundaryData, Method, Options, step_fractions
 from ..inputs.inputs import InputReader, Inputs

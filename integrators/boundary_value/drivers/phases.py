@@ -16,10 +16,9 @@ from ...problem.boundary_conditions import BoundaryConditions, boundary_values, 
 from ...problem.free_quantities import guess_of, is_free, with_guess, with_scaled_guess
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import require_concrete
-from ...reporting.results import sentence
 from ...reporting.text import brief, counted
+from ..audit import status
 from ..audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
-from ..audit.termination_status import add_compile_time
 from ..engine.coupling import Link
 from ..engine.found import Iteration
 from ..engine.joint import JointConditions
@@ -27,8 +26,8 @@ from ..engine.newton import newton
 from ..engine.stopwatch import Stopwatch
 from ..inputs.arguments import Method, Options, check_problem
 from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
-from ..reformulations.vanishing_horizons import TENDS, VANISHED_WORDS
 from ..regular_extremals import phase_of
+from ..solution.diagnostics import add_compile_time
 from ..solution.multiphase_solution import PhasedSolution
 from ..transcription.linkages import PhaseProblem, linkages_of
 from .phase_guess import guess_phases
@@ -37,10 +36,6 @@ from .phase_transcription import PhaseEnds, PhaseTranscription, TranscribedPhase
 HORIZON_NAME = "horizon"
 TOO_FAR = 1e6  # from its guess, without success: a duration that tends to zero or grows without bound
 FARTHEST = 1e10  # from the guess that was given, with success
-LOST_DURATION = (
-    "The duration of {} tends to zero or grows without bound, where its conditions vanish and say nothing; try to "
-    "leave the phase out, another guess of its duration, or a lower or an upper bound."
-)
 
 
 @final
@@ -165,7 +160,7 @@ class _Task:
         """The extremal, from durations of another magnitude if there is none from the guessed durations."""
         first = self._told(phases, self._in_own_units(phases))
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
-        if not free or _is_final(first):
+        if not free or status.is_final(first):
             return first
         for factor in MAGNITUDES:
             durations = [with_scaled_guess(phase.duration, factor) for phase in phases]
@@ -173,7 +168,7 @@ class _Task:
                 pairs = zip(phases, durations, strict=True)
                 scaled_phases = [phase._replace(duration=duration) for phase, duration in pairs]
                 found = self._told(phases, self._in_own_units(scaled_phases))
-                if _is_final(found) and not (found.success and _find_strayed(phases, found, FARTHEST)):
+                if status.is_final(found) and not (found.success and _find_strayed(phases, found, FARTHEST)):
                     return found
         return first
 
@@ -186,8 +181,7 @@ class _Task:
         lost = [k for k, vanishes, own in pairs if vanishes(own, self.options.tolerance)]
         if not lost:
             return solution
-        words = VANISHED_WORDS.format(f"The duration of {_named(lost)}", solution.phases[lost[0]].horizon)
-        return solution.renewed(success=False, result=words)
+        return status.fail_at_zero(solution, f"The duration of {_named(lost)}", solution.phases[lost[0]].horizon)
 
     def _in_own_units(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, found again from itself where durations are far from their guesses, in whose units it was
@@ -199,15 +193,13 @@ class _Task:
             ):
                 break
             if solution.statistics.stopped:
-                return solution.renewed(success=False, result=sentence("stopped"))
+                return status.stop(solution)
             phases = [_with_near_guess(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
             solution = self.solved(phases)
         lost = _find_strayed(phases, solution, RESTART if solution.success else TOO_FAR) or _find_strayed(
             given, solution, FARTHEST
         )
-        if not lost:
-            return solution
-        return solution.renewed(success=False, result=LOST_DURATION.format(_named(lost)))
+        return status.fail_of_durations(solution, _named(lost)) if lost else solution
 
     def solved(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal from guesses of all phases."""
@@ -239,7 +231,7 @@ class _Task:
         rows = joined.coupled.multipliers[0, sum(sum(own.sizes.values()) for own in owns) : coupling.count]
         cuts = np.cumsum([0, *sizes.values()])
         multipliers = {name: rows[a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
-        return PhasedSolution.of(solutions, multipliers)
+        return PhasedSolution.of(solutions, multipliers, *status.phases_status(solutions))
 
     def _is_repeated(self, k: int, phases: Sequence[Phase]) -> bool:
         """Whether a phase begins at the last node of one with the same problem and parameters."""
@@ -272,11 +264,6 @@ class _Task:
             passed = passed + own.duration
         sizes.update({name: value.shape[0] for name, value in values.items()})
         return jnp.concatenate([jnp.zeros(0), *values.values()])
-
-
-def _is_final(solution: PhasedSolution) -> bool:
-    """Whether no other durations are tried: with success, where it was stopped, and where durations tend to zero."""
-    return solution.success or solution.statistics.stopped or TENDS in solution.result
 
 
 def _named(phases: Sequence[int]) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from ....compute.at_points import evaluate_at_each
 from ....manifolds.numerics import ambient as vec
 from ...problem.free_quantities import Free, guess_of, guesses_of, is_free, with_scaled_guess
-from ...reporting.results import sentence
+from ..audit import status
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData
 from ..inputs.inputs import InputReader, Inputs
@@ -20,7 +20,7 @@ from ..solution.record import Solution, Statistics
 from ..solution.resampling import resample
 from ..solution.sensitivity import Sensitivity
 from .free_quantities import Reformulation, ReformulationKind
-from .vanishing_horizons import TENDS, VANISHED_WORDS, VanishingHorizon
+from .vanishing_horizons import VanishingHorizon
 
 SINGULAR_WORDS = (
     "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters "
@@ -28,26 +28,6 @@ SINGULAR_WORDS = (
     "the controls; a running cost that is constant with a free horizon is minimum time, and needs control_bounds or "
     "constraints"
 )
-LOST_WORDS = (
-    "The horizon tends to {:.3g}, where the conditions vanish and say nothing; try another guess of it, a lower or an "
-    "upper bound, or a guess of the trajectory."
-)
-UNDETERMINED_WORDS = (
-    "The horizon tends to {:.3g}, or is hidden by other costs: the Hamiltonian, zero at an extremal, is {:.1e} of its "
-    "parts there; try another guess of it, a lower or an upper bound, or a guess of the trajectory."
-)
-GROWN_WORDS = (
-    " The horizon grew from {:.3g} to {:.3g}, where a longer one still costs less: there may be no best one; try an "
-    "upper bound of it, or a cost of the time."
-)
-SHRUNK_WORDS = (
-    " The horizon shrank from {:.3g} to {:.3g}: the cost may have an infimum, near {:.6g}, where the horizon tends to "
-    "zero and all conditions vanish with it; try a lower bound of the horizon, or a guess near to the best one."
-)
-ADVICE, LONGER_HORIZON = (
-    "; try ",
-    "a longer horizon",
-)  # where the advice of a result begins, and one that a growing one refutes
 HORIZON_AT_BOUND, UNMET = (
     1.01,
     1e-3,
@@ -102,7 +82,7 @@ class ReformulationSolver:
         """The solution, or without success and with a free horizon, the solution from the nearest other magnitude that
         has one."""
         horizon = inputs.given.horizon
-        if not is_free(horizon) or _is_final(first):
+        if not is_free(horizon) or status.is_final(first):
             return first
         effort = first.statistics
         for factor in MAGNITUDES:
@@ -111,29 +91,22 @@ class ReformulationSolver:
                 again = inputs.again(self.reader, inputs.given._replace(horizon=guess), inputs.guess)
                 found = self._settled(again, self._solved(again))
                 effort = _sum(effort, found.statistics)
-                if _is_final(found):
-                    return self._renewed(found, statistics=effort)
-        return self._renewed(first, statistics=effort, result=self._result(horizon, first))
+                if status.is_final(found):
+                    return self._with_effort(found, effort)
+        return self._with_effort(self._explained(horizon, first), effort)
 
-    def _result(self, horizon: Free, solution: Solution) -> str:
-        """The result of a solution without success, with a sentence on a horizon far from its guess.
+    def _explained(self, horizon: Free, solution: Solution) -> Solution:
+        """The solution without success, with a sentence on a horizon far from its guess.
 
-        A horizon far shorter than guessed adds a sentence. A horizon that is far longer, and is to be longer still,
-        replaces the advice. The cost changes by ``-H`` with the horizon.
+        The cost changes by ``-H`` with the horizon.
         """
-        if HORIZON_AT_BOUND * horizon.lower < solution.horizon <= guess_of(horizon) / LOST_HORIZON:
-            return solution.result + SHRUNK_WORDS.format(guess_of(horizon), solution.horizon, solution.cost)
-        longer = (
-            solution.horizon >= LOST_HORIZON * guess_of(horizon) and HORIZON_AT_BOUND * solution.horizon < horizon.upper
-        )
+        guess = guess_of(horizon)
+        if HORIZON_AT_BOUND * horizon.lower < solution.horizon <= guess / LOST_HORIZON:
+            return self._as_before(status.explain_short_horizon(solution, guess), solution)
+        longer = solution.horizon >= LOST_HORIZON * guess and HORIZON_AT_BOUND * solution.horizon < horizon.upper
         pull = np.mean(solution.hamiltonians) if longer and not self.reader.problem.time_dependent else 0.0
         cheaper = pull > 0 and pull > UNMET * self._size_of_parts(solution)
-        if not cheaper:
-            return solution.result
-        happened, _, rest = solution.result.partition(ADVICE)
-        advice, _, more = rest.partition(". ")
-        kept = f"{happened}. {more}".strip() if LONGER_HORIZON in advice else solution.result
-        return kept + GROWN_WORDS.format(guess_of(horizon), solution.horizon)
+        return self._as_before(status.explain_long_horizon(solution, guess), solution) if cheaper else solution
 
     def _size_of_parts(self, solution: Solution) -> float:
         """The largest of ``<p, X>`` and ``F`` at the stages, however small.
@@ -158,8 +131,7 @@ class ReformulationSolver:
             self._vanishing[kind] = VanishingHorizon(self.reader.problem, guesses_of(parameters))
         if not self._vanishing[kind](solution, inputs.options.tolerance):
             return solution
-        words = VANISHED_WORDS.format("The horizon", solution.horizon)
-        return self._renewed(solution, success=False, result=words)
+        return self._as_before(status.fail_at_zero(solution, "The horizon", solution.horizon), solution)
 
     def _in_own_units(self, inputs: Inputs, solution: Solution) -> Solution:
         """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
@@ -176,12 +148,12 @@ class ReformulationSolver:
             if not 0 < solution.horizon < np.inf:
                 break
             if solution.statistics.stopped:
-                return self._renewed(solution, success=False, result=sentence("stopped"))
+                return self._as_before(status.stop(solution), solution)
             before = solution.statistics
             inputs = inputs.again(self.reader, inputs.given.near(solution), solution)
             solution = self._solved(inputs)
-            solution = self._renewed(solution, statistics=_sum(before, solution.statistics))
-        return self._renewed(solution, success=False, result=LOST_WORDS.format(solution.horizon))
+            solution = self._with_effort(solution, _sum(before, solution.statistics))
+        return self._as_before(status.fail_far_from_guess(solution), solution)
 
     def _with_its_hamiltonian(self, horizon: Free, solution: Solution) -> Solution:
         """The solution, without success where the Hamiltonian is nowhere zero, as its mean is between the bounds of a
@@ -194,8 +166,7 @@ class ReformulationSolver:
         values = solution.hamiltonians / (size if size > 0 else 1.0)
         if held or self.reader.problem.time_dependent or (values.min() <= UNMET and values.max() >= -UNMET):
             return solution
-        words = UNDETERMINED_WORDS.format(solution.horizon, solution.hamiltonians[0] / size)
-        return self._renewed(solution, success=False, result=words)
+        return self._as_before(status.fail_with_hamiltonian(solution, solution.hamiltonians[0] / size), solution)
 
     def _solved(self, inputs: Inputs) -> Solution:
         formulation, solver, own = self.reformulate(inputs)
@@ -234,7 +205,7 @@ class ReformulationSolver:
         for member, one in zip(members, found, strict=True):
             solution = self._kept(formulation, solver, one, member.given.parameters)
             if stopped:  # in a search of a member before
-                solution = self._renewed(solution, statistics=replace(solution.statistics, stopped=True))
+                solution = self._with_effort(solution, replace(solution.statistics, stopped=True))
             solution = self._from_elsewhere(member, self._settled(member, solution))
             stopped = solution.statistics.stopped
             solutions.append(solution)
@@ -273,9 +244,12 @@ class ReformulationSolver:
         self._found[solution] = formulation, solver, found
         return solution
 
-    def _renewed(self, solution: Solution, **changes: Any) -> Solution:
-        """The solution with changes, of which the derivatives can be asked for as before."""
-        changed = replace(solution, **changes)
+    def _with_effort(self, solution: Solution, effort: Statistics) -> Solution:
+        """The solution with this effort."""
+        return self._as_before(replace(solution, statistics=effort), solution)
+
+    def _as_before(self, changed: Solution, solution: Solution) -> Solution:
+        """The changed solution, of which the derivatives can be asked for as before."""
         self.keep(changed, solution)
         return changed
 
@@ -283,13 +257,6 @@ class ReformulationSolver:
         """Keep what belongs to a solution for another record of it."""
         if solution in self._found:
             self._found[changed] = self._found[solution]
-
-
-def _is_final(solution: Solution) -> bool:
-    """Whether no other guess of the horizon is tried: with success, where it was stopped, and where its failure says
-    why there is no minimum."""
-    says_why = TENDS in solution.result or solution.result.startswith(sentence("concave"))
-    return solution.success or solution.statistics.stopped or says_why
 
 
 def _sum(one: Statistics, other: Statistics) -> Statistics:

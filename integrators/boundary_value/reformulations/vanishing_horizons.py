@@ -13,14 +13,6 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
 from ..solution.record import Solution
 
-TENDS = "tends to zero, where all conditions vanish with it"
-VANISHED_WORDS = (
-    "{} "
-    + TENDS
-    + ": at {:.3g} the trajectory costs the same at twice the speed, to the tolerance, so that no horizon is best, and "
-    "the infimum of the cost is its limit at zero. Expected a running cost that grows faster than the velocity, as "
-    "1 + u @ u; try such a cost, a lower bound of the horizon, or control_bounds."
-)
 FLAT_COST = 40.0  # times the tolerance: a share of the cost that hides what it depends on the speed by
 CLOSE_ENDS = 1e-2  # relative: ends of steps that are farther apart than that are no trajectory
 

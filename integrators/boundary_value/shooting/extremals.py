@@ -23,6 +23,7 @@ from ...reporting.text import counted
 from ...singular import Classification, SingularIntegrator, singular_integrator
 from ...singular.integrability import FinalEquations
 from ...stages import ControlStage
+from ..audit.status import Status, shooting_status
 from ..engine.diagnosis import Diagnosis
 from ..guess import default_guess
 from ..inputs.arguments import copy_parameters
@@ -227,18 +228,16 @@ def _judge(
     method: SingularIntegrator,
     found: ShootingResult,
     outcome: _ShootingTrajectory,
-) -> tuple[bool, str]:
-    """Whether the iteration succeeded and every claim holds where it is evaluated, and the result in words."""
+) -> Status:
+    """The status of the iteration, and of every claim where it is evaluated."""
     if found.result != Result.successful:
-        return False, Result[found.result]
+        return shooting_status(found.result, "", "")
     stage_times = float(inputs.h) * (np.arange(inputs.steps) + inputs.discretization.theta)
     broken = find_violation(inputs.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
     broken = broken or find_end_violation(conditions, found.ends, *outcome.nodes)
     energy = Energy(method.energy, inputs.problem, method.retraction)
     jumps = [] if broken else energy.passed(Segments.between(*vec.taken((outcome.nodes, outcome.controls), None)))
-    if jumps:
-        return False, f"The conditions hold at the points, but {jumps[0].words()}."
-    return not broken, f"{Result[Result.claim_broken]} {broken}." if broken else Result[found.result]
+    return shooting_status(found.result, broken, jumps[0].words() if jumps else "")
 
 
 def _record(
@@ -252,7 +251,6 @@ def _record(
 ) -> Solution:
     (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(inputs.problem, outcome)
     times = np.linspace(0.0, float(inputs.h) * inputs.steps, inputs.steps + 1)
-    success, result = _judge(inputs, conditions, shooting.integrator, found, outcome)
     return Solution(
         times=times,
         states=states,
@@ -266,8 +264,7 @@ def _record(
         body_costates=diagnostics.body,
         spatial_costates=diagnostics.spatial,
         cost=float(outcome.cost),
-        success=success,
-        result=result,
+        **_judge(inputs, conditions, shooting.integrator, found, outcome)._asdict(),
         checks=SingularChecks.of(
             diagnostics,
             defect=max(float(found.at.distance), *arc.conditions.values()),

@@ -10,9 +10,9 @@ from ....manifolds.numerics import ambient as vec
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import LOWER, UPPER
 from ...problem.point_layout import PointLayout
-from ...reporting.results import reasons, sentence
+from ...reporting.results import sentence
 from ..audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
-from ..audit.termination_status import termination_statuses
+from ..audit.status import Status, concave_status, termination_statuses
 from ..audit.unmoved_entries import unmoved_words
 from ..engine.diagnosis import Diagnostics
 from ..engine.found import Found
@@ -23,12 +23,8 @@ from .diagnostics import RegularChecks
 from .interpolation import Interpolant
 from .record import Solution, Statistics
 
-STUCK_RESULTS = (
-    "singular",
-    "too_many_iterations",
-    "no_improvement",
-    "infeasible",
-)  # as where equations of the end are dependent
+# As where equations of the end depend on each other.
+STUCK_RESULTS = [sentence(name) for name in ("singular", "too_many_iterations", "no_improvement", "infeasible")]
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
 VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why there is no success
 
@@ -62,9 +58,9 @@ class SolutionBuilder:
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
         trajectories, held = self._trajectories(nodes, costates, stages, data.steps), _active_rows(transcribed, found)
-        success, results = self._judged(transcribed, found, stages, held, trajectories, options.tolerance)
+        statuses = self._statuses(transcribed, found, stages, held, trajectories, options.tolerance)
+        success, results = np.array([own.success for own in statuses]), [own.result for own in statuses]
         statistics = [Statistics(int(count), *seconds, found.stopped) for count in found.iterations]
-        numbers = {"cost": found.assembled.cost, "success": success}
         fields = {
             **trajectories,
             "hamiltonians": diagnostics.hamiltonians,
@@ -82,8 +78,8 @@ class SolutionBuilder:
             own, arrays = vec.taken((diagnostics, fields), k)
             return Solution(
                 **arrays,
-                **{name: values[k].item() for name, values in numbers.items()},
-                result=results[k],
+                **statuses[k]._asdict(),
+                cost=found.assembled.cost[k].item(),
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
                 statistics=statistics[k],
                 quantities=self.quantities,
@@ -91,9 +87,10 @@ class SolutionBuilder:
                 parameters=None if parameters is None else jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
-        return {**fields, **numbers, "parameters": parameters, "result": results, "statistics": statistics}, member
+        numbers = {"cost": found.assembled.cost, "success": success, "result": results}
+        return {**fields, **numbers, "parameters": parameters, "statistics": statistics}, member
 
-    def _judged(
+    def _statuses(
         self,
         transcribed: TranscribedProblem,
         found: Found,
@@ -101,18 +98,18 @@ class SolutionBuilder:
         held: np.ndarray | None,
         trajectories: dict[str, Any],
         tolerance: float,
-    ) -> tuple[np.ndarray, list[str]]:
-        """Whether each member has success, and the results of all in words."""
-        success, results = termination_statuses(found, tolerance)
-        notes = found.notes or [""] * len(results)
-        stuck = [sentence(name) for name in STUCK_RESULTS]
-        for k, words in enumerate(results):
-            more = self._unmoved(transcribed, found, k) if words in stuck else ""
-            results[k] = reasons(words + more + _violation_words(transcribed, found, k, tolerance), notes[k])
-        for k, one in find_concave_directions(transcribed, found, stages, held, success).items():
-            success[k] = False
-            results[k] = f"{sentence('concave')} {self._where(one, k, trajectories, stages)}"
-        return success, results
+    ) -> list[Status]:
+        """The status of each member, with reasons."""
+        statuses = termination_statuses(found, tolerance)
+        concave = find_concave_directions(transcribed, found, stages, held, np.array([own.success for own in statuses]))
+        for k, own in enumerate(statuses):
+            if k in concave:
+                statuses[k] = concave_status(self._where(concave[k], k, trajectories, stages))
+                continue
+            more = self._unmoved(transcribed, found, k) if own.result in STUCK_RESULTS else ""
+            more += _violation_words(transcribed, found, k, tolerance)
+            statuses[k] = own.because(more, found.notes[k] if found.notes else "")
+        return statuses
 
     def _unmoved(self, transcribed: TranscribedProblem, found: Found, k: int) -> str:
         """Words on a part of the end that follows from the rest, by the names of the user."""

@@ -1,14 +1,16 @@
 """The figures of a solution that a user checks."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field
-from typing import Any, Self, final
+from dataclasses import dataclass, field, replace
+from typing import Any, Self, TypeVar, final
 
 import numpy as np
 
 from ....former_names import former_field
 from ....manifolds.numerics.precision import default_tolerance
 from ..engine.diagnosis import Diagnostics
+
+Record = TypeVar("Record", bound=Any)
 
 TOO_COARSE = 0.1
 
@@ -176,6 +178,14 @@ class Statistics:
     compile_seconds: float
     run_seconds: float
     stopped: bool = False
+
+
+def add_compile_time(record: Record, seconds: float) -> Record:
+    """The record with so many more seconds to trace and compile; the same object if there are none."""
+    if not seconds:
+        return record
+    spent = record.statistics
+    return replace(record, statistics=replace(spent, compile_seconds=spent.compile_seconds + seconds))
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self, final
+from typing import Self, final
 
 import numpy as np
 
@@ -41,7 +41,7 @@ class PhasedSolution(HistoryPlots):
     statistics: Statistics
 
     @classmethod
-    def of(cls, phases: Sequence[Solution], multipliers: dict[str, np.ndarray]) -> Self:
+    def of(cls, phases: Sequence[Solution], multipliers: dict[str, np.ndarray], success: bool, result: str) -> Self:
         """The record of phases, each of which begins at time zero or at its own time.
 
         Parameters
@@ -50,22 +50,13 @@ class PhasedSolution(HistoryPlots):
             The solutions.
         multipliers : dict of str to array
             The multipliers of the boundary constraints.
+        success, result : bool, str
+            The status of all phases together.
         """
         begins = np.cumsum([0.0, *(phase.horizon for phase in phases)])
         moved = tuple(_at(phase, float(begin)) for phase, begin in zip(phases, begins, strict=False))
-        success = all(phase.success for phase in phases)
         cost = sum(phase.cost for phase in phases)
-        return cls(moved, cost, success, _told(phases, success), multipliers, phases[0].statistics)
-
-    def renewed(self, **changes: Any) -> Self:
-        """The record with changes.
-
-        Parameters
-        ----------
-        changes
-            Fields with new values.
-        """
-        return replace(self, **changes)
+        return cls(moved, cost, success, result, multipliers, phases[0].statistics)
 
     @property
     def times(self) -> np.ndarray:
@@ -141,20 +132,6 @@ class PhasedSolution(HistoryPlots):
         ]
         parts = (f"phase {k}\n{phase}" for k, phase in enumerate(self.phases))
         return "\n\n".join([table(rows if result else rows[1:]), *parts])
-
-
-def _told(phases: Sequence[Solution], success: bool) -> str:
-    """The words on all phases alike, then the words on each phase; without success, on the phases that fail."""
-    said = {k: phase.result for k, phase in enumerate(phases) if success or not phase.success}
-    first, more = zip(*(f"{words} ".partition(". ")[::2] for words in said.values()), strict=True)
-    if len(set(first)) > 1 or len(said) < len(phases):
-        return " ".join(f"Phase {k}: {words}" for k, words in said.items())
-    named = (
-        more[:1]
-        if success and len(set(more)) == 1
-        else [f"Phase {k}: {words}" for k, words in enumerate(more) if words]
-    )
-    return " ".join(f"{first[0]}. {''.join(named)}".split())
 
 
 def _at(phase: Solution, begin: float) -> Solution:
