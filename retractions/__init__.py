@@ -10,6 +10,7 @@ from typing import Any
 
 from ..former_names import former
 from . import constructions, groups, matrices, vectors
+from .collocation import CollocationMethod
 from .constructions import *
 from .cotangent_lift import BundleRetraction, CotangentLift, cotangent_lift
 from .differential import DifferentiatedRetraction, differential_adjoint, differentiated
@@ -20,6 +21,7 @@ from .groups import *
 from .level_set import LevelSetProjection
 from .matrices import *
 from .measured_order import MeasuredOrder, measured_order
+from .radau import Radau
 from .restored import ProjectionByNewton
 from .retraction import MidpointRetraction, Retraction
 from .submanifold import Orthographic
@@ -30,6 +32,7 @@ __all__ = [
     "Adjoint",
     "BundleRetraction",
     "Cayley",
+    "CollocationMethod",
     "CotangentLift",
     "DifferentiatedRetraction",
     "DiscretizationMap",
@@ -44,6 +47,7 @@ __all__ = [
     "Polar",
     "Projection",
     "ProjectionByNewton",
+    "Radau",
     "Retraction",
     "RetractionFamily",
     "Theta",

@@ -15,8 +15,8 @@ from ..manifolds import CotangentBundle, InvalidInputError, Manifold, Product, T
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.symplectic import Phi, Phi_inverse, TulczyjewTriple, alpha_inverse
+from .collocation import CollocationMethod
 from .discretization import DiscretizationMap
-from .gauss import Gauss
 from .retraction import Retraction
 
 Pair = tuple[Ambient, Ambient]
@@ -97,7 +97,11 @@ class CotangentLift(DiscretizationMap):
 
     def __init__(self, discretization: DiscretizationMap) -> None:
         if not isinstance(discretization, DiscretizationMap):
-            whole = "; a Gauss method is given to an integrator as it is" if isinstance(discretization, Gauss) else ""
+            whole = (
+                "; a collocation method is given to an integrator as it is"
+                if isinstance(discretization, CollocationMethod)
+                else ""
+            )
             raise InvalidInputError(
                 f"CotangentLift takes a discretization map, got {discretization!r}{whole}; try Midpoint(retraction)"
             )

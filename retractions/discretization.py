@@ -6,6 +6,7 @@ from typing import final
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Bool
 
 from ..errors import concise
@@ -68,6 +69,26 @@ class DiscretizationMap(Module):
     def manifold(self) -> Manifold:
         """The manifold that is discretized."""
         return self.retraction.manifold
+
+    @property
+    def stages(self) -> int:
+        """The number of stages of a step: 1."""
+        return 1
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """The place of the stage in the step, shape ``(1,)``."""
+        return np.array([float(self.theta)])
+
+    @property
+    def weights(self) -> np.ndarray:
+        """The weight of the stage in the step, shape ``(1,)``."""
+        return np.ones(1)
+
+    @property
+    def discretization_map(self) -> "DiscretizationMap":
+        """The map itself, as a collocation method of one stage has one."""
+        return self
 
     def preimage(self, x0: Ambient, x1: Ambient) -> Pair:
         """The pair ``(x, v)`` with ``R_d(x, v) = (x0, x1)``, by Newton's method; entries are NaN without

@@ -9,7 +9,6 @@ import numpy as np
 from ...manifolds import DomainError, InvalidInputError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, is_finite_number
-from ...retractions import Gauss
 from ..problem.initial_controls import resting_control, within_bounds
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout
@@ -246,7 +245,7 @@ def roll_out(
 
 def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
     """Times of the stages in fractions of the horizon, from the lengths of the steps."""
-    inside = np.array(method.nodes) if isinstance(method, Gauss) else np.array([float(method.theta)])
+    inside = method.nodes
     starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
     return (starts[:, None] + inside * fractions[:, None]).ravel()
 

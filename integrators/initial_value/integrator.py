@@ -15,7 +15,7 @@ from ...manifolds import InvalidInputError, Manifold, RetraxError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
 from ...manifolds.numerics.rank import is_regular, pivotal_values
-from ...retractions import CotangentLift, DiscretizationMap, Gauss, Retraction, default_retraction
+from ...retractions import CollocationMethod, CotangentLift, DiscretizationMap, Retraction, default_retraction
 from ...tracing import one_tracing
 from ..problem.argument_errors import require_arguments
 from ..problem.initial_controls import resting_control
@@ -190,19 +190,19 @@ class VariationalIntegrator(Integrator):
     """Steps that are stationary points of a stage's generating function, by a lifted discretization map or a Gauss
     method."""
 
-    method: CotangentLift | Gauss
+    method: CotangentLift | CollocationMethod
 
     def __check_init__(self) -> None:
-        if not isinstance(self.method, CotangentLift | Gauss):
+        if not isinstance(self.method, CotangentLift | CollocationMethod):
             raise InvalidInputError(
-                f"{type(self).__name__} takes a cotangent lift or a Gauss method, got {self.method!r}; "
+                f"{type(self).__name__} takes a cotangent lift or a collocation method, got {self.method!r}; "
                 "try CotangentLift(Midpoint(retraction)) or Gauss(3, retraction)"
             )
 
     @property
-    def discretization(self) -> DiscretizationMap | Gauss:
+    def discretization(self) -> DiscretizationMap | CollocationMethod:
         """The discretization of Q: the Gauss method itself, or the map that is lifted."""
-        return self.method if isinstance(self.method, Gauss) else self.method.discretization
+        return self.method if isinstance(self.method, CollocationMethod) else self.method.discretization
 
     @property
     def manifold(self) -> Manifold:
@@ -214,7 +214,7 @@ class VariationalIntegrator(Integrator):
 
     @property
     def control_times(self) -> np.ndarray:
-        return self.method.nodes if isinstance(self.method, Gauss) else np.asarray(self.method.theta)
+        return self.method.nodes if isinstance(self.method, CollocationMethod) else np.asarray(self.method.theta)
 
     @abstractmethod
     def stage(self, system: Any, h: ArrayLike) -> Stage:
@@ -250,7 +250,7 @@ class SymplecticIntegrator(VariationalIntegrator):
     """
 
     def stage(self, system: Hamiltonian, h: ArrayLike) -> HamiltonianStage | GaussStage:
-        if isinstance(self.method, Gauss):
+        if isinstance(self.method, CollocationMethod):
             return GaussStage.of_hamiltonian(system, self.method, h)
         return HamiltonianStage(hamiltonian=system, discretization=self.method.discretization, step=h)
 
@@ -297,7 +297,7 @@ class PresymplecticIntegrator(VariationalIntegrator):
     """
 
     def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage | GaussStage:
-        if isinstance(self.method, Gauss):
+        if isinstance(self.method, CollocationMethod):
             return GaussStage.of_problem(system, self.method, h)
         return ControlStage(problem=system, discretization=self.method.discretization, step=h)
 

@@ -2,7 +2,7 @@
 
 from ...manifolds import InvalidInputError
 from ...manifolds.manifold import same_manifold
-from ...retractions import DiscretizationMap, Gauss
+from ...retractions import CollocationMethod, DiscretizationMap
 from ..problem.optimal_control_problem import OptimalControlProblem
 
 
@@ -26,8 +26,8 @@ def require_treated(problem: OptimalControlProblem, what: str, *treated: str) ->
         )
 
 
-def require_same_manifold(problem: OptimalControlProblem, method: DiscretizationMap | Gauss) -> None:
-    """Raise if a discretization map or a Gauss method acts on another manifold than the problem."""
+def require_same_manifold(problem: OptimalControlProblem, method: DiscretizationMap | CollocationMethod) -> None:
+    """Raise if a discretization map or a collocation method acts on another manifold than the problem."""
     if not same_manifold(method.manifold, problem.manifold):
         came, expected = method.manifold, problem.manifold
         raise InvalidInputError(f"the method acts on {came}, the problem on {expected}; use one manifold")

@@ -11,7 +11,7 @@ from jaxtyping import Array, ArrayLike
 from ...manifolds import Euclidean, Manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient, Frame
-from ...retractions import Gauss, default_retraction
+from ...retractions import CollocationMethod, default_retraction
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.user_functions import real_number
 from .hamiltonian import Hamiltonian
@@ -68,11 +68,11 @@ class GaussStage(Stage):
 
     hamiltonian: Callable[[Any, Any, Any], Array]
     controls: Manifold
-    method: Gauss
+    method: CollocationMethod
     step: ArrayLike
 
     @classmethod
-    def of_hamiltonian(cls, hamiltonian: Hamiltonian, method: Gauss, step: ArrayLike) -> Self:
+    def of_hamiltonian(cls, hamiltonian: Hamiltonian, method: CollocationMethod, step: ArrayLike) -> Self:
         """The stage of Hamilton's equations for ``H(q, p)``.
 
         Parameters
@@ -87,7 +87,7 @@ class GaussStage(Stage):
         return cls(hamiltonian=energy, controls=Euclidean(0), method=method, step=step)
 
     @classmethod
-    def of_problem(cls, problem: OptimalControlProblem, method: Gauss, step: ArrayLike) -> Self:
+    def of_problem(cls, problem: OptimalControlProblem, method: CollocationMethod, step: ArrayLike) -> Self:
         """The stage of an optimal control problem.
 
         Parameters

@@ -6,7 +6,7 @@ from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
 from .errors import InvalidCallError, concise
-from .retractions import DiscretizationMap, Gauss
+from .retractions import CollocationMethod, DiscretizationMap
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -22,7 +22,7 @@ def accept_former_order(*names: str) -> Callable[[Callable[P, R]], Callable[P, R
         @wraps(function)
         def call(*arguments: P.args, **options: P.kwargs) -> R:
             second: Any = arguments[1] if len(arguments) > 1 else None
-            if not isinstance(second, DiscretizationMap | Gauss) and "discretization" not in options:
+            if not isinstance(second, DiscretizationMap | CollocationMethod) and "discretization" not in options:
                 return function(*arguments, **options)
             given: dict[str, Any] = dict(zip(names, arguments, strict=False))
             if len(arguments) > len(names) or given.keys() & options.keys():

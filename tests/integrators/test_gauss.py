@@ -376,7 +376,7 @@ def test_a_step_may_be_an_array_of_one_entry():
 
 
 def test_what_takes_no_gauss_method_says_what_it_takes():
-    with pytest.raises(InvalidInputError, match=r"a Gauss method is given to an integrator as it is; try Midpoint"):
+    with pytest.raises(InvalidInputError, match=r"a collocation method is given to an integrator as it is; try"):
         CotangentLift(Gauss(2, LINE))
     with pytest.raises(InvalidInputError, match=r"the method acts on Sphere(.|\n)*; use one manifold"):
         integrate(REGULATOR, PresymplecticIntegrator(Gauss(2, Projection(SPHERE))), (np.eye(3)[0], np.ones(3)), 0.1, 1)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ....manifolds import InvalidInputError, RetraxError
 from ....manifolds.numerics.tolerances import EPS
-from ....retractions import Gauss
+from ....retractions import CollocationMethod
 from ...problem.free_quantities import is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER
@@ -180,7 +180,7 @@ class MeshRefinement:
         """The solution on a finer mesh, or why there is none."""
         parts, method = self._parts(found), self.method
         self.method = self._raised(parts)
-        if isinstance(method, Gauss) and self.method is not method:
+        if isinstance(method, CollocationMethod) and self.method is not method:
             finer = self._finer(found, np.ones_like(parts))
             if not isinstance(finer, str) and self.error(finer) < self.error(found):
                 return finer
@@ -231,8 +231,9 @@ class MeshRefinement:
     def _raised(self, parts: np.ndarray) -> Method:
         """The method with one stage more, where most steps are too long."""
         method = self.method
-        if isinstance(method, Gauss) and method.stages < self._most and 2 * np.sum(parts > 1) > len(parts):
-            return Gauss(method.stages + 1, method.retraction)
+        several = 2 * np.sum(parts > 1) > len(parts)
+        if isinstance(method, CollocationMethod) and method.stages < self._most and several:
+            return method.with_stages(method.stages + 1)
         return method
 
     def _switched(self, found: _MeshSolution) -> _MeshSolution:
@@ -287,8 +288,7 @@ class MeshRefinement:
         transcribed = self._arcs[key]
         each = np.bincount(arcs, lengths)
         fractions = lengths / each[arcs]
-        stages = np.array(self.method.nodes) if isinstance(self.method, Gauss) else np.array([self.method.theta])
-        mesh = Mesh(fractions, stages, guess.interpolant)  # pyright: ignore[reportArgumentType]
+        mesh = Mesh(fractions, self.method.nodes, guess.interpolant)  # pyright: ignore[reportArgumentType]
         nodes, at_stages = mesh.times(1.0)
         parameters = transcribed.parameters(np.diff(structure.times), self.given.near(guess).parameters)
         given = BoundaryData(self.given.start, self.given.end, float(transcribed.count), parameters)

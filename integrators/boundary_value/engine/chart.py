@@ -68,10 +68,10 @@ class Chart:
         """Polynomials of time through both ends, shape ``(..., E)``, and the ``s > 1`` points at ``places``, ``(..., s,
         E)``."""
         centres = self.centres(states[..., len(places) // 2, :], begins, ends)
-        points = np.concatenate([begins[..., None, :], states, ends[..., None, :]], axis=-2)
-        return Polynomials(
-            np.concatenate([[0.0], places, [1.0]]), centres, self.coordinates(centres[..., None, :], points)
-        )
+        inner = places < 1.0  # a point at the end of the step is the node there
+        points = np.concatenate([begins[..., None, :], states[..., inner, :], ends[..., None, :]], axis=-2)
+        through = np.concatenate([[0.0], places[inner], [1.0]])
+        return Polynomials(through, centres, self.coordinates(centres[..., None, :], points))
 
     def coordinates(self, centres: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Coordinates of points, shape ``(..., n)``."""

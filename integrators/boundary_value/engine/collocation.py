@@ -11,7 +11,7 @@ from jaxtyping import Array
 from ....compute.base import Arrays, Evaluator
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....retractions import Gauss, default_retraction
+from ....retractions import CollocationMethod, default_retraction
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
 from .arrays import plain
@@ -57,7 +57,9 @@ class Collocation:
     point, whose unknowns are ``(dx, deta)``: ``eta = h sum_j b_j nu_j``.
     """
 
-    def __init__(self, problem: OptimalControlProblem, method: Gauss, parameters: Any, evaluator: Evaluator) -> None:
+    def __init__(
+        self, problem: OptimalControlProblem, method: CollocationMethod, parameters: Any, evaluator: Evaluator
+    ) -> None:
         self.problem, self.method, self.stages = problem, method, method.stages
         self.manifold, self.controls = problem.manifold, problem.controls
         # Of a product they are sums that are taken again each time.

@@ -10,7 +10,7 @@ from jaxtyping import Array
 
 from ....compute.automatic import AutomaticEvaluator
 from ....manifolds.numerics import ambient as vec
-from ....retractions import Gauss, Retraction
+from ....retractions import Retraction
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
 
@@ -70,10 +70,9 @@ def spans(method: Any, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
     It is held for the share of the step that the stage has as a weight of quadrature.
     """
-    inside, weights = (method.nodes, method.weights) if isinstance(method, Gauss) else ([float(method.theta)], [1.0])
     begun = np.concatenate([[0.0], np.cumsum(steps)[:-1]])
-    places = (begun[:, None] + np.array(inside) * steps[:, None]).ravel()
-    ended = np.cumsum((steps[:, None] * np.array(weights)).ravel())
+    places = (begun[:, None] + method.nodes * steps[:, None]).ravel()
+    ended = np.cumsum((steps[:, None] * method.weights).ravel())
     return places - np.concatenate([[0.0], ended[:-1]]), ended - places
 
 

@@ -11,7 +11,7 @@ from ....manifolds import InvalidInputError, NotOnManifoldError
 from ....manifolds.numerics.ambient import is_count, is_finite_number
 from ....manifolds.numerics.precision import default_tolerance, working_precision
 from ....manifolds.numerics.tolerances import SAME_TIME
-from ....retractions import DiscretizationMap, Gauss
+from ....retractions import CollocationMethod, DiscretizationMap
 from ...problem.free_quantities import is_free, with_guess
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.requirements import require_same_manifold, require_treated
@@ -26,7 +26,7 @@ MOST_STEPS = 10_000_000  # with arrays much longer memory ends
 LIMITS = "control bounds", "constraints", "node constraints"
 ALONG = *LIMITS, "an initial cost", "an explicit time"
 BETWEEN = "boundary constraints", "periodic ends"
-Method = DiscretizationMap | Gauss
+Method = DiscretizationMap | CollocationMethod
 
 
 class BoundaryData(NamedTuple):
@@ -132,9 +132,9 @@ def require_problem(problem: Any) -> None:
 
 def check_problem(problem: Any, method: Any) -> None:
     require_problem(problem)
-    if not isinstance(method, DiscretizationMap | Gauss):
+    if not isinstance(method, DiscretizationMap | CollocationMethod):
         raise InvalidInputError(
-            f"solve takes a Gauss method or a discretization map, got {brief(method)}; try "
+            f"solve takes a collocation method or a discretization map, got {brief(method)}; try "
             "Midpoint(default_retraction(manifold))"
         )
     require_treated(problem, "solve", *ALONG, *BETWEEN)

@@ -14,7 +14,7 @@ from ....manifolds import Euclidean, Product
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.product import factor_name
-from ....retractions import Addition, DiscretizationMap, Gauss, ProductRetraction, Retraction, Theta
+from ....retractions import Addition, CollocationMethod, DiscretizationMap, ProductRetraction, Retraction, Theta
 from ...problem.boundary_conditions import BoundaryConditions
 from ...problem.free_quantities import Free, guess_inside, guess_of, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
@@ -345,8 +345,8 @@ def _names(values: dict[str, Any]) -> dict[str, Any]:
 
 def extend_method(method: Method, beside: list[Addition]) -> Method:
     """The method on the product with vector spaces."""
-    if isinstance(method, Gauss):
-        return Gauss(method.stages, ProductRetraction(method.retraction, *beside))
+    if isinstance(method, CollocationMethod):
+        return method.on(ProductRetraction(method.retraction, *beside))
     if isinstance(method, Theta):
         other = None if method.other is None else ProductRetraction(method.other, *beside)
         return Theta(ProductRetraction(method.backward, *beside), method.theta, other)

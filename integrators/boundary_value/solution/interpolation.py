@@ -207,7 +207,7 @@ class Interpolant:
 
     def _momenta(self, steps: _Step, through: np.ndarray, centres: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
         """The covectors of the charts of steps at the places ``through`` which their polynomials go."""
-        inner = () if len(steps.places) == 1 else np.moveaxis(steps.costates, 1, 0)
+        inner = () if len(steps.places) == 1 else np.moveaxis(steps.costates[:, steps.places < 1.0], 1, 0)
         covectors = np.stack([steps.begin_costates, *inner, steps.end_costates], axis=1)
         momenta = self.chart.pulled(centres[:, None], coordinates, covectors)
         return self._on_this_side(steps, centres, (through, momenta)) if np.any(steps.jumps) else momenta

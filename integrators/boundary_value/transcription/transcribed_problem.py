@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from ....compute.base import Evaluator
-from ....retractions import Gauss, Midpoint
+from ....retractions import CollocationMethod
 from ....undisturbed import undisturbed
 from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
@@ -57,7 +57,7 @@ class Transcription:
     ) -> None:
         self.problem, self.method, self.fractions, self.evaluator = problem, method, fractions, evaluator
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
-        self.stages = np.array(method.nodes) if isinstance(method, Gauss) else np.array([method.theta])
+        self.stages = method.nodes
         self._start = Start(problem.manifold, method.retraction)
         starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
         # Of all stages, fractions of the horizon.
@@ -88,11 +88,10 @@ class Transcription:
         example = self.problem.with_parameters(parameters)
         example._require_values()
         given = self.problem, parameters, self.evaluator
-        if isinstance(self.method, Gauss) and self.method.stages > 1:
+        if isinstance(self.method, CollocationMethod) and self.method.stages > 1:
             steps: Any = Collocation(self.problem, self.method, *given[1:])
         else:
-            method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
-            steps = OneStage(self.problem, method, *given[1:])
+            steps = OneStage(self.problem, self.method.discretization_map, *given[1:])
         if self.evaluator.name == "tape":
             first_use.begin()
         rows = InequalityRows(self.problem, parameters, len(self.stages))

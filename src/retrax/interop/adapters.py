@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 from ..integrators import Free, Guess, OptimalControlProblem
 from ..manifolds import InvalidInputError, Manifold, Metric
 from ..manifolds.manifold import same_manifold
-from ..retractions import DiscretizationMap, Gauss, Retraction, default_retraction
+from ..retractions import CollocationMethod, DiscretizationMap, Retraction, default_retraction
 from .conventions import Conventions
 from .counterpart import Counterpart
 from .geometry import Geometry
@@ -141,7 +141,7 @@ def from_geomstats(space: Any) -> Counterpart:
 
 def to_casadi(
     problem: OptimalControlProblem,
-    method: DiscretizationMap | Gauss,
+    method: DiscretizationMap | CollocationMethod,
     start: Any,
     end: Any,
     horizon: float | Free,

@@ -18,7 +18,7 @@ from ..integrators.problem.free_quantities import is_free
 from ..integrators.problem_checks.requirements import require_treated
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.ambient import is_finite_number
-from ..retractions import DiscretizationMap, Gauss
+from ..retractions import CollocationMethod, DiscretizationMap
 from ..tape import Tape
 from .transcription import Transcription
 
@@ -65,7 +65,7 @@ class DiscreteProblem:
 
 def transcribe(
     problem: OptimalControlProblem,
-    method: DiscretizationMap | Gauss,
+    method: DiscretizationMap | CollocationMethod,
     ends: tuple[Any, Any],
     horizon: Any,
     steps: Any,

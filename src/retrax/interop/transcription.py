@@ -11,7 +11,7 @@ from ..integrators import ControlStage, Guess, OptimalControlProblem
 from ..integrators.problem.path_constraints import entry_words
 from ..integrators.problem.point_layout import PointLayout
 from ..manifolds.numerics import ambient as vec
-from ..retractions import DiscretizationMap, Gauss, Midpoint
+from ..retractions import CollocationMethod, DiscretizationMap
 from ..tape import Tape
 from .equations import equations
 
@@ -35,10 +35,10 @@ class Transcription:
     is zero: exactly opposite ends meet too, by slacks without bound, and an optimum with large slacks is none.
     """
 
-    def __init__(self, problem: OptimalControlProblem, method: DiscretizationMap | Gauss) -> None:
+    def __init__(self, problem: OptimalControlProblem, method: DiscretizationMap | CollocationMethod) -> None:
         self.problem, self.method, self.manifold, self.controls = problem, method, problem.manifold, problem.controls
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
-        self.stages = method.stages if isinstance(method, Gauss) else 1
+        self.stages = method.stages
         self.slack = self.state.size - self.manifold.dimension
         s, several = self.stages, self.stages > 1
         self.parts = [
@@ -92,14 +92,14 @@ class Transcription:
         x, controls = self.state.point(parts["centre"]), [self.control.point(u) for u in parts["controls"]]
         held = [equations(self.manifold, x), *(equations(self.controls, u) for u in controls)]
         if self.stages == 1:
-            method = Midpoint(self.method.retraction) if isinstance(self.method, Gauss) else self.method
+            method = self.method.discretization_map
             stage = ControlStage(self.problem, method, h[0])
             begin, end = stage.ends((x, controls[0]))
             points = [x]
         else:
             points, (begin, end), inner = self._collocated(x, parts, controls, h[0])
             held += inner
-        weights = self.method.weights if isinstance(self.method, Gauss) else np.ones(1)
+        weights = self.method.weights
         rates = [self.problem.cost_rate(q, u) for q, u in zip(points, controls, strict=True)]
         cost = h[0] * sum(b * rate for b, rate in zip(weights, rates, strict=True))
         limits = [self.problem.inequalities(q, u) for q, u in zip(points, controls, strict=True)] if self.limits else []
