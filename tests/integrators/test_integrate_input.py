@@ -25,7 +25,7 @@ def run(system=pendulum_energy, integrator=SYMPLECTIC, start=(Q, P), step_size=0
 @pytest.mark.parametrize("given", [None, Projection(SPHERE), Midpoint(Projection(SPHERE)), "midpoint"])
 def test_an_integrator_takes_a_cotangent_lift(kind, given):
     with pytest.raises(
-        InvalidInputError, match=r"(?s)takes a cotangent lift or a Gauss method, got .*try CotangentLift"
+        InvalidInputError, match=r"(?s)takes a cotangent lift or a collocation method, got .*try CotangentLift"
     ):
         kind(given)
 
