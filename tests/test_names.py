@@ -54,7 +54,6 @@ EXCEPTIONS: dict[str, frozenset[str]] = {
     "integrators/boundary_value/engine/inequalities.py": frozenset({"Held", "Surveyed"}),
     "integrators/boundary_value/engine/joint_system.py": frozenset({"JointAssembled"}),
     "integrators/boundary_value/engine/kkt_system.py": frozenset({"Assembled"}),
-    "integrators/boundary_value/engine/rollout.py": frozenset({"RollOut"}),
     "integrators/boundary_value/engine/transcription.py": frozenset({"Known"}),
     "integrators/boundary_value/engine/trial.py": frozenset({"Tried", "SetOut"}),
     "retractions/constructions/stabilized.py": frozenset({"file"}),

@@ -15,7 +15,7 @@ from ..problem.point_layout import PointLayout
 from ..problem_checks.requirements import require_treated
 from ..reporting.records import shapes
 from ..reporting.text import brief
-from .engine.rollout import RollOut, spans
+from ..stages.explicit_runge_kutta import RK4, ExplicitRungeKutta, control_spans
 from .engine.start import Start
 from .inputs.arguments import ALONG, BETWEEN, Method, check_problem, step_fractions
 from .inputs.boundary_data import BoundaryDataReader
@@ -232,8 +232,8 @@ def roll_out(
         values = [jax.tree.map(np.asarray, controls(float(horizon) * place)) for place in places]
         controls = vec.stacked(values)
     check_arrays("controls", controls, problem.controls, len(places))
-    rows, held = control.rows(controls, 1), spans(method, horizon * fractions)
-    states = RollOut(problem, method.retraction).states(begin, rows, held)
+    rows, held = control.rows(controls, 1), control_spans(method, horizon * fractions)
+    states = ExplicitRungeKutta(problem, method.retraction, RK4).states(begin, rows, held)
     if not np.all(np.isfinite(states)):
         lost = int(np.argmin(np.all(np.isfinite(states), axis=1)))
         raise DomainError(

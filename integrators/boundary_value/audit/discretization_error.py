@@ -2,13 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import partial
 from typing import Any, NamedTuple, final
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_solve
 from jaxtyping import Array
 
 from ....compute.automatic import AutomaticEvaluator
@@ -22,6 +19,7 @@ from ....tracing import reads_once
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...problem_checks.requirements import require_treated
+from ...stages.explicit_runge_kutta import ExplicitRungeKutta, dop853
 from ..engine.chart import lagrange
 from ..inputs.arguments import ALONG, BETWEEN, check_parameters
 from ..solution.factor_distances import factor_distances
@@ -32,16 +30,6 @@ RESOLUTION = ROUNDING * EPS  # relative to the states: errors below it
 MOST_PARTS = 64  # parts of a step
 NEWTON_ROUNDS = 8  # of Newton's method, which takes two to four where the error is small
 SLOW_CONVERGENCE = 0.1  # shrinking of its moves below which the derivatives are renewed
-STAGES = 12
-
-
-@cache
-def _tableau() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Matrix, weights and places of the stages of DOP853; SciPy's integrators take long to import, and few solves need
-    them."""
-    from scipy.integrate import DOP853
-
-    return DOP853.A[:STAGES, :STAGES], DOP853.B[:STAGES], DOP853.C[:STAGES]
 
 
 @final
@@ -154,15 +142,12 @@ class Propagator:
         parameters: Any = None,
         evaluator: Evaluator | None = None,
     ) -> None:
-        self.problem, self.retraction = problem, retraction
+        self.problem, self.retraction, evaluator = problem, retraction, evaluator or AutomaticEvaluator()
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
         self.parameter = parameter_layout(parameters)
-        n, m = problem.manifold.dimension, problem.controls.dimension
-        values = (evaluator or AutomaticEvaluator()).values
-        self._frame = values(self._frame_of, self.state.size)
-        self._chart = values(self._chart_of, self.state.size, n)
-        self._offset = values(self._offset_of, self.control.size, self.control.size)
-        self._rate = values(self._rate_of, self.state.size, n, self.control.size, m, 1, self.parameter.size)
+        self._method = ExplicitRungeKutta(problem, retraction, dop853(), self.parameter, evaluator)
+        self._frame = evaluator.values(self._frame_of, self.state.size)
+        self._offset = evaluator.values(self._offset_of, self.control.size, self.control.size)
 
     def discretization_error(
         self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any = None
@@ -259,44 +244,29 @@ class Propagator:
 
     def ends(self, given: _Steps, k: np.ndarray, x: np.ndarray, c: np.ndarray, parts: int) -> np.ndarray:
         """Ends of the steps ``k``, each in some parts, from coordinates ``c`` in the charts around the points ``x``."""
-        step, bases = given.steps[k, None] / parts, given.bases[k]
+        steps, bases = given.steps[k, None] / parts, given.bases[k]
         offsets = np.ascontiguousarray(given.offsets[k].transpose(0, 2, 1))
-        table, weights, places = _tableau()
-        slopes = np.empty((STAGES, c.size))
         for part in range(parts):
-            for i in range(STAGES):
-                offset = offsets @ lagrange(given.places, (part + places[i]) / parts)
-                stage = c + step * (table[i, :i] @ slopes[:i]).reshape(c.shape)
-                time = given.begins[k, None] + step * (part + places[i])
-                slopes[i] = self._rate(x, stage, bases, offset, time, given.parameters)[0].ravel()
-            c = c + step * (weights @ slopes).reshape(c.shape)
+
+            def control(place: float, part: int = part) -> tuple[np.ndarray, np.ndarray]:
+                return bases, offsets @ lagrange(given.places, (part + place) / parts)
+
+            c = self._method.step(x, c, given.begins[k, None] + steps * part, steps, control, given.parameters)
         return self.points(x, c)
 
     def points(self, x: np.ndarray, c: np.ndarray) -> np.ndarray:
         """The points with coordinates ``c`` in the charts around ``x``."""
-        return self._chart(x, c)[0]
+        return self._method.points(x, c)
 
     def _frame_of(self, x: Array) -> tuple[Array, Array]:
         point = self.state.point(x)
         frame = self.problem.manifold.basis(point)
         return self.state.flat_frame(frame), vec.coordinate_sizes(frame, point)
 
-    def _chart_of(self, x: Array, c: Array) -> tuple[Array]:
-        point = self.state.point(x)
-        return (self.state.flat(self.retraction.chart(point, self.retraction.frame(point), c)),)
-
     def _offset_of(self, base: Array, control: Array) -> tuple[Array]:
         u, controls = self.control.point(base), self.problem.controls
         v = default_retraction(controls).preimage(u, self.control.point(control))
         return (vec.components(controls.basis(u), v),)
-
-    def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, time: Array, parameters: Array) -> tuple[Array]:
-        bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
-        u = self.problem._steer(self.control.point(base), offset)
-        (q,), push = jax.linearize(lambda c: self._chart_of(x, c), c)
-        (columns,) = jax.vmap(push)(jnp.eye(c.size))
-        velocity = self.state.flat(bound.velocity(self.state.point(q), u))
-        return (cho_solve((jnp.linalg.cholesky(columns @ columns.T), True), columns @ velocity),)
 
 
 @final

@@ -17,8 +17,8 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import entry_words
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...stages import ControlStage
+from ...stages.explicit_runge_kutta import RK4, ExplicitRungeKutta
 from .inequalities import Held, Slacks, raised
-from .rollout import RollOut
 from .scaling import Units
 
 ASIDE = 1e-3  # of the chord
@@ -343,9 +343,9 @@ class Nodes:
         return AutomaticEvaluator().values(self._middle_of, self.layout.size, self.layout.size)
 
     @cached_property
-    def roll_out(self) -> RollOut:
+    def roll_out(self) -> ExplicitRungeKutta:
         """Traced where a guess is rolled out for the first time."""
-        return RollOut(self.problem, default_retraction(self.problem.manifold), self.parameter)
+        return ExplicitRungeKutta(self.problem, default_retraction(self.problem.manifold), RK4, self.parameter)
 
     def _middle_of(self, a: Array, b: Array) -> tuple[Array]:
         """The point of the manifold next to the middle of the chord, by a few steps along its tangential part.
