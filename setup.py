@@ -6,6 +6,7 @@ from typing import Any
 
 from setuptools import Extension, setup
 from setuptools.command.build_ext import build_ext
+from setuptools.command.build_py import build_py
 
 CORE = Path("src/core")
 # Products and sums are rounded where the code says so, whatever the compiler; nothing reads the errors of libm.
@@ -22,6 +23,19 @@ class BuildCore(build_ext):
         return []
 
 
+class BuildPackage(build_py):
+    """Puts the sources of the core and its license into the package, for programs that are exported."""
+
+    def run(self) -> None:
+        """Build the package."""
+        super().run()
+        if not self.editable_mode:
+            to = Path(self.build_lib, "retrax", "core_source")
+            self.mkpath(str(to))
+            for path in [*CORE.glob("*.[ch]"), Path("LICENSE")]:
+                self.copy_file(str(path), str(to / path.name))
+
+
 setup(
     ext_modules=[
         Extension(
@@ -33,6 +47,6 @@ setup(
             py_limited_api=True,  # one file for all Pythons: it uses none of their interface
         )
     ],
-    cmdclass={"build_ext": BuildCore},
+    cmdclass={"build_ext": BuildCore, "build_py": BuildPackage},
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

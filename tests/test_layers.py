@@ -42,6 +42,7 @@ FLOORS = (
     ("reformulations and audit", " ".join(
         f"{VALUE}.{name}" for name in ("reformulations", "audit", "shooting", "regularity", "regular_extremals")
     )),
+    ("export", f"{VALUE}.export"),
     ("solver", f"{VALUE}.solver"),
     ("drivers", f"{VALUE}.drivers"),
     ("solve", f"{VALUE} integrators"),

@@ -26,6 +26,7 @@ from .audit.status import explain_failure
 from .engine.derivatives import Sensitivities
 from .engine.found import Found, Iteration
 from .engine.stopwatch import Stopwatch
+from .export.c_export import export_c
 from .guess import Guess
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
 from .inputs.inputs import InputReader, Inputs
@@ -367,6 +368,8 @@ class Solver:
         return differentiable_extremal(
             self.problem.manifold, BoundaryData(start, end, horizon, parameters), solved, self.sensitivity
         )
+
+    export_c = require_known_options(export_c)
 
     def _solved(self, inputs: Inputs) -> Solutions:
         """Solutions of regular problems."""

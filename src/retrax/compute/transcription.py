@@ -121,6 +121,8 @@ class Transcription:
     ) -> None:
         self.sizes, self.programs, self._library = sizes, dict(functions), library()
         self._set = best_instruction_set() if instruction_set is None else instruction_set
+        self.tableau, self.groups, self.control_groups = tableau, groups, control_groups
+        self.kept, self.bounds = kept, bounds
         (matrix, weights), s = tableau, sizes.points
         addresses = (
             address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
@@ -155,6 +157,11 @@ class Transcription:
     def workspace(self) -> int:
         """The address of the workspace; one thread uses it at a time."""
         return address_of(self._workspace, FLOAT, self._workspace.shape, "workspace")
+
+    def memory(self, max_iterations: int) -> tuple[int, int]:
+        """Return the bytes of memory of a layout, and of a search with so many iterations."""
+        own, layout = self._library, byref(self._layout)
+        return own.retrax_layout_memory(byref(self._problem)), own.retrax_search_memory(layout, max_iterations)
 
     def trajectory(self) -> "Trajectory":
         """Return a trajectory, all of whose numbers are zero."""
@@ -196,6 +203,10 @@ class Trajectory:
         place = _PLACES[name]
         first = self._layout.first[place]
         return self._numbers[first : first + self._layout.count[place]]
+
+    def copy_from(self, other: "Trajectory") -> None:
+        """Copy all numbers of another trajectory of the same transcription."""
+        self._numbers[...] = other._numbers
 
     def evaluate(self) -> None:
         """Evaluate the functions of the problem at the unknowns, and assemble the linear system."""

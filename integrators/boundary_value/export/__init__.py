@@ -1,0 +1,1 @@
+"""Solvers as C programs that need nothing but a C compiler."""

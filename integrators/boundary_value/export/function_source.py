@@ -1,0 +1,44 @@
+"""The functions of a problem as C source."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from ....compute.tape_machine import MachineProgram
+from ....compute.transcription import FunctionName
+from ....tape.c_source import c_function, c_head
+from ....tape.program import Program
+
+Programs = Mapping[FunctionName, MachineProgram]
+
+
+def functions_text(programs: Programs) -> str:
+    """The definitions of all functions."""
+    return "\n".join([c_head(), *(c_function(_program(own), _name(key)) for key, own in programs.items())])
+
+
+def table_text(programs: Programs) -> str:
+    """The entries of the table of functions."""
+    rows = []
+    for key in FunctionName:
+        if key in programs:
+            inputs, outputs, _ = programs[key].sizes
+            rows.append(f"    {{{_name(key)}, {inputs}, {outputs}}},")
+        else:
+            rows.append("    {NULL, 0, 0},")
+    return "\n".join(rows)
+
+
+def most_numbers(programs: Programs) -> tuple[int, int]:
+    """The largest numbers of inputs and of outputs."""
+    sizes = np.array([own.sizes for own in programs.values()]).max(axis=0)
+    return int(sizes[0]), int(sizes[1])
+
+
+def _name(key: FunctionName) -> str:
+    return f"evaluate_{key.name.lower()}"
+
+
+def _program(own: MachineProgram) -> Program:
+    (codes, operands, values), (inputs, outputs, registers) = own._arrays, own.sizes
+    return Program(codes, operands, values, inputs, outputs, registers)
