@@ -95,10 +95,12 @@ static int try_search(generator *g) {
     void *const places = allocate(retrax_layout_memory(&problem));
     retrax_layout_make(&problem, places, &layout);
     const retrax_options options = {TOLERANCE, 1 + below(g, 20), 1.0, 1.0, below(g, 2) == 0, report, g};
-    void *const memory = allocate(retrax_search_memory(&layout, options.max_iterations));
+    const retrax_layout *const layouts[] = {&layout};
+    const retrax_multiphase alone = {.phases = 1, .layouts = layouts};
+    void *const memory = allocate(retrax_search_memory(&alone, options.max_iterations));
     retrax_search *const search =
-        retrax_search_make(&layout, &options, (retrax_instruction_set)below(g, 1 + retrax_best_instruction_set()), memory);
-    double *const guess = retrax_search_trajectory(search);
+        retrax_search_make(&alone, &options, (retrax_instruction_set)below(g, 1 + retrax_best_instruction_set()), memory);
+    double *const guess = retrax_search_trajectory(search, 0);
     static const retrax_array given[] = {
         RETRAX_ARRAY_PARAMETERS, RETRAX_ARRAY_START,      RETRAX_ARRAY_END,      RETRAX_ARRAY_START_ENTRIES,
         RETRAX_ARRAY_END_ENTRIES, RETRAX_ARRAY_FIXED,     RETRAX_ARRAY_CENTRES,  RETRAX_ARRAY_VELOCITIES,
@@ -118,7 +120,7 @@ static int try_search(generator *g) {
     }
 
     const retrax_search_status status = retrax_search_run(search);
-    const retrax_search_result found = retrax_search_read(search);
+    const retrax_search_result found = retrax_search_read(search, 0);
     const double final = found.trajectory[layout.first[RETRAX_ARRAY_RESIDUALS] + RETRAX_FINAL];
     int broken = status <= RETRAX_GOING_ON || status > RETRAX_STOPPED ? 1 : 0;
     broken = found.claimed && !(final <= TOLERANCE) ? 2 : broken;

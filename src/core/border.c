@@ -1,0 +1,429 @@
+/*
+ * Border: the Newton step of trajectories whose ends are coupled.
+ *
+ * Each trajectory is eliminated with its start prescribed to move by e, and its end free, with a linear cost f of what
+ * that moves by, w = R d: with both prescribed an arc without controls would have dependent equations. The end is held by
+ * a weight rho |w|^2 / 2, which the border takes back, so that focal points are no singular pivots. What is left is one
+ * system in (e, w, f) of all trajectories and the steps of the multipliers of b(ends) = 0, with L the curvature of the
+ * costs of the ends and of the multipliers times b, C and W multipliers of the start and motions of the end per unit,
+ *
+ *     (L_ee - C_e) e + L_ew w - C_f f + B_e' dmu = C_0,     L_we e + (L_ww - rho) w - f + B_w' dmu = 0,
+ *     W_e e - w + W_f f = -W_0,                             B_e e + B_w w = -b.
+ *
+ * Prescribed coordinates of the start have no e, those of the end a w that is known. By Haynsworth's formula the inertia
+ * of the whole is the sum of those of the eliminated systems and of this one.
+ */
+#include "search.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Weight on the motion of an end, times the number of stages, as in the block elimination. */
+#define WEIGHT 256.0
+/* Rounds of scaling rows and columns to one size. */
+#define ROUNDS 3
+
+/* Sizes of the border, and where its unknowns begin: e, w, f and the multipliers of the equations. */
+typedef struct {
+    retrax_index ends, forces, equations, total;
+} border_sizes;
+
+static double *row_of(const retrax_border *border, retrax_index i) { return border->front.matrix + i * border->front.width; }
+
+/* ------------------------------------------------------------------------------------------------------- responses */
+
+/* Lists the free coordinates of both ends. */
+static void list_free(const retrax_layout *layout, const double *trajectory, retrax_response *own) {
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    for (int side = 0; side < 2; side++) {
+        own->counts[side] = 0;
+        for (retrax_index a = 0; a < n; a++) {
+            if (ARRAY(FIXED)[(side == 0 ? 0 : N * n) + a] == 0.0) {
+                own->free[side * n + own->counts[side]++] = a;
+            }
+        }
+    }
+    own->columns = 1 + own->counts[0] + n;
+}
+
+/* Writes the right-hand sides, and adds the weight on the end to the Hessian of the last stage, which is kept. */
+static void write_columns(const retrax_layout *layout, double *trajectory, retrax_response *own) {
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = own->columns, p = own->counts[0];
+    const double *const right = ARRAY(RIGHT) + (N - 1) * n * z;
+    const double *const after = retrax_collocates(layout->problem) ? ARRAY(AFTER) + (N - 1) * n : own->none;
+    double *const hessian = ARRAY(HESSIANS) + (N - 1) * z * z;
+    memset(own->slope, 0, sizeof(double) * (size_t)(N * z * columns));
+    memset(own->defect, 0, sizeof(double) * (size_t)((N + 1) * n * columns));
+    for (retrax_index i = 0; i < N * z; i++) {
+        own->slope[i * columns] = ARRAY(NEWTON_SIDES)[i];
+    }
+    for (retrax_index i = 0; i < (N + 1) * n; i++) {
+        own->defect[i * columns] = ARRAY(NEWTON_DEFECTS)[i];
+    }
+    for (retrax_index i = 0; i < p; i++) {
+        own->defect[own->free[i] * columns + 1 + i] = -1.0;
+    }
+    retrax_copy(own->last, hessian, z * z);
+    for (retrax_index a = 0; a < n; a++) {
+        for (retrax_index i = 0; i < z; i++) {
+            const double weighted = own->weights[a] * right[a * z + i];
+            double *const slope = own->slope + ((N - 1) * z + i) * columns;
+            slope[0] += weighted * after[a];
+            slope[1 + p + a] = right[a * z + i];
+            for (retrax_index j = 0; j < z; j++) {
+                hessian[i * z + j] += weighted * right[a * z + j];
+            }
+        }
+    }
+}
+
+/* Writes what the end moves by. */
+static void write_end(const retrax_layout *layout, const double *trajectory, retrax_response *own) {
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = own->columns;
+    const double *const right = ARRAY(RIGHT) + (N - 1) * n * z, *const steps = own->steps + (N - 1) * z * columns;
+    for (retrax_index a = 0; a < n; a++) {
+        for (retrax_index j = 0; j < columns; j++) {
+            double sum = 0.0;
+            for (retrax_index i = 0; i < z; i++) {
+                sum += right[a * z + i] * steps[i * columns + j];
+            }
+            own->end[a * columns + j] = sum;
+        }
+        own->end[a * columns] += retrax_collocates(layout->problem) ? ARRAY(AFTER)[(N - 1) * n + a] : 0.0;
+    }
+}
+
+/* Finds how a trajectory follows its ends; returns the inertia of its system. */
+static retrax_inertia respond(const retrax_search *search, retrax_phase *phase, double shift) {
+    const retrax_layout *const layout = phase->layout;
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
+    retrax_response *const own = &phase->response;
+    double *const trajectory = search->at + phase->place;
+    retrax_write_right_sides(layout, trajectory);
+    list_free(layout, trajectory, own);
+    for (retrax_index a = 0; a < n; a++) {
+        own->weights[a] = WEIGHT * (double)N * phase->steps.cost / (phase->steps.nodes[a] * phase->steps.nodes[a]);
+        own->ones[a] = 1.0;
+        own->none[a] = 0.0;
+    }
+    write_columns(layout, trajectory, own);
+    const retrax_block_system system = {
+        .stages = N,
+        .node_size = n,
+        .stage_size = z,
+        .columns = own->columns,
+        .hessian = ARRAY(HESSIANS),
+        .left = ARRAY(LEFT),
+        .right = ARRAY(RIGHT),
+        .slope = own->slope,
+        .defect = own->defect,
+        .fixed_start = own->ones,
+        .fixed_end = own->none,
+        .stage_scale = phase->steps.unknowns,
+        .node_scale = phase->steps.nodes,
+        .cost_scale = phase->steps.cost,
+        .regularisation = shift,
+        .regularised = phase->curvatures,
+    };
+    retrax_block_solution solution = {.step = own->steps,
+                                      .multipliers = own->multipliers,
+                                      .finite = own->finite,
+                                      .largest_step = phase->largest};
+    retrax_block_eliminate(&system, &solution, search->workspace, search->set);
+    retrax_copy(ARRAY(HESSIANS) + (N - 1) * z * z, own->last, z * z);
+    write_end(layout, trajectory, own);
+    return solution.inertia;
+}
+
+/* ---------------------------------------------------------------------------------------------------------- border */
+
+/* Writes what the ends cost and the equations between them, and the sizes of the unknowns; places: of the free
+ * coordinates of all starts, then of all ends, among the coordinates of all ends. */
+static border_sizes write_coupling(retrax_search *search, retrax_index *places) {
+    retrax_border *const border = &search->coupling.border;
+    const double *const at = search->at, *const curvature = at + search->coupling.first[RETRAX_COUPLED_CURVATURE];
+    const double *const jacobian = at + search->coupling.first[RETRAX_COUPLED_JACOBIAN];
+    const double *const values = at + search->coupling.first[RETRAX_COUPLED_VALUES];
+    const retrax_index Z = search->coupling.count[RETRAX_COUPLED_MOVES];
+    border_sizes own = {0, Z / 2, search->coupling.count[RETRAX_COUPLED_VALUES], 0};
+    for (int side = 0; side < 2; side++) {
+        EACH_PHASE(phase) {
+            const retrax_response *const response = &phase->response;
+            const retrax_index n = phase->layout->problem->state_size;
+            for (retrax_index i = 0; i < response->counts[side]; i++) {
+                const retrax_index a = response->free[side * n + i];
+                border->scales[own.ends] = phase->steps.nodes[a];
+                places[own.ends++] = response->coordinate + side * n + a;
+            }
+        }
+    }
+    own.total = own.ends + own.forces + own.equations;
+    border->front.rows = own.total;
+    border->front.columns = 1;
+    border->front.width = retrax_width(own.total + 1);
+    memset(border->front.matrix, 0, sizeof(double) * (size_t)(own.total * border->front.width));
+    const retrax_index first = own.ends + own.forces;
+    for (retrax_index i = 0; i < own.ends; i++) {
+        for (retrax_index j = 0; j < own.ends; j++) {
+            row_of(border, i)[j] = curvature[places[i] * Z + places[j]];
+        }
+        for (retrax_index r = 0; r < own.equations; r++) {
+            row_of(border, i)[first + r] = row_of(border, first + r)[i] = jacobian[r * Z + places[i]];
+        }
+    }
+    for (retrax_index r = 0; r < own.equations; r++) {
+        row_of(border, first + r)[own.total] = -values[r];
+        border->scales[first + r] = search->phases->steps.cost / search->coupling.sizes[r];
+    }
+    return own;
+}
+
+/* Adds the response of a phase, whose e, w and f begin at these rows. */
+static void add_response(retrax_border *border, const retrax_phase *phase, const double *trajectory,
+                         const border_sizes *sizes, const retrax_index begins[3]) {
+    const retrax_layout *const layout = phase->layout;
+    const retrax_response *const own = &phase->response;
+    const retrax_index n = layout->problem->state_size, N = layout->problem->steps, p = own->counts[0];
+    const retrax_index columns = own->columns, e = begins[0], w = begins[1], f = begins[2];
+    for (retrax_index i = 0; i < p; i++) {
+        const double *const start = own->multipliers + own->free[i] * columns;
+        double *const row = row_of(border, e + i);
+        for (retrax_index j = 0; j < p; j++) {
+            row[e + j] -= start[1 + j];
+        }
+        for (retrax_index j = 0; j < n; j++) {
+            row[f + j] -= start[1 + p + j];
+        }
+        row[sizes->total] = start[0];
+    }
+    for (retrax_index a = 0; a < n; a++) {
+        const double *const end = own->end + a * columns;
+        double *const row = row_of(border, f + a);
+        for (retrax_index j = 0; j < p; j++) {
+            row[e + j] += end[1 + j];
+        }
+        for (retrax_index j = 0; j < n; j++) {
+            row[f + j] += end[1 + p + j];
+        }
+        row[sizes->total] = ARRAY(ASKED)[N * n + a] - end[0];
+        border->scales[f + a] = phase->steps.cost / phase->steps.nodes[a];
+    }
+    for (retrax_index i = 0; i < own->counts[1]; i++) {
+        const retrax_index a = own->free[n + i];
+        row_of(border, w + i)[f + a] = row_of(border, f + a)[w + i] = -1.0;
+        row_of(border, w + i)[w + i] -= own->weights[a];
+    }
+}
+
+/* Scales rows and columns of the border to one size. */
+static void scale_border(retrax_border *border, retrax_index total) {
+    double *const own = border->work;
+    retrax_copy(own, border->scales, total);
+    for (int round = 0; round <= ROUNDS; round++) {
+        for (retrax_index i = 0; i < total; i++) {
+            for (retrax_index j = 0; j < total; j++) {
+                row_of(border, i)[j] *= own[i] * own[j];
+            }
+        }
+        for (retrax_index i = 0; i < total && round < ROUNDS; i++) {
+            double most = 0.0;
+            for (retrax_index j = 0; j < total; j++) {
+                most = fmax(most, fabs(row_of(border, i)[j]));
+            }
+            own[i] = most > 0.0 ? 1.0 / sqrt(most) : 1.0;
+            border->scales[i] *= own[i];
+        }
+    }
+    for (retrax_index i = 0; i < total; i++) {
+        row_of(border, i)[total] *= border->scales[i];
+    }
+}
+
+/* Makes the border symmetric: its halves come from different right-hand sides, and differ by rounding. */
+static void symmetrise(retrax_border *border, retrax_index total) {
+    for (retrax_index i = 0; i < total; i++) {
+        for (retrax_index j = 0; j < i; j++) {
+            const double mean = (row_of(border, i)[j] + row_of(border, j)[i]) / 2.0;
+            row_of(border, i)[j] = row_of(border, j)[i] = mean;
+        }
+    }
+}
+
+/* Solves the border; returns its inertia. A singular one has a solution that is not finite. */
+static retrax_inertia solve_border(const retrax_search *search, retrax_border *border, retrax_index total) {
+    scale_border(border, total);
+    symmetrise(border, total);
+    double sum = 0.0; /* 0, or NaN where a number is not finite */
+    for (retrax_index i = 0; i < total; i++) {
+        for (retrax_index j = 0; j <= total; j++) {
+            sum += 0.0 * row_of(border, i)[j];
+        }
+    }
+    retrax_inertia inertia = {0, 0.0};
+    if (sum == 0.0) {
+        inertia = retrax_front_factorise(retrax_kernels_for(search->set), &border->front, total, NULL, 0, &border->pivots);
+        retrax_front_substitute(&border->front, total, &border->pivots, 0, border->solution, border->work);
+    }
+    for (retrax_index i = 0; i < total; i++) {
+        border->solution[i] = sum == 0.0 ? border->solution[i] * border->scales[i] : NAN;
+    }
+    return inertia;
+}
+
+/* ------------------------------------------------------------------------------------------------------------ step */
+
+/* Sum of d' H d and of the squares of d in natural sizes over the stages, and the largest steps. */
+static void summarise(const retrax_layout *layout, const double *trajectory, retrax_phase *phase, double *curvature,
+                      double *size) {
+    const retrax_index N = layout->problem->steps, z = layout->count[RETRAX_ARRAY_PARTS];
+    memset(phase->largest, 0, sizeof(double) * (size_t)z);
+    for (retrax_index k = 0; k < N; k++) {
+        const double *const d = ARRAY(STEPS) + k * z, *const hessian = ARRAY(HESSIANS) + k * z * z;
+        for (retrax_index i = 0; i < z; i++) {
+            double image = 0.0;
+            for (retrax_index j = 0; j < z; j++) {
+                image += hessian[i * z + j] * d[j];
+            }
+            const double unit = phase->steps.unknowns[i];
+            *curvature += d[i] * image;
+            *size += d[i] / unit * (d[i] / unit);
+            phase->largest[i] = retrax_larger(phase->largest[i], fabs(d[i]));
+        }
+    }
+}
+
+/* to = the columns of a response, combined. */
+static void combine(const retrax_response *own, const double *from, retrax_index count, double *to) {
+    for (retrax_index i = 0; i < count; i++) {
+        to[i] = 0.0;
+        for (retrax_index j = 0; j < own->columns; j++) {
+            to[i] += from[i * own->columns + j] * own->factors[j];
+        }
+    }
+}
+
+/* Writes the step of a phase whose ends move so; returns whether it is finite. */
+static bool write_step(const retrax_border *border, retrax_phase *phase, double *trajectory,
+                       const retrax_index begins[3]) {
+    const retrax_layout *const layout = phase->layout;
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    retrax_response *const own = &phase->response;
+    const double *const force = border->solution + begins[2];
+    double *const last = ARRAY(MULTIPLIER_STEPS) + N * n, sum = 0.0;
+    own->factors[0] = 1.0;
+    retrax_copy(own->factors + 1, border->solution + begins[0], own->counts[0]);
+    retrax_copy(own->factors + 1 + own->counts[0], force, n);
+    combine(own, own->steps, layout->count[RETRAX_ARRAY_STEPS], ARRAY(STEPS));
+    combine(own, own->multipliers, N * n, ARRAY(MULTIPLIER_STEPS));
+    for (retrax_index a = 0; a < n; a++) {
+        last[a] = -(force[a] + own->weights[a] * ARRAY(ASKED)[N * n + a]);
+    }
+    for (retrax_index i = 0; i < own->counts[1]; i++) {
+        const retrax_index a = own->free[n + i];
+        last[a] = -(force[a] + own->weights[a] * border->solution[begins[1] + i]);
+    }
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_STEPS]; i++) {
+        sum += 0.0 * ARRAY(STEPS)[i];
+    }
+    for (retrax_index i = 0; i < (N + 1) * n; i++) {
+        sum += 0.0 * ARRAY(MULTIPLIER_STEPS)[i];
+    }
+    return sum == 0.0;
+}
+
+/* Moves the rows at which e, w and f of a phase begin to those of the next one. */
+static void next_rows(const retrax_phase *phase, retrax_index begins[3]) {
+    begins[0] += phase->response.counts[0];
+    begins[1] += phase->response.counts[1];
+    begins[2] += phase->layout->problem->state_size;
+}
+
+/* Where e, w and f of the first phase begin. */
+static void first_rows(const retrax_search *search, const border_sizes *sizes, retrax_index begins[3]) {
+    begins[0] = begins[1] = 0;
+    begins[2] = sizes->ends;
+    EACH_PHASE(phase) { begins[1] += phase->response.counts[0]; }
+}
+
+/* Writes what the ends move by, and the steps of the multipliers; returns the curvature of the ends along that. */
+static double write_moves(const retrax_search *search, const border_sizes *sizes, const retrax_index *places) {
+    const double *const found = search->coupling.border.solution;
+    const double *const curvature = search->at + search->coupling.first[RETRAX_COUPLED_CURVATURE];
+    double *const moves = search->at + search->coupling.first[RETRAX_COUPLED_MOVES], sum = 0.0;
+    const retrax_index Z = search->coupling.count[RETRAX_COUPLED_MOVES];
+    memset(moves, 0, sizeof(double) * (size_t)Z);
+    for (retrax_index i = 0; i < sizes->ends; i++) {
+        moves[places[i]] = found[i];
+    }
+    for (retrax_index i = 0; i < Z; i++) {
+        for (retrax_index j = 0; j < Z; j++) {
+            sum += moves[i] * curvature[i * Z + j] * moves[j];
+        }
+    }
+    retrax_copy(search->at + search->coupling.first[RETRAX_COUPLED_COORDINATE_STEPS], found + sizes->ends + sizes->forces,
+                sizes->equations);
+    return sum;
+}
+
+void retrax_eliminate_coupled(retrax_search *search, double shift) {
+    retrax_border *const border = &search->coupling.border;
+    retrax_direction *const found = &search->direction;
+    retrax_index *const places = search->coupling.free_places, begins[3], count = 0, first = 0;
+    retrax_inertia inertia = {0, INFINITY};
+    EACH_PHASE(phase) {
+        const retrax_inertia own = respond(search, phase, shift);
+        phase->response.coordinate = first;
+        first += 2 * phase->layout->problem->state_size;
+        count += phase->layout->count[RETRAX_ARRAY_DEFECTS];
+        inertia.negative += own.negative;
+        inertia.smallest = own.smallest < inertia.smallest || isnan(own.smallest) ? own.smallest : inertia.smallest;
+    }
+    const border_sizes sizes = write_coupling(search, places);
+    first_rows(search, &sizes, begins);
+    EACH_PHASE(phase) {
+        add_response(border, phase, search->at + phase->place, &sizes, begins);
+        next_rows(phase, begins);
+    }
+    const retrax_inertia own = solve_border(search, border, sizes.total);
+    const double smallest = own.smallest < inertia.smallest ? own.smallest : inertia.smallest;
+    double curvature = write_moves(search, &sizes, places), size = 0.0;
+    first_rows(search, &sizes, begins);
+    found->finite = true;
+    EACH_PHASE(phase) {
+        double *const trajectory = search->at + phase->place;
+        found->finite = write_step(border, phase, trajectory, begins) && found->finite;
+        summarise(phase->layout, trajectory, phase, &curvature, &size);
+        next_rows(phase, begins);
+    }
+    for (retrax_index i = sizes.ends + sizes.forces; i < sizes.total; i++) {
+        found->finite = found->finite && isfinite(border->solution[i]);
+    }
+    found->shift = shift;
+    found->curvature = curvature / search->phases->steps.cost + shift * size;
+    found->size = size;
+    found->smallest = smallest;
+    found->convex = inertia.negative + own.negative == count + sizes.forces + sizes.equations;
+    found->strict = found->convex && retrax_is_clear(smallest, count);
+}
+
+void retrax_add_coupled_promise(retrax_search *search) {
+    const double *const at = search->at, *const moves = at + search->coupling.first[RETRAX_COUPLED_MOVES];
+    const double *const multipliers = at + search->coupling.first[RETRAX_COUPLED_COORDINATES];
+    const double *const steps = at + search->coupling.first[RETRAX_COUPLED_COORDINATE_STEPS];
+    const double *const values = at + search->coupling.first[RETRAX_COUPLED_VALUES];
+    const retrax_index Z = search->coupling.count[RETRAX_COUPLED_MOVES];
+    const double unit = search->direction.reach / search->phases->steps.cost;
+    double pulled = 0.0, changed = 0.0;
+    for (retrax_index r = 0; r < search->coupling.count[RETRAX_COUPLED_VALUES]; r++) {
+        const double *const row = at + search->coupling.first[RETRAX_COUPLED_JACOBIAN] + r * Z;
+        for (retrax_index i = 0; i < Z; i++) {
+            pulled += multipliers[r] * row[i] * moves[i];
+        }
+        changed += steps[r] * values[r];
+    }
+    search->direction.promised -= unit * pulled; /* the costs of the ends have the multipliers times the equations */
+    search->direction.turned += unit * changed;
+}
