@@ -20,6 +20,9 @@
 
 /* Weight on the motion of an end, times the number of stages, as in the block elimination. */
 #define WEIGHT 256.0
+/* What the multipliers of equations are held by, rows being scaled to one size: where equations depend on each other and
+ * agree, those that rounding leaves free stay small. */
+#define HELD 1e-13
 /* Rounds of scaling rows and columns to one size. */
 #define ROUNDS 3
 
@@ -256,6 +259,9 @@ static void symmetrise(retrax_border *border, retrax_index total) {
 static retrax_inertia solve_border(const retrax_search *search, retrax_border *border, retrax_index total) {
     scale_border(border, total);
     symmetrise(border, total);
+    for (retrax_index i = total - search->coupling.count[RETRAX_COUPLED_VALUES]; i < total; i++) {
+        row_of(border, i)[i] -= HELD;
+    }
     double sum = 0.0; /* 0, or NaN where a number is not finite */
     for (retrax_index i = 0; i < total; i++) {
         for (retrax_index j = 0; j <= total; j++) {
