@@ -22,7 +22,7 @@
 #define WEIGHT 256.0
 /* What the multipliers of equations are held by, rows being scaled to one size: where equations depend on each other and
  * agree, those that rounding leaves free stay small. */
-#define HELD 1e-13
+#define HELD 1e-15
 /* Rounds of scaling rows and columns to one size. */
 #define ROUNDS 3
 
