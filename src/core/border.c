@@ -1,11 +1,10 @@
 /*
  * Border: the Newton step of trajectories whose ends are coupled.
  *
- * Each trajectory is eliminated with its start prescribed to move by e, and its end free, with a linear cost f of what
- * that moves by, w = R d: with both prescribed an arc without controls would have dependent equations. The end is held by
- * a weight rho |w|^2 / 2, which the border takes back, so that focal points are no singular pivots. What is left is one
- * system in (e, w, f) of all trajectories and the steps of the multipliers of b(ends) = 0, with L the curvature of the
- * costs of the ends and of the multipliers times b, C and W multipliers of the start and motions of the end per unit,
+ * Each trajectory tells how it follows its ends: the multipliers C of its start and the motion W of its end, per unit
+ * that the start moves by, e, and of a linear cost f of what the end moves by, w, which is held by a weight rho. What is
+ * left is one system in (e, w, f) of all trajectories and the steps of the multipliers of b(ends) = 0, with L the
+ * curvature of the costs of the ends and of the multipliers times b,
  *
  *     (L_ee - C_e) e + L_ew w - C_f f + B_e' dmu = C_0,     L_we e + (L_ww - rho) w - f + B_w' dmu = 0,
  *     W_e e - w + W_f f = -W_0,                             B_e e + B_w w = -b.
@@ -18,8 +17,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Weight on the motion of an end, times the number of stages, as in the block elimination. */
-#define WEIGHT 256.0
 /* What the multipliers of equations are held by, rows being scaled to one size: where equations depend on each other and
  * agree, those that rounding leaves free stay small. */
 #define HELD 1e-15
@@ -31,114 +28,8 @@ typedef struct {
     retrax_index ends, forces, equations, total;
 } border_sizes;
 
-static double *row_of(const retrax_border *border, retrax_index i) { return border->front.matrix + i * border->front.width; }
-
-/* ------------------------------------------------------------------------------------------------------- responses */
-
-/* Lists the free coordinates of both ends. */
-static void list_free(const retrax_layout *layout, const double *trajectory, retrax_response *own) {
-    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    for (int side = 0; side < 2; side++) {
-        own->counts[side] = 0;
-        for (retrax_index a = 0; a < n; a++) {
-            if (ARRAY(FIXED)[(side == 0 ? 0 : N * n) + a] == 0.0) {
-                own->free[side * n + own->counts[side]++] = a;
-            }
-        }
-    }
-    own->columns = 1 + own->counts[0] + n;
-}
-
-/* Writes the right-hand sides, and adds the weight on the end to the Hessian of the last stage, which is kept. */
-static void write_columns(const retrax_layout *layout, double *trajectory, retrax_response *own) {
-    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = own->columns, p = own->counts[0];
-    const double *const right = ARRAY(RIGHT) + (N - 1) * n * z;
-    const double *const after = retrax_collocates(layout->problem) ? ARRAY(AFTER) + (N - 1) * n : own->none;
-    double *const hessian = ARRAY(HESSIANS) + (N - 1) * z * z;
-    memset(own->slope, 0, sizeof(double) * (size_t)(N * z * columns));
-    memset(own->defect, 0, sizeof(double) * (size_t)((N + 1) * n * columns));
-    for (retrax_index i = 0; i < N * z; i++) {
-        own->slope[i * columns] = ARRAY(NEWTON_SIDES)[i];
-    }
-    for (retrax_index i = 0; i < (N + 1) * n; i++) {
-        own->defect[i * columns] = ARRAY(NEWTON_DEFECTS)[i];
-    }
-    for (retrax_index i = 0; i < p; i++) {
-        own->defect[own->free[i] * columns + 1 + i] = -1.0;
-    }
-    retrax_copy(own->last, hessian, z * z);
-    for (retrax_index a = 0; a < n; a++) {
-        for (retrax_index i = 0; i < z; i++) {
-            const double weighted = own->weights[a] * right[a * z + i];
-            double *const slope = own->slope + ((N - 1) * z + i) * columns;
-            slope[0] += weighted * after[a];
-            slope[1 + p + a] = right[a * z + i];
-            for (retrax_index j = 0; j < z; j++) {
-                hessian[i * z + j] += weighted * right[a * z + j];
-            }
-        }
-    }
-}
-
-/* Writes what the end moves by. */
-static void write_end(const retrax_layout *layout, const double *trajectory, retrax_response *own) {
-    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = own->columns;
-    const double *const right = ARRAY(RIGHT) + (N - 1) * n * z, *const steps = own->steps + (N - 1) * z * columns;
-    for (retrax_index a = 0; a < n; a++) {
-        for (retrax_index j = 0; j < columns; j++) {
-            double sum = 0.0;
-            for (retrax_index i = 0; i < z; i++) {
-                sum += right[a * z + i] * steps[i * columns + j];
-            }
-            own->end[a * columns + j] = sum;
-        }
-        own->end[a * columns] += retrax_collocates(layout->problem) ? ARRAY(AFTER)[(N - 1) * n + a] : 0.0;
-    }
-}
-
-/* Finds how a trajectory follows its ends; returns the inertia of its system. */
-static retrax_inertia respond(const retrax_search *search, retrax_phase *phase, double shift) {
-    const retrax_layout *const layout = phase->layout;
-    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
-    retrax_response *const own = &phase->response;
-    double *const trajectory = search->at + phase->place;
-    retrax_write_right_sides(layout, trajectory);
-    list_free(layout, trajectory, own);
-    for (retrax_index a = 0; a < n; a++) {
-        own->weights[a] = WEIGHT * (double)N * phase->steps.cost / (phase->steps.nodes[a] * phase->steps.nodes[a]);
-        own->ones[a] = 1.0;
-        own->none[a] = 0.0;
-    }
-    write_columns(layout, trajectory, own);
-    const retrax_block_system system = {
-        .stages = N,
-        .node_size = n,
-        .stage_size = z,
-        .columns = own->columns,
-        .hessian = ARRAY(HESSIANS),
-        .left = ARRAY(LEFT),
-        .right = ARRAY(RIGHT),
-        .slope = own->slope,
-        .defect = own->defect,
-        .fixed_start = own->ones,
-        .fixed_end = own->none,
-        .stage_scale = phase->steps.unknowns,
-        .node_scale = phase->steps.nodes,
-        .cost_scale = phase->steps.cost,
-        .regularisation = shift,
-        .regularised = phase->curvatures,
-    };
-    retrax_block_solution solution = {.step = own->steps,
-                                      .multipliers = own->multipliers,
-                                      .finite = own->finite,
-                                      .largest_step = phase->largest};
-    retrax_block_eliminate(&system, &solution, search->workspace, search->set);
-    retrax_copy(ARRAY(HESSIANS) + (N - 1) * z * z, own->last, z * z);
-    write_end(layout, trajectory, own);
-    return solution.inertia;
+static double *row_of(const retrax_border *border, retrax_index i) {
+    return border->front.matrix + i * border->front.width;
 }
 
 /* ---------------------------------------------------------------------------------------------------------- border */
@@ -270,7 +161,8 @@ static retrax_inertia solve_border(const retrax_search *search, retrax_border *b
     }
     retrax_inertia inertia = {0, 0.0};
     if (sum == 0.0) {
-        inertia = retrax_front_factorise(retrax_kernels_for(search->set), &border->front, total, NULL, 0, &border->pivots);
+        const retrax_kernels *const kernels = retrax_kernels_for(search->set);
+        inertia = retrax_front_factorise(kernels, &border->front, total, NULL, 0, &border->pivots);
         retrax_front_substitute(&border->front, total, &border->pivots, 0, border->solution, border->work);
     }
     for (retrax_index i = 0; i < total; i++) {
@@ -380,7 +272,7 @@ void retrax_eliminate_coupled(retrax_search *search, double shift) {
     retrax_index *const places = search->coupling.free_places, begins[3], count = 0, first = 0;
     retrax_inertia inertia = {0, INFINITY};
     EACH_PHASE(phase) {
-        const retrax_inertia own = respond(search, phase, shift);
+        const retrax_inertia own = retrax_respond(search, phase, shift);
         phase->response.coordinate = first;
         first += 2 * phase->layout->problem->state_size;
         count += phase->layout->count[RETRAX_ARRAY_DEFECTS];

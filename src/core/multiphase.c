@@ -103,8 +103,8 @@ static void write_reached(const retrax_layout *layout, const double *trajectory,
 
 void retrax_evaluate_coupling(const retrax_search *search, double *iterate) {
     const retrax_coupling *const own = &search->coupling;
-    const retrax_index(*const sources)[2] = (const retrax_index(*)[2])own->places, (*const targets)[2] = sources + own->inputs;
-    const retrax_tape_data data = {iterate, search->numbers, sources, iterate, search->numbers, targets};
+    const retrax_index(*const places)[2] = (const retrax_index(*)[2])own->places;
+    const retrax_tape_data data = {iterate, search->numbers, places, iterate, search->numbers, places + own->inputs};
     double *end = COUPLED(ENDS), *parameters = COUPLED(PARAMETERS);
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
@@ -203,7 +203,8 @@ static double change_of(const retrax_search *search, const double *iterate, retr
         const retrax_layout *const layout = phase->layout;
         const double *const trajectory = iterate + phase->place;
         const retrax_index n = layout->problem->state_size, N = layout->problem->steps;
-        const double *const sizes = by == BY_ALONG ? ARRAY(ALONG) : (by == BY_FRESH ? phase->fresh.nodes : phase->response.ways);
+        const double *const own = by == BY_FRESH ? phase->fresh.nodes : phase->response.ways;
+        const double *const sizes = by == BY_ALONG ? ARRAY(ALONG) : own;
         for (retrax_index i = 0; i < 2 * n; i++, row++) {
             const bool fixed = by == BY_WAYS && ARRAY(FIXED)[i < n ? i : N * n + i - n] != 0.0;
             sum += fixed ? 0.0 : fabs(*row) * sizes[i % n];

@@ -224,6 +224,9 @@ void retrax_find_coupled_scales(retrax_search *search, double *iterate);
 /* multiphase.c: writes the multipliers of the coupling after a fraction of the step from search->at. */
 void retrax_move_coupling(const retrax_search *search, double part, double *iterate);
 
+/* response.c: finds how a trajectory follows its ends; returns the inertia of its system. */
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift);
+
 /* border.c: computes the Newton step of coupled trajectories with a shift of the Hessian. */
 void retrax_eliminate_coupled(retrax_search *search, double shift);
 

@@ -156,9 +156,7 @@ class CorePhases:
         limited = own["iterations"] >= self.max_iterations
         ended = strict & own["isolated"], own["iterations"], limited, claimed, own["solvable"]
         falling, unit = own["falls"] & ~claimed, conditions.judging.cost
-        return Found(
-            iterate, assembled, residuals, *ended, self.stopped, missing, own["infeasible"], unit, falling
-        )
+        return Found(iterate, assembled, residuals, *ended, self.stopped, missing, own["infeasible"], unit, falling)
 
 
 def _copied(scale: Any) -> Any:

@@ -6,7 +6,16 @@ from typing import Any, NamedTuple, final
 
 from ..aligned import aligned
 from ..errors import InvalidInputError
-from .core import FLOAT, FunctionStruct, LayoutStruct, LinkStruct, MultiphaseStruct, TapeFunctionStruct, address_of, library
+from .core import (
+    FLOAT,
+    FunctionStruct,
+    LayoutStruct,
+    LinkStruct,
+    MultiphaseStruct,
+    TapeFunctionStruct,
+    address_of,
+    library,
+)
 from .tape_machine import MachineProgram
 
 
@@ -27,7 +36,10 @@ class Multiphase:
     def __init__(self, transcriptions: Sequence[Any], coupled: CoupledEnds | None = None) -> None:
         self.transcriptions, self._coupled, count = tuple(transcriptions), coupled, len(transcriptions)
         pointers = (POINTER(LayoutStruct) * count)(*(pointer(own._layout) for own in transcriptions))
-        self._struct, self._kept = MultiphaseStruct(count, pointers, 0, 0, None, FunctionStruct()), list[object]([pointers])
+        self._struct, self._kept = (
+            MultiphaseStruct(count, pointers, 0, 0, None, FunctionStruct()),
+            list[object]([pointers]),
+        )
         self.multipliers = self.equations = 0
         if coupled is not None:
             self._couple(coupled)
