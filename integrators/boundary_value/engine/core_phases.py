@@ -124,8 +124,8 @@ class CorePhases:
                 barriers = [Barrier(np.array([one.rate]), one.limits[None], steps.kept[None], firm) for one in own]
                 phase.barrier = joined(barriers)
         rows = np.stack([results[0].equations for results in members])
-        nodes = np.concatenate([*(phase.units.nodes for phase in joint.phases), rows], axis=1)
-        joint.units = JointUnits(nodes, joint.phases[0].units.cost)
+        nodes = np.concatenate([*(phase.judging.nodes for phase in joint.phases), rows], axis=1)
+        joint.units = JointUnits(nodes, joint.phases[0].judging.cost)
 
     def _report(self, k: int, iteration: Any) -> bool:
         """Show an iteration to the callback; whether that, or an interrupt before, asks to stop."""
@@ -143,7 +143,7 @@ class CorePhases:
         """Which members begin anew from guesses that are moved aside: none."""
         return np.zeros_like(found.claimed)
 
-    def _found(self, iterate: JointIterate, told: list[SearchResult]) -> Found:
+    def _found(self, iterate: Any, told: list[SearchResult]) -> Found:
         conditions: Any = self.conditions
         assembled = conditions.assemble(iterate)
         residuals = conditions.residuals(iterate, assembled)
