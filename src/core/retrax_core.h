@@ -15,7 +15,7 @@
  *   7. Inequalities
  *   8. Convergence: how far a trajectory is from satisfying its conditions
  *   9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
- *  10. Search: Newton's method on the conditions of one trajectory
+ *  10. Search: Newton's method on the conditions of trajectories, whose ends may be coupled
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
