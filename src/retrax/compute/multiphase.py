@@ -20,8 +20,11 @@ from .tape_machine import MachineProgram
 
 
 class CoupledEnds(NamedTuple):
-    """What couples the ends of phases: a function, how many of its equations are beside those of links, and of each
-    link the end at which its covector stands, its equations and its numbers; ``retrax_core.h`` explains them."""
+    """The coupling of the ends of phases, which ``retrax_core.h`` explains.
+
+    ``program``: its function; ``equations``: their number beside links; ``links``: of each the end at which its
+    covector stands, its equations and its numbers.
+    """
 
     program: MachineProgram
     equations: int
