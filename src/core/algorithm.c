@@ -1,5 +1,5 @@
 /*
- * Algorithm: Newton's method on the conditions of one trajectory, made global.
+ * Algorithm: Newton's method on the conditions of trajectories, made global.
  */
 #include "search.h"
 
@@ -19,8 +19,6 @@
 #define SHORTER 0.5
 #define SLOW 1e-6
 
-#define RESIDUAL(trajectory, name) ((trajectory)[search->layout->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_##name])
-
 void retrax_swap(retrax_search *search) {
     double *const before = search->at;
     search->at = search->trial;
@@ -33,39 +31,66 @@ void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, re
     to->cost = from->cost;
 }
 
-void retrax_evaluate(retrax_search *search, double *trajectory) {
-    retrax_evaluate_trajectory(search->layout, trajectory);
-    if (retrax_is_limited(search->layout->problem)) {
-        retrax_add_inequalities(search->layout, trajectory);
+/* Evaluates the functions of the problem at an iterate. */
+static void evaluate_functions(const retrax_search *search, double *iterate) {
+    EACH_PHASE(phase) { retrax_evaluate_nodes(phase->layout, iterate + phase->place); }
+    if (retrax_is_coupled(search)) {
+        retrax_evaluate_coupling(search, iterate);
     }
-    retrax_assemble_system(search->layout, trajectory, search->workspace, search->set);
-    retrax_write_right_sides(search->layout, trajectory);
-    retrax_survey_trajectory(search->layout, trajectory);
+    EACH_PHASE(phase) { retrax_evaluate_points(phase->layout, iterate + phase->place); }
 }
 
-void retrax_measure(retrax_search *search, double *trajectory) {
-    const bool limited = retrax_is_limited(search->layout->problem);
-    const retrax_residual_scale scale = {search->judging.nodes, search->judging.unknowns,
-                                         limited ? search->judging.cost : 0.0, search->steps.nodes, search->steps.cost};
-    if (limited) {
-        retrax_survey_inequalities(search->layout, trajectory, &search->limits);
+void retrax_evaluate(retrax_search *search, double *iterate) {
+    evaluate_functions(search, iterate);
+    EACH_PHASE(phase) {
+        double *const trajectory = iterate + phase->place;
+        if (retrax_is_limited(phase->layout->problem)) {
+            retrax_add_inequalities(phase->layout, trajectory);
+        }
+        retrax_assemble_system(phase->layout, trajectory, search->workspace, search->set);
+        retrax_write_right_sides(phase->layout, trajectory);
+        retrax_survey_trajectory(phase->layout, trajectory);
     }
-    retrax_measure_residuals(search->layout, trajectory, &scale, limited ? &search->limits : NULL);
 }
 
-void retrax_assess(retrax_search *search, double *trajectory) {
-    retrax_evaluate(search, trajectory);
-    retrax_measure(search, trajectory);
+void retrax_measure(retrax_search *search, double *iterate) {
+    const bool coupled = retrax_is_coupled(search);
+    const double curvature = coupled ? retrax_largest_curvature(search, iterate) : 0.0;
+    EACH_PHASE(phase) {
+        const bool limited = retrax_is_limited(phase->layout->problem);
+        const retrax_residual_scale scale = {phase->judging.nodes, phase->judging.unknowns,
+                                             limited ? phase->judging.cost : curvature, phase->steps.nodes,
+                                             phase->steps.cost};
+        if (limited) {
+            retrax_survey_inequalities(phase->layout, iterate + phase->place, &phase->limits);
+        }
+        retrax_measure_residuals(phase->layout, iterate + phase->place, &scale, limited ? &phase->limits : NULL);
+    }
+    if (coupled) {
+        retrax_join_residuals(search, iterate);
+    }
+}
+
+void retrax_assess(retrax_search *search, double *iterate) {
+    retrax_evaluate(search, iterate);
+    retrax_measure(search, iterate);
+}
+
+void retrax_move_iterate(const retrax_search *search, double part, double *iterate) {
+    retrax_copy_iterate(search, search->at, iterate);
+    EACH_PHASE(phase) { retrax_move_trajectory(phase->layout, search->at + phase->place, part, iterate + phase->place); }
+    if (retrax_is_coupled(search)) {
+        retrax_move_coupling(search, part, iterate);
+    }
 }
 
 /* Writes the unknowns of the trial after the fraction of the step that is tried, and assesses it. */
 static void try_step(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const retrax_direction *const step = &search->direction;
-    const double part = search->fraction * step->reach;
-    retrax_copy_unknowns(layout, search->at, search->trial);
-    retrax_move_trajectory(layout, search->at, part, search->trial);
-    retrax_move_inequalities(layout, search->at, part, step->dual, search->trial);
+    const double part = search->fraction * search->direction.reach;
+    retrax_move_iterate(search, part, search->trial);
+    EACH_PHASE(phase) {
+        retrax_move_inequalities(phase->layout, search->at + phase->place, part, phase->dual, search->trial + phase->place);
+    }
     retrax_assess(search, search->trial);
 }
 
@@ -77,20 +102,12 @@ static void reset_funnel(retrax_search *search) {
     search->fraction = 1.0;
 }
 
-/* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
- *
- * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is
- * one of a family of extremals, or it has grown along the null vector until rounding hides that there is none. */
-static void settle(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const double *const trajectory = search->at;
+/* Raises what is still wanted of a trajectory, relative to its sizes, and how far it has grown, in its natural sizes. */
+static void raise_wanted(const retrax_phase *phase, const double *trajectory, double *most_wanted, double *most_grown) {
+    const retrax_layout *const layout = phase->layout;
     const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
-    double wanted = 0.0, grown = 0.0;
-    if (!(RESIDUAL(trajectory, FINAL) <= search->options.tolerance)) {
-        return;
-    }
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-        const double unit = search->judging.unknowns[i];
+        const double unit = phase->judging.unknowns[i];
         double own = i < n ? 0.0 : retrax_control_size(layout, trajectory, i - n), spread = own;
         for (retrax_index e = 0; e < E && i < n; e++) {
             const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], value = retrax_larger(high, low);
@@ -98,14 +115,26 @@ static void settle(retrax_search *search) {
             spread = retrax_larger(spread, share * (high + low));
             own = retrax_larger(own, share * (high + low + (high + low > RETRAX_STILL * value ? value : RETRAX_SHARE * value)));
         }
-        wanted = retrax_larger(wanted, search->largest[i] / fmax(own, RETRAX_SHARE * unit));
-        grown = retrax_larger(grown, spread / unit);
+        *most_wanted = retrax_larger(*most_wanted, phase->largest[i] / fmax(own, RETRAX_SHARE * unit));
+        *most_grown = retrax_larger(*most_grown, spread / unit);
     }
+}
+
+/* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
+ *
+ * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is
+ * one of a family of extremals, or it has grown along the null vector until rounding hides that there is none. */
+static void settle(retrax_search *search) {
+    double wanted = 0.0, grown = 0.0;
+    if (!(RESIDUAL(search->at, FINAL) <= search->options.tolerance)) {
+        return;
+    }
+    EACH_PHASE(phase) { raise_wanted(phase, search->at + phase->place, &wanted, &grown); }
     const bool was_isolated = search->isolated, stuck = wanted > SHRINKS * search->correction;
     search->isolated = wanted <= sqrt(search->options.tolerance);
     search->claimed = search->isolated || (stuck && grown <= GROWN);
     search->correction = wanted;
-    const bool exact = was_isolated || RESIDUAL(trajectory, LARGEST) <= EXACT;
+    const bool exact = was_isolated || RESIDUAL(search->at, LARGEST) <= EXACT;
     search->done = (search->isolated && exact) || stuck;
 }
 
@@ -124,7 +153,7 @@ static bool is_vain(retrax_search *search, double length) {
 /* Computes the next step, from the iterate as it is now. */
 static void next_step(retrax_search *search, const retrax_direction *before, double fraction, double length,
                       double residual, bool cut) {
-    const bool limited = retrax_is_limited(search->layout->problem), good = search->accepted;
+    const bool limited = search->limited, good = search->accepted;
     const double now = RESIDUAL(search->at, LARGEST), tolerance = search->options.tolerance;
     const bool arrived = RESIDUAL(search->at, FINAL) <= tolerance;
     const bool keep = arrived || (good && now <= sqrt(tolerance));
@@ -147,7 +176,7 @@ static void iterate(retrax_search *search) {
     const retrax_direction before = search->direction;
     const double fraction = search->fraction, residual = RESIDUAL(search->at, LARGEST);
     const double length = retrax_step_length(search);
-    const bool was_isolated = search->isolated, limited = retrax_is_limited(search->layout->problem);
+    const bool was_isolated = search->isolated, limited = search->limited;
     bool again;
     try_step(search);
     search->accepted = retrax_judge_trial(search, search->trials == 1 && !limited, &again);
@@ -187,13 +216,17 @@ static void iterate(retrax_search *search) {
  * Near the end, or where all was met before, the normal part of what is missing is the square of its size: from there
  * it moves. */
 static bool is_elsewhere(const retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const double *const trajectory = search->at, tolerance = search->options.tolerance;
-    bool met = RESIDUAL(trajectory, UNMET) <= sqrt(tolerance);
-    for (retrax_index a = 0; a < layout->problem->state_size; a++) {
-        met = met && ARRAY(LACKING)[a] <= tolerance * ARRAY(ALONG)[a];
+    const double tolerance = search->options.tolerance;
+    bool met = !retrax_is_coupled(search) || retrax_apart(search, search->at) <= tolerance;
+    EACH_PHASE(phase) {
+        const retrax_layout *const layout = phase->layout;
+        const double *const trajectory = search->at + phase->place;
+        met = met && ARRAY(RESIDUALS)[RETRAX_UNMET] <= sqrt(tolerance);
+        for (retrax_index a = 0; a < layout->problem->state_size; a++) {
+            met = met && ARRAY(LACKING)[a] <= tolerance * ARRAY(ALONG)[a];
+        }
     }
-    return met && RESIDUAL(trajectory, STATIONARITY) <= tolerance && RESIDUAL(trajectory, DEFECT) > sqrt(tolerance) &&
+    return met && RESIDUAL(search->at, STATIONARITY) <= tolerance && RESIDUAL(search->at, DEFECT) > sqrt(tolerance) &&
            isinf(search->correction);
 }
 
@@ -238,21 +271,30 @@ static void renew(retrax_search *search) {
     }
 }
 
+/* The largest barrier, relative to its unit; 0 without inequalities. */
+static double largest_barrier(const retrax_search *search) {
+    double found = 0.0;
+    EACH_PHASE(phase) {
+        const double barrier = search->at[phase->place + phase->layout->first[RETRAX_ARRAY_BARRIER]];
+        found = fmax(found, retrax_is_limited(phase->layout->problem) ? barrier / phase->limits.rate : 0.0);
+    }
+    return found;
+}
+
 /* Tells where the search is; whether it is asked to stop. */
 static bool report(const retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const double *const trajectory = search->at, *const found = ARRAY(RESIDUALS);
+    const double *const at = search->at;
     const retrax_direction *const step = &search->direction;
     const retrax_iteration iteration = {
         .number = search->trials - 1,
-        .cost = ARRAY(TOTALS)[0],
-        .defect = found[RETRAX_DEFECT],
-        .stationarity = found[RETRAX_STATIONARITY],
+        .cost = at[search->totals],
+        .defect = RESIDUAL(at, DEFECT),
+        .stationarity = RESIDUAL(at, STATIONARITY),
         .shift = step->shift,
         .fraction = search->fraction * step->reach,
         .descends = step->descends,
-        .violation = retrax_larger(found[RETRAX_VIOLATION], found[RETRAX_EXCESS]),
-        .barrier = retrax_is_limited(layout->problem) ? *ARRAY(BARRIER) / search->limits.rate : 0.0,
+        .violation = retrax_larger(RESIDUAL(at, VIOLATION), RESIDUAL(at, EXCESS)),
+        .barrier = largest_barrier(search),
     };
     return search->options.report != NULL && search->options.report(search->options.context, &iteration);
 }
@@ -263,7 +305,7 @@ retrax_search_status retrax_search_run(retrax_search *search) {
     search->trials = 1;
     stand(search);
     for (;;) {
-        search->costs[search->trials] = search->at[search->layout->first[RETRAX_ARRAY_TOTALS]];
+        search->costs[search->trials] = search->at[search->totals];
         status = status_of(search);
         if (status != RETRAX_DEGENERATE && (status != RETRAX_GOING_ON || search->trials % ROUND == 0)) {
             renew(search);

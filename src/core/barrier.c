@@ -31,31 +31,31 @@
 /* A slack that would be less than this share of it stays as its step made it. */
 #define LEFT 0.01
 
-static retrax_index limit_of(const retrax_search *search, retrax_index i) {
-    return retrax_limit_of(search->layout->problem, i).limit;
+static retrax_index limit_of(const retrax_phase *phase, retrax_index i) {
+    return retrax_limit_of(phase->layout->problem, i).limit;
 }
 
-bool retrax_is_kept(const retrax_search *search, retrax_index i) {
-    return search->layout->problem->kept[limit_of(search, i)] != 0.0;
+bool retrax_is_kept(const retrax_phase *phase, retrax_index i) {
+    return phase->layout->problem->kept[limit_of(phase, i)] != 0.0;
 }
 
 /* The natural size of an unknown that an inequality depends on. */
-static double size_of_unknown(const retrax_search *search, const retrax_limit *of, retrax_index a) {
-    const retrax_problem *const problem = search->layout->problem;
+static double size_of_unknown(const retrax_phase *phase, const retrax_limit *of, retrax_index a) {
+    const retrax_problem *const problem = phase->layout->problem;
     const retrax_index n = problem->state_size, m = problem->control_size, point = of->block % problem->points;
     if (!retrax_collocates(problem)) {
-        return search->steps.unknowns[a];
+        return phase->steps.unknowns[a];
     }
     if (a >= 3 * n) {
-        return search->steps.unknowns[n + point * m + a - 3 * n];
+        return phase->steps.unknowns[n + point * m + a - 3 * n];
     }
-    return a < 2 * n ? search->steps.nodes[a % n] : 0.0; /* no inequality depends on velocities */
+    return a < 2 * n ? phase->steps.nodes[a % n] : 0.0; /* no inequality depends on velocities */
 }
 
 /* Writes the natural sizes of the inequalities: what a step of natural size changes them by, or their values where that
  * is next to nothing, as that of a ball where its derivative vanishes. */
-static void write_limits(retrax_search *search, const double *trajectory) {
-    const retrax_layout *const layout = search->layout;
+static void write_limits(retrax_phase *phase, const double *trajectory) {
+    const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
     const retrax_index total = problem->inequalities + problem->node_inequalities;
     for (retrax_index j = 0; j < total; j++) {
@@ -64,26 +64,26 @@ static void write_limits(retrax_search *search, const double *trajectory) {
             const retrax_limit of = retrax_limit_of(problem, i);
             double change = 0.0;
             for (retrax_index a = 0; a < of.width && of.limit == j; a++) {
-                change += fabs(ARRAY(LIMIT_JACOBIANS)[of.first + a]) * size_of_unknown(search, &of, a);
+                change += fabs(ARRAY(LIMIT_JACOBIANS)[of.first + a]) * size_of_unknown(phase, &of, a);
             }
             size = retrax_larger(size, change);
             value = of.limit == j ? retrax_larger(value, fabs(ARRAY(LIMITS)[i])) : value;
         }
         size = size > RETRAX_VALUE_SHARE * value ? size : value;
-        search->limit_sizes[j] = size > 0.0 && isfinite(size) ? size : 1.0;
+        phase->limit_sizes[j] = size > 0.0 && isfinite(size) ? size : 1.0;
     }
 }
 
-double retrax_limit_inside(const retrax_search *search, const double *trajectory, retrax_index i) {
-    const retrax_layout *const layout = search->layout;
-    const double value = ARRAY(LIMITS)[i], limit = search->limit_sizes[limit_of(search, i)];
-    return retrax_is_kept(search, i) ? fmin(value, -DBL_EPSILON * limit) : value;
+double retrax_limit_inside(const retrax_phase *phase, const double *trajectory, retrax_index i) {
+    const retrax_layout *const layout = phase->layout;
+    const double value = ARRAY(LIMITS)[i], limit = phase->limit_sizes[limit_of(phase, i)];
+    return retrax_is_kept(phase, i) ? fmin(value, -DBL_EPSILON * limit) : value;
 }
 
 /* Writes the slack, multiplier and excess of an inequality on the central path: g + s = t, nu s = zeta t = mu. */
-static void write_central(const retrax_search *search, double *trajectory, retrax_index i, double penalty) {
-    const retrax_layout *const layout = search->layout;
-    const double mu = *ARRAY(BARRIER), g = retrax_limit_inside(search, trajectory, i);
+static void write_central(const retrax_phase *phase, double *trajectory, retrax_index i, double penalty) {
+    const retrax_layout *const layout = phase->layout;
+    const double mu = *ARRAY(BARRIER), g = retrax_limit_inside(phase, trajectory, i);
     double slack = 1.0, multiplier = 0.0, excess = 0.0;
     if (!(ARRAY(LIMIT_WEIGHTS)[i] > 0.0)) {
         penalty = INFINITY;
@@ -103,9 +103,9 @@ static void write_central(const retrax_search *search, double *trajectory, retra
 }
 
 /* The usual first penalty of an inequality; infinite where no iterate leaves it. */
-static double first_penalty(const retrax_search *search, retrax_index i) {
-    const double unit = search->limits.rate / search->limit_sizes[limit_of(search, i)];
-    return retrax_is_kept(search, i) ? INFINITY : RETRAX_FIRST_PENALTY * unit * search->firm;
+static double first_penalty(const retrax_search *search, const retrax_phase *phase, retrax_index i) {
+    const double unit = phase->limits.rate / phase->limit_sizes[limit_of(phase, i)];
+    return retrax_is_kept(phase, i) ? INFINITY : RETRAX_FIRST_PENALTY * unit * search->firm;
 }
 
 void retrax_rest_slacks(const retrax_layout *layout, double *trajectory) {
@@ -117,45 +117,51 @@ void retrax_rest_slacks(const retrax_layout *layout, double *trajectory) {
     *ARRAY(BARRIER) = 0.0;
 }
 
-void retrax_find_limits(retrax_search *search, const double *trajectory) {
-    const retrax_layout *const layout = search->layout;
+void retrax_find_limits(retrax_phase *phase, const double *trajectory) {
+    const retrax_layout *const layout = phase->layout;
     double horizon = 0.0;
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
         horizon += ARRAY(STEP_SIZE)[k];
     }
-    search->limits.rate = search->steps.cost * (double)layout->problem->steps / horizon;
-    write_limits(search, trajectory);
+    phase->limits.rate = phase->steps.cost * (double)layout->problem->steps / horizon;
+    write_limits(phase, trajectory);
 }
 
-void retrax_start_slacks(retrax_search *search, double *trajectory) {
-    const retrax_layout *const layout = search->layout;
-    retrax_find_limits(search, trajectory);
-    *ARRAY(BARRIER) = FIRST_BARRIER * search->limits.rate * sqrt(search->firm);
+void retrax_start_slacks(const retrax_search *search, retrax_phase *phase, double *trajectory) {
+    const retrax_layout *const layout = phase->layout;
+    retrax_find_limits(phase, trajectory);
+    *ARRAY(BARRIER) = FIRST_BARRIER * phase->limits.rate * sqrt(search->firm);
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double limit = search->limit_sizes[limit_of(search, i)];
-        const bool holds = retrax_limit_inside(search, trajectory, i) < -INSIDE * limit;
-        write_central(search, trajectory, i, holds ? INFINITY : first_penalty(search, i));
+        const double limit = phase->limit_sizes[limit_of(phase, i)];
+        const bool holds = retrax_limit_inside(phase, trajectory, i) < -INSIDE * limit;
+        write_central(phase, trajectory, i, holds ? INFINITY : first_penalty(search, phase, i));
     }
 }
 
-bool retrax_is_hard(const retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const double *const trajectory = search->at;
+/* Whether a phase has inequalities that are not elastic and can be. */
+static bool is_hard(const retrax_phase *phase, const double *trajectory) {
+    const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isinf(ARRAY(PENALTIES)[i]) && !retrax_is_kept(search, i)) {
+        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isinf(ARRAY(PENALTIES)[i]) && !retrax_is_kept(phase, i)) {
             return true;
         }
     }
     return false;
 }
 
+bool retrax_is_hard(const retrax_search *search) {
+    bool found = false;
+    EACH_PHASE(phase) { found = found || is_hard(phase, search->at + phase->place); }
+    return found;
+}
+
 /* Makes all inequalities of a trajectory elastic that can be, on the central path of at least the first barrier. */
-static void soften(const retrax_search *search, double *trajectory) {
-    const retrax_layout *const layout = search->layout;
-    const double first = FIRST_BARRIER * search->limits.rate * sqrt(search->firm);
+static void soften(const retrax_search *search, const retrax_phase *phase, double *trajectory) {
+    const retrax_layout *const layout = phase->layout;
+    const double first = FIRST_BARRIER * phase->limits.rate * sqrt(search->firm);
     *ARRAY(BARRIER) = fmax(*ARRAY(BARRIER), first);
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        write_central(search, trajectory, i, fmin(ARRAY(PENALTIES)[i], first_penalty(search, i)));
+        write_central(phase, trajectory, i, fmin(ARRAY(PENALTIES)[i], first_penalty(search, phase, i)));
     }
 }
 
@@ -176,18 +182,29 @@ static void raise_penalties(const retrax_layout *layout, double *trajectory) {
     }
 }
 
-/* The barrier, lower while its problem is solved; cheap: whether penalties are too small to lower it. */
-static double lowered(const retrax_search *search, bool *cheap) {
-    const retrax_layout *const layout = search->layout;
-    const double *const trajectory = search->at, *const survey = ARRAY(LIMIT_SURVEY);
-    const double rate = search->limits.rate * fmax(survey[RETRAX_LIMIT_DEAR], 1.0);
-    const double last = LAST * search->options.tolerance * search->limits.rate / rate;
+/* What all multipliers, and the unit of the barrier, have grown by with the penalties of any phase. */
+static double dearness(const retrax_search *search) {
+    double found = 1.0;
+    EACH_PHASE(phase) {
+        const double *const trajectory = search->at + phase->place;
+        const retrax_layout *const layout = phase->layout;
+        found = retrax_is_limited(layout->problem) ? fmax(found, ARRAY(LIMIT_SURVEY)[RETRAX_LIMIT_DEAR]) : found;
+    }
+    return found;
+}
+
+/* The barrier of a phase, lower while its problem is solved; cheap: whether penalties are too small to lower it. */
+static double lowered(const retrax_search *search, const retrax_phase *phase, double dear, bool *cheap) {
+    const retrax_layout *const layout = phase->layout;
+    const double *const trajectory = search->at + phase->place, *const survey = ARRAY(LIMIT_SURVEY);
+    const double rate = phase->limits.rate * dear;
+    const double last = LAST * search->options.tolerance * phase->limits.rate / rate;
     double barrier = *ARRAY(BARRIER);
     *cheap = false;
     for (;;) {
         const double off = retrax_larger(retrax_larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]), 0.0);
         const double own = barrier / rate, enough = fmax(SOLVED * own, search->options.tolerance);
-        if (!(ARRAY(RESIDUALS)[RETRAX_STEADY] <= enough && off <= SOLVED * barrier)) {
+        if (!(RESIDUAL(search->at, STEADY) <= enough && off <= SOLVED * barrier)) {
             return barrier;
         }
         *cheap = survey[RETRAX_LIMIT_CHEAP] > 0.0 && own <= TELLS;
@@ -204,40 +221,62 @@ static double lowered(const retrax_search *search, bool *cheap) {
 
 /* Whether steps jam at inequalities that are not elastic. */
 static bool is_stuck(const retrax_search *search) {
-    const double *const found = search->at + search->layout->first[RETRAX_ARRAY_RESIDUALS];
     const retrax_direction *const step = &search->direction;
     const bool jams = step->shift >= STIFF || search->fraction * step->reach <= JAMMED || !step->finite;
-    return jams && found[RETRAX_LARGEST] > sqrt(search->options.tolerance) && retrax_is_hard(search);
+    return jams && RESIDUAL(search->at, LARGEST) > sqrt(search->options.tolerance) && retrax_is_hard(search);
+}
+
+/* Lowers the barriers of all phases; cheap: whether penalties of any are too small. Returns whether one is lower. */
+static bool lower_barriers(retrax_search *search, bool *cheap) {
+    const double dear = dearness(search);
+    bool lower = false;
+    *cheap = false;
+    EACH_PHASE(phase) {
+        if (retrax_is_limited(phase->layout->problem)) {
+            bool own;
+            const double barrier = lowered(search, phase, dear, &own);
+            double *const before = search->at + phase->place + phase->layout->first[RETRAX_ARRAY_BARRIER];
+            lower = lower || barrier != *before;
+            *before = barrier;
+            *cheap = *cheap || own;
+        }
+    }
+    return lower;
 }
 
 bool retrax_update_barrier(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    if (!retrax_is_limited(layout->problem)) {
+    if (!search->limited) {
         return false;
     }
-    bool cheap;
-    const double barrier = lowered(search, &cheap), before = search->at[layout->first[RETRAX_ARRAY_BARRIER]];
     const bool stuck = is_stuck(search);
-    search->at[layout->first[RETRAX_ARRAY_BARRIER]] = barrier;
+    bool cheap;
+    const bool lower = lower_barriers(search, &cheap);
     if (stuck) { /* once more from the guess: multipliers that grew against a bound would hold it there */
-        retrax_copy_unknowns(layout, search->first, search->at);
+        retrax_copy_iterate(search, search->first, search->at);
         retrax_assess(search, search->at);
-        soften(search, search->at);
+        EACH_PHASE(phase) {
+            if (retrax_is_limited(phase->layout->problem)) {
+                soften(search, phase, search->at + phase->place);
+            }
+        }
         search->direction.shift = 0.0;
     } else if (cheap) {
-        raise_penalties(layout, search->at);
+        EACH_PHASE(phase) { raise_penalties(phase->layout, search->at + phase->place); }
+        if (retrax_is_coupled(search)) {
+            multiply(retrax_search_multipliers(search, false), DEARER, search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
+        }
     } else {
-        if (barrier != before) {
+        if (lower) {
             retrax_measure(search, search->at);
         }
-        return barrier != before;
+        return lower;
     }
     retrax_assess(search, search->at);
     return true;
 }
 
-bool retrax_reset_slacks(const retrax_search *search, double *trajectory) {
-    const retrax_layout *const layout = search->layout;
+/* The same for one phase. */
+static bool reset_slacks(const retrax_layout *layout, double *trajectory) {
     bool found = false;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double own = ARRAY(EXCESSES)[i] - ARRAY(LIMITS)[i], made = ARRAY(SLACKS)[i];
@@ -249,16 +288,29 @@ bool retrax_reset_slacks(const retrax_search *search, double *trajectory) {
     return found;
 }
 
-bool retrax_is_infeasible(const retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
+bool retrax_reset_slacks(const retrax_search *search, double *iterate) {
+    bool found = false;
+    EACH_PHASE(phase) { found = reset_slacks(phase->layout, iterate + phase->place) || found; }
+    return found;
+}
+
+/* Whether inequalities of a phase contradict each other, or the ends. */
+static bool is_infeasible(const retrax_search *search, const retrax_phase *phase) {
+    const retrax_layout *const layout = phase->layout;
     if (!retrax_is_limited(layout->problem)) {
         return false;
     }
-    const double *const trajectory = search->at, *const survey = ARRAY(LIMIT_SURVEY), barrier = *ARRAY(BARRIER);
-    const double tolerance = search->options.tolerance, left = survey[RETRAX_LIMIT_LEFT];
-    const bool small = barrier <= sqrt(tolerance) * search->limits.rate;
-    const bool last = barrier <= 2.0 * LAST * tolerance * search->limits.rate &&
+    const double *const trajectory = search->at + phase->place, *const survey = ARRAY(LIMIT_SURVEY);
+    const double barrier = *ARRAY(BARRIER), tolerance = search->options.tolerance, left = survey[RETRAX_LIMIT_LEFT];
+    const bool small = barrier <= sqrt(tolerance) * phase->limits.rate;
+    const bool last = barrier <= 2.0 * LAST * tolerance * phase->limits.rate &&
                       survey[RETRAX_LIMIT_PRODUCT] <= SOLVED * barrier && left > 0.0 &&
                       survey[RETRAX_LIMIT_EXCESS] > tolerance;
-    return ARRAY(RESIDUALS)[RETRAX_STEADY] <= tolerance && ((small && left > sqrt(tolerance)) || last);
+    return (small && left > sqrt(tolerance)) || last;
+}
+
+bool retrax_is_infeasible(const retrax_search *search) {
+    bool found = false;
+    EACH_PHASE(phase) { found = found || is_infeasible(search, phase); }
+    return found && RESIDUAL(search->at, STEADY) <= search->options.tolerance;
 }

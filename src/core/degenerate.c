@@ -3,7 +3,7 @@
  *
  * At rest a system without drift is controllable in no direction but those of its controls: the constraints of the guess are
  * dependent, and Newton's step has no bound, or leaves what they ask for. Nor is it known which way round ends come together
- * that are opposite to each other.
+ * that are opposite to each other. Of coupled ends it is not asked.
  */
 #include "search.h"
 
@@ -25,7 +25,7 @@ static bool are_together(const retrax_problem *problem, const bool *alone, retra
 
 /* Whether every piece of the states that is spread along the trajectory is moved by many times that. */
 static bool is_far(const retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
+    const retrax_layout *const layout = search->phases->layout;
     const double *const trajectory = search->at;
     const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
     bool spreads = false;
@@ -33,15 +33,15 @@ static bool is_far(const retrax_search *search) {
         return true;
     }
     for (retrax_index e = 0; e < E; e++) {
-        search->steady[e] = retrax_is_alone(ARRAY(SUPPORT), n, E, e);
+        search->phases->steady[e] = retrax_is_alone(ARRAY(SUPPORT), n, E, e);
     }
     for (retrax_index e = 0; e < E; e++) {
         double far = 0.0, spread = 0.0;
         for (retrax_index f = 0; f < E; f++) {
-            if (are_together(layout->problem, search->steady, e, f)) {
+            if (are_together(layout->problem, search->phases->steady, e, f)) {
                 spread = retrax_larger(spread, ARRAY(HIGHEST)[f] + ARRAY(LOWEST)[f]);
                 for (retrax_index a = 0; a < n; a++) {
-                    far = retrax_larger(far, search->largest[a] * ARRAY(SUPPORT)[a * E + f]);
+                    far = retrax_larger(far, search->phases->largest[a] * ARRAY(SUPPORT)[a * E + f]);
                 }
             }
         }
@@ -55,7 +55,7 @@ static bool is_far(const retrax_search *search) {
 
 /* Whether the step leaves much of what the linearised constraints ask for. */
 static bool is_unmet(const retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
+    const retrax_layout *const layout = search->phases->layout;
     const double *const trajectory = search->at;
     const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
@@ -63,14 +63,14 @@ static bool is_unmet(const retrax_search *search) {
     for (retrax_index k = 0; k <= N; k++) {
         for (retrax_index a = 0; a < n; a++) {
             double value = ARRAY(NEWTON_DEFECTS)[k * n + a];
-            asked = retrax_larger(asked, fabs(value) / search->steps.nodes[a]);
+            asked = retrax_larger(asked, fabs(value) / search->phases->steps.nodes[a]);
             for (retrax_index i = 0; i < z && k < N; i++) {
                 value += ARRAY(LEFT)[(k * n + a) * z + i] * ARRAY(STEPS)[k * z + i];
             }
             for (retrax_index i = 0; i < z && k > 0; i++) {
                 value -= ARRAY(RIGHT)[((k - 1) * n + a) * z + i] * ARRAY(STEPS)[(k - 1) * z + i];
             }
-            remaining = retrax_larger(remaining, fabs(value * ARRAY(FIXED)[k * n + a]) / search->steps.nodes[a]);
+            remaining = retrax_larger(remaining, fabs(value * ARRAY(FIXED)[k * n + a]) / search->phases->steps.nodes[a]);
         }
     }
     return asked > MET && !(remaining <= UNMET * asked);
@@ -79,8 +79,8 @@ static bool is_unmet(const retrax_search *search) {
 /* The length of a defect at a node in natural sizes. */
 static double length_of(const retrax_search *search, const double *defect) {
     double sum = 0.0;
-    for (retrax_index a = 0; a < search->layout->problem->state_size; a++) {
-        const double own = defect[a] / search->steps.nodes[a];
+    for (retrax_index a = 0; a < search->phases->layout->problem->state_size; a++) {
+        const double own = defect[a] / search->phases->steps.nodes[a];
         sum += own * own;
     }
     return sqrt(sum);
@@ -88,7 +88,7 @@ static double length_of(const retrax_search *search, const double *defect) {
 
 /* Whether the ends of two steps are opposite to each other. */
 static bool are_opposite(const retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
+    const retrax_layout *const layout = search->phases->layout;
     const double *const trajectory = search->at;
     const retrax_index nodes = layout->problem->steps + 1, n = layout->problem->state_size;
     double widest = 0.0;
@@ -106,6 +106,9 @@ static bool are_opposite(const retrax_search *search) {
 
 bool retrax_is_degenerate(retrax_search *search) {
     const retrax_direction step = search->direction;
+    if (retrax_is_coupled(search)) {
+        return false;
+    }
     if (is_unmet(search) || are_opposite(search)) {
         return true;
     }

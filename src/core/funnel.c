@@ -44,9 +44,8 @@ static double next_shift(double shift, double made, bool good, bool is_short) {
     return made <= 0.25 ? fmax(shift, FIRST_SHIFT) * fmin(0.5 / made, RAISE) : shift;
 }
 
-retrax_merit retrax_merit_of(const retrax_search *search, const double *trajectory) {
-    const double *const found = trajectory + search->layout->first[RETRAX_ARRAY_RESIDUALS];
-    return (retrax_merit){found[RETRAX_INFEASIBILITY], found[RETRAX_MERIT], found[RETRAX_HELD]};
+retrax_merit retrax_merit_of(const retrax_search *search, const double *iterate) {
+    return (retrax_merit){RESIDUAL(iterate, INFEASIBILITY), RESIDUAL(iterate, MERIT), RESIDUAL(iterate, HELD)};
 }
 
 /* Whether a trial improves, and the width of the funnel then. */
@@ -64,19 +63,18 @@ static bool improves(const retrax_search *search, const retrax_merit *now, doubl
 
 bool retrax_judge_trial(retrax_search *search, bool first, bool *again) {
     const retrax_direction *const step = &search->direction;
-    const double *const found = search->trial + search->layout->first[RETRAX_ARRAY_RESIDUALS];
-    const double part = search->fraction, tolerance = search->options.tolerance, residual = found[RETRAX_LARGEST];
+    const double part = search->fraction, tolerance = search->options.tolerance, residual = RESIDUAL(search->trial, LARGEST);
     const double turned = search->merit.held + part * step->turned;
     const double promised = -part * (step->promised - step->reach * turned);
     const retrax_merit now = retrax_merit_of(search, search->trial);
     double width;
     const bool better = improves(search, &now, turned, promised, part, &width), probe = first && !step->descends;
-    const bool inside = found[RETRAX_SHORTFALL] <= fmax(search->funnel, tolerance);
+    const bool inside = RESIDUAL(search->trial, SHORTFALL) <= fmax(search->funnel, tolerance);
     bool good = better || (inside && residual <= fmax(RECORD * search->best, tolerance));
     if (probe) {
         good = residual <= FAST * search->best;
     }
-    good = good && isfinite(residual) && isfinite(search->trial[search->layout->first[RETRAX_ARRAY_TOTALS]]);
+    good = good && isfinite(residual) && isfinite(search->trial[search->totals]);
     const bool is_short = !good && part / 2.0 < RETRAX_SHORTEST;
     search->direction.shift = next_shift(step->shift, part * step->cap, good, is_short);
     if (good) {

@@ -25,19 +25,20 @@
 #define CLEAR 4.05381695970951e-10
 #define MANY 1e3
 
-/* Writes the typical curvatures of the coordinates in natural sizes. With a barrier the curvature has no bound. */
-static void write_curvatures(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const double *const trajectory = search->at, *const sizes = search->steps.unknowns;
+/* Writes the typical curvatures of the coordinates in natural sizes. With a barrier the curvature has no bound, and
+ * coupled trajectories have one measure. */
+static void write_curvatures(const retrax_search *search, retrax_phase *phase) {
+    const retrax_layout *const layout = phase->layout;
+    const double *const trajectory = search->at + phase->place, *const sizes = phase->steps.unknowns;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
-    const bool limited = retrax_is_limited(layout->problem);
+    const bool same = retrax_is_limited(layout->problem) || retrax_is_coupled(search);
     double most = 0.0;
     for (retrax_index i = 0; i < z; i++) {
-        search->curvatures[i] = limited ? 1.0 : ARRAY(CURVATURES)[i] * sizes[i] * sizes[i] / search->steps.cost;
-        most = fmax(most, search->curvatures[i]);
+        phase->curvatures[i] = same ? 1.0 : ARRAY(CURVATURES)[i] * sizes[i] * sizes[i] / phase->steps.cost;
+        most = fmax(most, phase->curvatures[i]);
     }
     for (retrax_index i = 0; i < z; i++) {
-        search->curvatures[i] = SOFTEST * most > 0.0 ? fmax(search->curvatures[i], SOFTEST * most) : 1.0;
+        phase->curvatures[i] = SOFTEST * most > 0.0 ? fmax(phase->curvatures[i], SOFTEST * most) : 1.0;
     }
 }
 
@@ -49,10 +50,10 @@ static double product(const double *a, const double *b, retrax_index count) {
     return sum;
 }
 
-/* Writes the first-order changes of the cost, and of the multipliers times what is lacking, by all that may be made. */
-static void write_promise(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const double *const trajectory = search->at;
+/* Adds the first-order changes of the cost, and of the multipliers times what is lacking, by all that may be made. */
+static void add_promise(retrax_search *search, const retrax_phase *phase) {
+    const retrax_layout *const layout = phase->layout;
+    const double *const trajectory = search->at + phase->place;
     const retrax_index *const count = layout->count, z = count[RETRAX_ARRAY_PARTS];
     retrax_direction *const found = &search->direction;
     double ahead = product(ARRAY(GRADIENTS), ARRAY(STEPS), count[RETRAX_ARRAY_STEPS]), dual = 0.0;
@@ -71,15 +72,20 @@ static void write_promise(retrax_search *search) {
     }
     if (retrax_is_limited(layout->problem)) {
         ahead += ARRAY(LIMIT_STEP)[RETRAX_STEP_AHEAD];
-        dual = found->dual * ARRAY(LIMIT_STEP)[RETRAX_STEP_HELD];
+        dual = phase->dual * ARRAY(LIMIT_STEP)[RETRAX_STEP_HELD];
     }
-    found->promised = found->reach * ahead / search->steps.cost;
-    found->turned = (found->reach * turned + dual) / search->steps.cost;
+    found->promised += found->reach * ahead / phase->steps.cost;
+    found->turned += (found->reach * turned + dual) / phase->steps.cost;
 }
 
-/* Solves the linear system of the iterate. */
+bool retrax_is_clear(double smallest, retrax_index equations) {
+    return smallest > CLEAR * fmax(1.0, (double)equations / MANY);
+}
+
+/* Solves the linear system of an iterate of one trajectory. */
 static void eliminate(retrax_search *search, double shift) {
-    const retrax_layout *const layout = search->layout;
+    const retrax_phase *const phase = search->phases;
+    const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
     double *const trajectory = search->at;
     const retrax_index N = problem->steps, n = problem->state_size, equations = (N + 1) * n;
@@ -97,19 +103,19 @@ static void eliminate(retrax_search *search, double shift) {
         .defect = ARRAY(NEWTON_DEFECTS),
         .fixed_start = ARRAY(FIXED),
         .fixed_end = ARRAY(FIXED) + N * n,
-        .stage_scale = search->steps.unknowns,
-        .node_scale = search->steps.nodes,
-        .cost_scale = search->steps.cost,
+        .stage_scale = phase->steps.unknowns,
+        .node_scale = phase->steps.nodes,
+        .cost_scale = phase->steps.cost,
         .regularisation = shift,
-        .regularised = search->curvatures,
+        .regularised = phase->curvatures,
     };
     retrax_block_solution solution = {.step = ARRAY(STEPS),
                                       .multipliers = ARRAY(MULTIPLIER_STEPS),
                                       .finite = &finite,
-                                      .largest_step = search->largest};
+                                      .largest_step = phase->largest};
     retrax_block_eliminate(&system, &solution, search->workspace, search->set);
     const bool right = solution.inertia.negative == equations;
-    const bool clear = solution.inertia.smallest > CLEAR * fmax(1.0, (double)equations / MANY);
+    const bool clear = retrax_is_clear(solution.inertia.smallest, equations);
     const bool hidden = solution.inertia.smallest <= CLEAR * fmax(1.0, (double)equations / MANY);
     retrax_direction *const found = &search->direction;
     found->shift = shift;
@@ -121,29 +127,44 @@ static void eliminate(retrax_search *search, double shift) {
     found->convex = right || (!retrax_is_limited(problem) && hidden);
 }
 
-void retrax_newton_step(retrax_search *search, double shift) {
-    const retrax_layout *const layout = search->layout;
-    double *const trajectory = search->at;
-    retrax_direction *const found = &search->direction;
-    write_curvatures(search);
-    eliminate(search, shift);
+/* Computes what belongs to the Newton step of a trajectory; returns the fraction of it that may be made. */
+static double complete_step(const retrax_search *search, retrax_phase *phase) {
+    double *const trajectory = search->at + phase->place;
+    const retrax_layout *const layout = phase->layout;
     retrax_expand_step(layout, trajectory, search->workspace);
-    found->dual = 1.0;
-    found->cap = retrax_step_cap(layout, trajectory, search->largest, search->trial, search->steady);
-    found->reach = found->cap;
-    if (retrax_is_limited(layout->problem)) {
-        retrax_step_inequalities(layout, trajectory, BOUNDARY);
-        found->reach = fmin(found->cap, ARRAY(LIMIT_STEP)[RETRAX_STEP_PRIMAL]);
-        found->dual = ARRAY(LIMIT_STEP)[RETRAX_STEP_DUAL];
+    phase->dual = 1.0;
+    phase->cap = retrax_step_cap(layout, trajectory, phase->largest, search->trial + phase->place, phase->steady);
+    if (!retrax_is_limited(layout->problem)) {
+        return phase->cap;
     }
-    write_promise(search);
+    retrax_step_inequalities(layout, trajectory, BOUNDARY);
+    phase->dual = ARRAY(LIMIT_STEP)[RETRAX_STEP_DUAL];
+    return fmin(phase->cap, ARRAY(LIMIT_STEP)[RETRAX_STEP_PRIMAL]);
+}
+
+void retrax_newton_step(retrax_search *search, double shift) {
+    retrax_direction *const found = &search->direction;
+    EACH_PHASE(phase) { write_curvatures(search, phase); }
+    (retrax_is_coupled(search) ? retrax_eliminate_coupled : eliminate)(search, shift);
+    found->cap = found->reach = 1.0;
+    EACH_PHASE(phase) {
+        found->reach = fmin(found->reach, complete_step(search, phase));
+        found->cap = fmin(found->cap, phase->cap);
+    }
+    found->promised = found->turned = 0.0;
+    EACH_PHASE(phase) { add_promise(search, phase); }
+    if (retrax_is_coupled(search)) {
+        retrax_add_coupled_promise(search);
+    }
 }
 
 double retrax_step_length(const retrax_search *search) {
     double found = 0.0;
-    for (retrax_index i = 0; i < search->layout->count[RETRAX_ARRAY_PARTS]; i++) {
-        const double length = search->largest[i] / search->steps.unknowns[i];
-        found = length > found || isnan(length) ? length : found;
+    EACH_PHASE(phase) {
+        for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
+            const double length = phase->largest[i] / phase->steps.unknowns[i];
+            found = length > found || isnan(length) ? length : found;
+        }
     }
     return found;
 }

@@ -29,6 +29,14 @@ void retrax_copy_unknowns(const retrax_layout *layout, const double *from, doubl
     }
 }
 
+void retrax_copy_iterate(const retrax_search *search, const double *from, double *to) {
+    EACH_PHASE(phase) { retrax_copy_unknowns(phase->layout, from + phase->place, to + phase->place); }
+    if (retrax_is_coupled(search)) {
+        const retrax_index first = search->coupling.first[RETRAX_COUPLED_MULTIPLIERS];
+        retrax_copy(to + first, from + first, search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
+    }
+}
+
 /* ------------------------------------------------------------------------------------------- room of the controls */
 
 /* The second derivative by a control of a point in the Hessian of the Lagrangian. */
@@ -50,13 +58,16 @@ static bool is_asked(const retrax_layout *layout, const double *trajectory, retr
 }
 
 /* Lowers the ways of the controls to those inside inequality j, which is curved: for |u|^2 <= r^2 that is |u| + r. */
-static void find_curved_ways(retrax_search *search, const double *trajectory, retrax_index j, double *ways) {
-    const retrax_layout *const layout = search->layout;
+static void find_curved_ways(const retrax_search *search, const retrax_phase *phase, const double *trajectory,
+                             retrax_index j, double *ways) {
+    const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
     const retrax_index c = problem->inequalities, m = problem->control_size, q = retrax_point_unknowns(problem);
     const retrax_index points = problem->steps * problem->points;
-    double *const other = search->trial;
+    double *const other = search->trial + phase->place;
     retrax_copy_unknowns(layout, trajectory, other);
+    retrax_copy(other + layout->first[RETRAX_ARRAY_START_COST], ARRAY(START_COST), layout->count[RETRAX_ARRAY_START_COST]);
+    retrax_copy(other + layout->first[RETRAX_ARRAY_END_COST], ARRAY(END_COST), layout->count[RETRAX_ARRAY_END_COST]);
     for (retrax_index i = 0; i < points * c; i++) {
         other[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS] + i] = i % c == j ? 1.0 : 0.0;
     }
@@ -64,7 +75,7 @@ static void find_curved_ways(retrax_search *search, const double *trajectory, re
     if (!retrax_collocates(problem)) { /* the costs of the ends are added to the same Hessians, as in `trajectory` */
         retrax_assemble_system(layout, other, search->workspace, search->set);
     }
-    double *const curvatures = search->control_work, *const largest = curvatures + points * m;
+    double *const curvatures = phase->control_work, *const largest = curvatures + points * m;
     memset(largest, 0, sizeof(double) * (size_t)m);
     for (retrax_index point = 0; point < points; point++) {
         for (retrax_index b = 0; b < m; b++) {
@@ -94,8 +105,7 @@ static void find_curved_ways(retrax_search *search, const double *trajectory, re
 }
 
 /* Lowers the ways of the controls to either side, to those to inequality j by its slope. */
-static void find_straight_ways(const retrax_search *search, const double *trajectory, retrax_index j, double *ways) {
-    const retrax_layout *const layout = search->layout;
+static void find_straight_ways(const retrax_layout *layout, const double *trajectory, retrax_index j, double *ways) {
     const retrax_problem *const problem = layout->problem;
     const retrax_index c = problem->inequalities, m = problem->control_size, q = retrax_point_unknowns(problem);
     const retrax_index points = problem->steps * problem->points;
@@ -116,32 +126,32 @@ static void find_straight_ways(const retrax_search *search, const double *trajec
 }
 
 /* Writes half of the way of each control of a step from one inequality to the other, or that to the only one, 0 where
- * there is none, the largest of all steps; and the same in search->room, but infinite where a side is open. */
-static void find_room(retrax_search *search, const double *trajectory, double *ways_found) {
-    const retrax_problem *const problem = search->layout->problem;
+ * there is none, the largest of all steps; and the same in phase->room, but infinite where a side is open. */
+static void find_room(const retrax_search *search, retrax_phase *phase, const double *trajectory, double *ways_found) {
+    const retrax_problem *const problem = phase->layout->problem;
     const retrax_index m = problem->control_size, s = problem->points, points = problem->steps * s;
-    double *const ways = search->ways;
+    double *const ways = phase->ways;
     for (retrax_index i = 0; i < 2 * points * m; i++) {
         ways[i] = INFINITY;
     }
     for (retrax_index j = 0; j < problem->inequalities; j++) {
-        if (!is_asked(search->layout, trajectory, j)) {
+        if (!is_asked(phase->layout, trajectory, j)) {
             continue;
         }
-        find_straight_ways(search, trajectory, j, ways);
+        find_straight_ways(phase->layout, trajectory, j, ways);
         if (j >= problem->bounds) {
-            find_curved_ways(search, trajectory, j, ways);
+            find_curved_ways(search, phase, trajectory, j, ways);
         }
     }
     for (retrax_index i = 0; i < s * m; i++) {
         ways_found[i] = 0.0;
-        search->room[i] = -INFINITY;
+        phase->room[i] = -INFINITY;
         for (retrax_index k = 0; k < problem->steps; k++) {
             const double up = ways[k * s * m + i], down = ways[points * m + k * s * m + i];
             const int closed = (int)isfinite(up) + (int)isfinite(down);
             const double sum = (isfinite(up) ? up : 0.0) + (isfinite(down) ? down : 0.0);
             ways_found[i] = fmax(ways_found[i], sum / (closed > 1 ? 2.0 : 1.0));
-            search->room[i] = fmax(search->room[i], (up + down) / 2.0);
+            phase->room[i] = fmax(phase->room[i], (up + down) / 2.0);
         }
     }
 }
@@ -172,19 +182,22 @@ double retrax_control_size(const retrax_layout *layout, const double *trajectory
     return size;
 }
 
-void retrax_find_scale(retrax_search *search, const double *trajectory, retrax_scale *scale) {
-    const retrax_layout *const layout = search->layout;
+void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double *trajectory, const double *least) {
+    const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
     const retrax_index n = problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS], controls = z - n;
     bool curved = true;
-    retrax_measure_motion(layout, trajectory, search->work, search->sizes, search->values);
+    retrax_measure_motion(layout, trajectory, phase->work, phase->sizes, phase->values);
+    for (retrax_index a = 0; a < n && least != NULL; a++) {
+        phase->sizes[a] = fmax(phase->sizes[a], least[a]);
+    }
     for (retrax_index i = 0; i < controls; i++) {
-        search->sizes[n + i] = retrax_control_size(layout, trajectory, i);
-        search->room[i] = INFINITY;
+        phase->sizes[n + i] = retrax_control_size(layout, trajectory, i);
+        phase->room[i] = INFINITY;
     }
     if (retrax_is_limited(problem)) {
-        double *const ways = search->values + n, largest = 0.0;
-        find_room(search, trajectory, ways);
+        double *const ways = phase->values + n, largest = 0.0;
+        find_room(search, phase, trajectory, ways);
         for (retrax_index i = 0; i < controls; i++) {
             const double way = ways[i] > 0.0 ? ways[i] : 1.0;
             largest = retrax_larger(largest, ARRAY(CURVATURES)[n + i] * way * way);
@@ -194,12 +207,20 @@ void retrax_find_scale(retrax_search *search, const double *trajectory, retrax_s
             curved = curved && ARRAY(CURVATURES)[n + i] * way * way > FLAT * largest;
         }
         for (retrax_index i = 0; i < controls && !curved; i++) {
-            search->sizes[n + i] = fmax(search->sizes[n + i], ways[i]);
+            phase->sizes[n + i] = fmax(phase->sizes[n + i], ways[i]);
         }
     }
-    memcpy(search->values + n, search->sizes + n, sizeof(double) * (size_t)controls);
-    const retrax_scale_data data = {search->sizes, search->values, search->room, curved};
-    retrax_measure_scale(layout, trajectory, &data, search->workspace, scale);
+    memcpy(phase->values + n, phase->sizes + n, sizeof(double) * (size_t)controls);
+    const retrax_scale_data data = {phase->sizes, phase->values, phase->room, curved};
+    retrax_measure_scale(layout, trajectory, &data, search->workspace, &phase->fresh);
+}
+
+void retrax_find_scales(retrax_search *search, double *iterate) {
+    if (retrax_is_coupled(search)) {
+        retrax_find_coupled_scales(search, iterate);
+    } else {
+        retrax_find_scale(search, search->phases, iterate, NULL);
+    }
 }
 
 /* ------------------------------------------------------------------------------------------------ first multipliers */
@@ -251,6 +272,14 @@ static bool has_flat_controls(const retrax_layout *layout, const double *traject
     return false;
 }
 
+/* Whether the cost alone does not say which way to go: no trajectory has costates, and no Hessian is curved downward. */
+static bool is_without_way(const retrax_search *search) {
+    bool found = true;
+    EACH_PHASE(phase) { found = found && is_without_costates(phase->layout, search->at + phase->place); }
+    EACH_PHASE(phase) { found = found && is_convex(phase->layout, search->at + phase->place, phase->square); }
+    return found;
+}
+
 /* Sets the multipliers of the nodes and points to those of a step in which all moves cost about what their sizes make
  * natural; the unknowns stay.
  *
@@ -258,24 +287,23 @@ static bool has_flat_controls(const retrax_layout *layout, const double *traject
  * constraints leave free, as in every problem of least time, how the constraints bend is what bounds a step, and that
  * the multipliers weigh. */
 static void find_first_multipliers(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
     retrax_newton_step(search, FIRST_SHIFT);
     if (!search->direction.finite) {
         return;
     }
-    double *const at = search->at;
-    memset(at + layout->first[RETRAX_ARRAY_STEPS], 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_STEPS]);
-    memset(at + layout->first[RETRAX_ARRAY_VELOCITY_STEPS], 0,
-           sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_VELOCITY_STEPS]);
-    memcpy(at + layout->first[RETRAX_ARRAY_COVECTOR_STEPS], at + layout->first[RETRAX_ARRAY_MULTIPLIER_STEPS],
-           sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_MULTIPLIER_STEPS]);
-    retrax_copy_unknowns(layout, at, search->trial);
-    retrax_move_trajectory(layout, at, 1.0, search->trial);
+    EACH_PHASE(phase) {
+        const retrax_layout *const layout = phase->layout;
+        double *const trajectory = search->at + phase->place;
+        memset(ARRAY(STEPS), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_STEPS]);
+        memset(ARRAY(VELOCITY_STEPS), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_VELOCITY_STEPS]);
+        retrax_copy(ARRAY(COVECTOR_STEPS), ARRAY(MULTIPLIER_STEPS), layout->count[RETRAX_ARRAY_MULTIPLIER_STEPS]);
+    }
+    retrax_move_iterate(search, 1.0, search->trial);
     retrax_swap(search);
     retrax_assess(search, search->at);
 }
 
-/* Whether the guess knows multipliers of inequalities. */
+/* Whether the guess of a trajectory knows multipliers of inequalities. */
 static bool knows_multipliers(const retrax_layout *layout, const double *trajectory) {
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMIT_MULTIPLIERS]; i++) {
         if (ARRAY(LIMIT_MULTIPLIERS)[i] != 0.0) {
@@ -285,52 +313,86 @@ static bool knows_multipliers(const retrax_layout *layout, const double *traject
     return false;
 }
 
+/* Evaluates the guess as where inequalities do not pull yet, and finds its natural sizes. */
+static void measure_guess(retrax_search *search) {
+    EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
+    retrax_evaluate(search, search->at);
+    retrax_find_scales(search, search->at);
+    EACH_PHASE(phase) {
+        retrax_copy_scale(phase->layout, &phase->fresh, &phase->judging);
+        retrax_copy_scale(phase->layout, &phase->fresh, &phase->steps);
+        if (retrax_is_limited(phase->layout->problem)) {
+            retrax_find_limits(phase, search->at + phase->place);
+        }
+    }
+    if (retrax_is_coupled(search)) {
+        retrax_copy(search->coupling.sizes, search->coupling.fresh, search->coupling.count[RETRAX_COUPLED_VALUES]);
+    }
+    search->first_cost = search->phases->judging.cost;
+}
+
+/* Takes all multipliers from the guess. */
+static void forget(retrax_search *search) {
+    EACH_PHASE(phase) {
+        const retrax_layout *const layout = phase->layout;
+        double *const trajectory = search->at + phase->place;
+        memset(ARRAY(COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_COSTATES]);
+        memset(ARRAY(POINT_COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_POINT_COSTATES]);
+        phase->knows = false;
+    }
+    if (retrax_is_coupled(search)) {
+        memset(retrax_search_multipliers(search, false), 0,
+               sizeof(double) * (size_t)search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
+    }
+}
+
+/* Sets first slacks of the phases that know none. */
+static void start_slacks(retrax_search *search) {
+    EACH_PHASE(phase) {
+        if (retrax_is_limited(phase->layout->problem) && !phase->knows) {
+            retrax_start_slacks(search, phase, search->at + phase->place);
+        }
+    }
+}
+
 /* Finds the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. Known multipliers
  * that do not fit tell nothing, nor do the costates that came with them: then the guess has none. */
 static void begin(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    double *const trajectory = search->at;
-    const bool known = knows_multipliers(layout, trajectory);
-    memcpy(search->spare, trajectory, sizeof(double) * (size_t)layout->numbers); /* all of them have the same data */
-    memcpy(search->trial, trajectory, sizeof(double) * (size_t)layout->numbers);
-    memcpy(search->first, trajectory, sizeof(double) * (size_t)layout->numbers);
-    retrax_rest_slacks(layout, trajectory);
-    retrax_evaluate(search, trajectory);
-    retrax_find_scale(search, trajectory, &search->judging);
-    retrax_copy_scale(layout, &search->judging, &search->steps);
-    search->first_cost = search->judging.cost;
-    if (!retrax_is_limited(layout->problem)) {
+    bool known = false;
+    EACH_PHASE(phase) {
+        phase->knows = knows_multipliers(phase->layout, search->at + phase->place);
+        known = known || phase->knows;
+    }
+    retrax_copy(search->spare, search->at, search->numbers); /* all of them have the same data */
+    retrax_copy(search->trial, search->at, search->numbers);
+    retrax_copy(search->first, search->at, search->numbers);
+    measure_guess(search);
+    if (!search->limited) {
         return;
     }
-    retrax_find_limits(search, trajectory);
-    if (!known) {
-        retrax_start_slacks(search, trajectory);
-    } else if (!retrax_warm_start(search, search->spare)) {
-        retrax_rest_slacks(layout, trajectory);
-        memset(ARRAY(COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_COSTATES]);
-        memset(ARRAY(POINT_COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_POINT_COSTATES]);
-        retrax_evaluate(search, trajectory);
-        retrax_find_scale(search, trajectory, &search->judging);
-        retrax_copy_scale(layout, &search->judging, &search->steps);
-        search->first_cost = search->judging.cost;
-        retrax_start_slacks(search, trajectory);
+    start_slacks(search);
+    if (known && !retrax_warm_start(search, search->spare)) {
+        forget(search);
+        measure_guess(search);
+        start_slacks(search);
     }
-    retrax_evaluate(search, trajectory);
+    retrax_evaluate(search, search->at);
 }
 
 void retrax_initialise(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const bool linear = !retrax_is_limited(layout->problem);
+    const bool linear = !search->limited;
+    bool flat_controls = false;
     begin(search);
     retrax_measure(search, search->at);
+    EACH_PHASE(phase) { flat_controls = flat_controls || has_flat_controls(phase->layout, search->at + phase->place); }
     /* The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal. */
     retrax_regularised_step(search, 0.0, linear, linear);
     const bool flat = !search->direction.descends || search->direction.shift > 0.0 ||
-                      (linear && !search->direction.strict && has_flat_controls(layout, search->at));
-    if (flat && is_without_costates(layout, search->at) && is_convex(layout, search->at, search->square)) {
+                      (linear && !search->direction.strict && flat_controls);
+    if (flat && is_without_way(search)) {
         find_first_multipliers(search);
         retrax_regularised_step(search, 0.0, linear, linear);
     }
-    retrax_copy_unknowns(layout, search->at, search->first);
+    retrax_copy_iterate(search, search->at, search->first);
     search->degenerate = search->options.looks && retrax_is_degenerate(search);
 }

@@ -19,14 +19,14 @@ static double lacking(const retrax_layout *layout, const double *trajectory, ret
 }
 
 bool retrax_widen_scale(retrax_search *search, double part, double length) {
-    const retrax_layout *const layout = search->layout;
+    retrax_phase *const phase = search->phases;
     const double moved = part * length;
     bool wider = false;
-    for (retrax_index a = 0; a < layout->problem->state_size; a++) {
-        const double left = lacking(layout, search->trial, a) - (1.0 - part) * lacking(layout, search->at, a);
+    for (retrax_index a = 0; a < phase->layout->problem->state_size && !retrax_is_coupled(search); a++) {
+        const double left = lacking(phase->layout, search->trial, a) - (1.0 - part) * lacking(phase->layout, search->at, a);
         const double second = left / (moved * moved);
-        if (isfinite(second) && second > WIDER * search->steps.nodes[a]) {
-            search->steps.nodes[a] = search->steps.unknowns[a] = second;
+        if (isfinite(second) && second > WIDER * phase->steps.nodes[a]) {
+            phase->steps.nodes[a] = phase->steps.unknowns[a] = second;
             wider = true;
         }
     }
@@ -54,11 +54,10 @@ static bool moves(const retrax_layout *layout, const double *trajectory) {
 }
 
 /* Whether its controls move it by more than rounding of its states. */
-static bool acts(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const double *const trajectory = search->at;
+static bool acts(const retrax_phase *phase, const double *trajectory) {
+    const retrax_layout *const layout = phase->layout;
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
-    retrax_measure_motion(layout, trajectory, search->work, search->sizes, search->values);
+    retrax_measure_motion(layout, trajectory, phase->work, phase->sizes, phase->values);
     for (retrax_index a = 0; a < n; a++) {
         double pushed = 0.0;
         for (retrax_index i = n; i < z; i++) {
@@ -68,56 +67,74 @@ static bool acts(retrax_search *search) {
             }
             pushed += sum * retrax_control_size(layout, trajectory, i - n);
         }
-        if (pushed > RETRAX_ROOT_EPS * search->values[a]) {
+        if (pushed > RETRAX_ROOT_EPS * phase->values[a]) {
             return true;
         }
     }
     return false;
 }
 
-/* Whether the sizes in use are far larger than those of the iterate, search->fresh. */
-static bool are_outgrown(retrax_search *search) {
-    const retrax_index z = search->layout->count[RETRAX_ARRAY_PARTS];
-    bool less = false, more = false;
-    for (retrax_index i = 0; i <= z; i++) {
-        const double own = i < z ? search->fresh.unknowns[i] : search->fresh.cost;
-        const double used = i < z ? search->judging.unknowns[i] : search->judging.cost;
-        const double share = fmin(own, used) / used;
-        less = less || share < LESS;
-        more = more || share > RETRAX_ROOT_EPS;
+/* Whether the sizes in use are far larger than those of the iterate, phase->fresh. */
+static bool are_outgrown(const retrax_search *search) {
+    bool less = false, more = false, goes = false, pushes = false;
+    EACH_PHASE(phase) {
+        const retrax_index z = phase->layout->count[RETRAX_ARRAY_PARTS];
+        for (retrax_index i = 0; i <= z; i++) {
+            const double own = i < z ? phase->fresh.unknowns[i] : phase->fresh.cost;
+            const double used = i < z ? phase->judging.unknowns[i] : phase->judging.cost;
+            const double share = fmin(own, used) / used;
+            less = less || share < LESS;
+            more = more || share > RETRAX_ROOT_EPS;
+        }
     }
-    return less && acts(search) && (more || moves(search->layout, search->at));
+    EACH_PHASE(phase) {
+        pushes = pushes || (less && acts(phase, search->at + phase->place));
+        goes = goes || moves(phase->layout, search->at + phase->place);
+    }
+    return less && pushes && (more || goes);
+}
+
+/* Takes the sizes of the iterate, the lesser ones to judge by; coupled trajectories have one measure for both, but for
+ * the cost, which multipliers make larger than it is. */
+static void take_fresh(const retrax_search *search, retrax_phase *phase) {
+    const retrax_index n = phase->layout->problem->state_size, z = phase->layout->count[RETRAX_ARRAY_PARTS];
+    const bool coupled = retrax_is_coupled(search);
+    retrax_copy_scale(phase->layout, &phase->fresh, &phase->steps);
+    for (retrax_index i = 0; i < z; i++) {
+        const double own = phase->fresh.unknowns[i];
+        phase->judging.unknowns[i] = coupled ? own : fmin(phase->judging.unknowns[i], own);
+    }
+    for (retrax_index a = 0; a < n; a++) {
+        const double own = phase->fresh.nodes[a];
+        phase->judging.nodes[a] = coupled ? own : fmin(phase->judging.nodes[a], own);
+    }
+    phase->judging.cost = fmin(phase->judging.cost, phase->fresh.cost);
+    phase->steps.cost = phase->judging.cost;
 }
 
 bool retrax_renew_scale(retrax_search *search) {
-    const retrax_layout *const layout = search->layout;
-    const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
-    const bool limited = retrax_is_limited(layout->problem);
     if (!search->claimed && retrax_cost_falls(search)) { /* a cost that falls without end has no size */
         return false;
     }
-    const double *at = search->at;
-    if (limited) { /* as where inequalities do not pull */
-        retrax_copy_unknowns(layout, search->at, search->spare);
-        retrax_rest_slacks(layout, search->spare);
-        retrax_evaluate(search, search->spare);
+    double *at = search->at;
+    if (search->limited) { /* as where inequalities do not pull */
         at = search->spare;
+        retrax_copy_iterate(search, search->at, at);
+        EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, at + phase->place); }
+        retrax_evaluate(search, at);
     }
-    retrax_find_scale(search, at, &search->fresh);
+    retrax_find_scales(search, at);
     if (!are_outgrown(search)) {
         return false;
     }
-    retrax_copy_scale(layout, &search->fresh, &search->steps);
-    for (retrax_index i = 0; i < z; i++) {
-        search->judging.unknowns[i] = fmin(search->judging.unknowns[i], search->fresh.unknowns[i]);
+    EACH_PHASE(phase) {
+        take_fresh(search, phase);
+        if (retrax_is_limited(phase->layout->problem)) {
+            retrax_find_limits(phase, at + phase->place);
+        }
     }
-    for (retrax_index a = 0; a < n; a++) {
-        search->judging.nodes[a] = fmin(search->judging.nodes[a], search->fresh.nodes[a]);
-    }
-    search->judging.cost = fmin(search->judging.cost, search->fresh.cost);
-    search->steps.cost = search->judging.cost;
-    if (limited) {
-        retrax_find_limits(search, at);
+    if (retrax_is_coupled(search)) {
+        retrax_copy(search->coupling.sizes, search->coupling.fresh, search->coupling.count[RETRAX_COUPLED_VALUES]);
     }
     return true;
 }

@@ -15,7 +15,7 @@
  *   7. Inequalities
  *   8. Convergence: how far a trajectory is from satisfying its conditions
  *   9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
- *  10. Search: Newton's method on the conditions of one trajectory
+ *  10. Search: Newton's method on the conditions of trajectories, whose ends may be coupled
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
@@ -43,7 +43,7 @@ extern "C" {
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Version of the interface below; it changes whenever a struct or a function does. */
-#define RETRAX_CORE_VERSION 3
+#define RETRAX_CORE_VERSION 4
 
 /* Counts and places in arrays; signed, as wide as a pointer. */
 typedef ptrdiff_t retrax_index;
@@ -402,6 +402,7 @@ typedef struct {
     const retrax_index *control_arrays;
     const double *kept;           /* [c + d]: 1 for a bound of what is free, which no iterate leaves, else 0 */
     retrax_index bounds;          /* inequalities, the first ones, that are straight in the controls */
+    bool coupled;                 /* whether START_COST and END_COST are written by what couples the ends; see 10 */
     retrax_function functions[RETRAX_FUNCTIONS];
 } retrax_problem;
 
@@ -485,6 +486,11 @@ RETRAX_API size_t retrax_workspace(const retrax_problem *problem);
 /* Evaluates the functions of the problem at the unknowns of a trajectory. trajectory: double [layout.numbers], aligned
  * to 64 bytes. */
 RETRAX_API void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory);
+
+/* The two halves of that: up to the ends and nodes of the steps, and all else, for which a problem that is coupled has
+ * START_COST and END_COST by then. */
+RETRAX_API void retrax_evaluate_nodes(const retrax_layout *layout, double *trajectory);
+RETRAX_API void retrax_evaluate_points(const retrax_layout *layout, double *trajectory);
 
 /* Assembles the linear system of a trajectory that was evaluated and, where there are inequalities, has their share. */
 RETRAX_API void retrax_assemble_system(const retrax_layout *layout, double *trajectory, void *workspace,
@@ -655,8 +661,36 @@ RETRAX_API void retrax_measure_motion(const retrax_layout *layout, const double 
                                       double *sizes);
 
 /* ------------------------------------------------------------------------------------------------------
- * 10. Search: Newton's method on the conditions of one trajectory
+ * 10. Search: Newton's method on the conditions of trajectories
+ *
+ * A problem is a list of phases, usually of one, whose ends may be coupled: K phases have 2 K ends, the start 2 k and the
+ * end 2 k + 1 of phase k. One function of all ends evaluates what they cost and the equations b(ends) = 0 between them,
+ * among these links, whose values are differences of states in the frame at the target of a link. The multipliers of the
+ * equations are numbers, those of a link a covector at its target.
  * ------------------------------------------------------------------------------------------------------ */
+
+/* A link: the state at an end is an image of that at another one. */
+typedef struct {
+    retrax_index target;  /* the end at which its covector stands */
+    retrax_index size;    /* its equations: dimension of the manifold, whose frame begins that of the target */
+    retrax_index numbers; /* of the covector, which begin those of a state at the target */
+} retrax_link;
+
+/* Phases and what couples their ends; all arrays belong to the caller and are only read.
+ *
+ * function: the points at all ends, the parameters of all phases, the multipliers [M] -> by coordinates of all ends, Z
+ * in all, curvature [Z][Z] and slope [Z] of the costs with the multipliers times the equations, Jacobian [r][Z], values
+ * [r]; derivative of the costs with that by the points [all numbers]; states that are linked minus images, of all links;
+ * the cost of each end [2 K]; multipliers in coordinates [r]. It is NULL where one phase has ends that nothing couples;
+ * else the problems of all phases are marked as coupled. */
+typedef struct {
+    retrax_index phases;
+    const retrax_layout *const *layouts; /* [phases] */
+    retrax_index equations;              /* beside those of links, before these */
+    retrax_index links;
+    const retrax_link *link;             /* [links] */
+    retrax_function function;
+} retrax_multiphase;
 
 /* How a search has ended. */
 typedef enum {
@@ -697,19 +731,24 @@ typedef struct {
 typedef struct retrax_search retrax_search;
 
 /* Returns the bytes of memory of a search with at most so many iterations, 1 to 2^20; 0 if that does not fit. */
-RETRAX_API size_t retrax_search_memory(const retrax_layout *layout, retrax_index max_iterations);
+RETRAX_API size_t retrax_search_memory(const retrax_multiphase *problem, retrax_index max_iterations);
 
-/* Makes a search in memory of that size, aligned to 64 bytes. The layout has to last as long as the search. */
-RETRAX_API retrax_search *retrax_search_make(const retrax_layout *layout, const retrax_options *options,
+/* Makes a search in memory of that size, aligned to 64 bytes. The problem has to last as long as the search. */
+RETRAX_API retrax_search *retrax_search_make(const retrax_multiphase *problem, const retrax_options *options,
                                              retrax_instruction_set set, void *memory);
 
-/* Returns the iterate: write what is given and the unknowns of a guess before a run, and read the solution behind it. */
-RETRAX_API double *retrax_search_trajectory(retrax_search *search);
+/* Returns the iterate of a phase: write what is given and the unknowns of a guess before a run, and read the solution
+ * behind it. */
+RETRAX_API double *retrax_search_trajectory(retrax_search *search, retrax_index phase);
+
+/* Returns the multipliers [M] of what couples the ends, of the iterate or of the guess with its first multipliers; to be
+ * written and read as the iterate is. */
+RETRAX_API double *retrax_search_multipliers(retrax_search *search, bool first);
 
 /* Searches an extremal from the guess. */
 RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
 
-/* What a run has found; the arrays belong to the search. */
+/* What a run has found, of a phase up to `rate`, then of all together; the arrays belong to the search. */
 typedef struct {
     const double *trajectory;   /* the last iterate */
     const double *first;        /* the guess with its first multipliers and slacks */
@@ -717,6 +756,7 @@ typedef struct {
     retrax_scale steps;         /* those of steps */
     const double *limits;       /* [c + d] of the inequalities */
     double rate;                /* unit of the barrier */
+    const double *equations;    /* [r] natural sizes of the equations between the ends */
     retrax_index iterations;
     bool claimed;               /* whether the iterate counts as an extremal */
     bool isolated;              /* whether Newton's next step was small there */
@@ -727,8 +767,8 @@ typedef struct {
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
 } retrax_search_result;
 
-/* Returns what the last run has found. */
-RETRAX_API retrax_search_result retrax_search_read(const retrax_search *search);
+/* Returns what the last run has found, with the arrays of a phase. */
+RETRAX_API retrax_search_result retrax_search_read(const retrax_search *search, retrax_index phase);
 
 #ifdef __cplusplus
 }

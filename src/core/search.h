@@ -1,10 +1,11 @@
 /*
- * Search: Newton's method on the conditions of one trajectory, as the files that are parts of it see it.
+ * Search: Newton's method on the conditions of trajectories, as the files that are parts of it see it.
  */
 #ifndef RETRAX_SEARCH_H
 #define RETRAX_SEARCH_H
 
 #include "layout.h"
+#include "multiphase.h"
 
 /* The largest shift of a Hessian: with a larger one a step says nothing. */
 #define RETRAX_LARGEST_SHIFT 1e10
@@ -24,7 +25,6 @@ typedef struct {
     bool descends;      /* whether the step has positive curvature */
     double cap;         /* the fraction of the step that points of constant size follow */
     double reach;       /* the fraction that may be made: within the cap and the inequalities */
-    double dual;        /* the fraction of the steps of the multipliers of the inequalities that stays inside */
     double promised;    /* change of the cost to first order by all that may be made, in its unit */
     double turned;      /* the same of the multipliers times what is lacking */
 } retrax_direction;
@@ -34,14 +34,10 @@ typedef struct {
     double infeasibility, cost, held;
 } retrax_merit;
 
-/* A search; arrays stand in its memory. */
-struct retrax_search {
+/* What a search knows of one of its trajectories; arrays stand in the memory of the search. */
+typedef struct {
     const retrax_layout *layout;
-    retrax_options options;
-    retrax_instruction_set set;
-    double *at, *trial;          /* trajectories: the iterate and the trial, which change places */
-    double *first, *spare;       /* trajectories: the guess, and one to work with */
-    void *workspace;
+    retrax_index place;          /* of its numbers in those of an iterate */
     retrax_scale judging, steps; /* natural sizes that success is judged by, and those of steps */
     retrax_scale fresh;          /* those of the iterate, where they are measured again */
     retrax_limit_scale limits;
@@ -54,9 +50,29 @@ struct retrax_search {
     double *ways;                /* [2][N s m] of the controls to the inequalities on either side */
     double *control_work;        /* [N s + 1][m] */
     double *square;              /* [z][z] */
+    bool *steady;                /* [E + U] */
+    double cap;                  /* the fraction of the step that points of constant size follow */
+    double dual;                 /* the fraction of the steps of the multipliers of its inequalities that stays inside */
+    bool knows;                  /* whether the guess knows multipliers of its inequalities */
+    retrax_response response;    /* where ends are coupled */
+} retrax_phase;
+
+/* A search; arrays stand in its memory. An iterate is the numbers of all trajectories, then those of the coupling. */
+struct retrax_search {
+    const retrax_multiphase *problem;
+    retrax_phase *phases;        /* [problem->phases] */
+    retrax_coupling coupling;    /* of the ends, where they are coupled */
+    retrax_options options;
+    retrax_instruction_set set;
+    bool limited;                /* whether there are inequalities */
+    retrax_index numbers;        /* of an iterate */
+    retrax_index residuals;      /* place in an iterate of RESIDUALS of all trajectories together */
+    retrax_index totals;         /* and of TOTALS */
+    double *at, *trial;          /* the iterate and the trial, which change places */
+    double *first, *spare;       /* the guess, and one to work with */
+    void *workspace;
     double *costs;               /* [max_iterations + 2] of the iterates after 1, 2, ... trials */
     double first_cost;           /* natural size of the cost at the guess */
-    bool *steady;                /* [E + U] */
     retrax_direction direction;
     retrax_merit merit;
     double fraction;   /* of the step that is tried */
@@ -73,6 +89,16 @@ struct retrax_search {
     retrax_index trials;
 };
 
+/* One of the residuals of an iterate: of all its trajectories together. */
+#define RESIDUAL(iterate, name) ((iterate)[search->residuals + RETRAX_##name])
+
+/* Goes through the trajectories of a search. */
+#define EACH_PHASE(phase) \
+    for (retrax_phase *phase = search->phases, *end_ = phase + search->problem->phases; phase < end_; phase++)
+
+/* Whether the ends of the trajectories are coupled. */
+static inline bool retrax_is_coupled(const retrax_search *search) { return search->problem->function.evaluate != NULL; }
+
 /* step_cap.c: returns the fraction of the step in which points that keep their size move by no more than a diameter.
  * largest: [z] steps of the unknowns; trial: a trajectory that is overwritten; steady: [E + U] workspace. */
 double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
@@ -85,6 +111,9 @@ void retrax_newton_step(retrax_search *search, double shift);
  * is used as it is; loose: positive curvature along the step is enough. */
 void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose);
 
+/* inertia.c: whether the smallest pivot of a system with so many equations of nodes is more than rounding. */
+bool retrax_is_clear(double smallest, retrax_index equations);
+
 /* inertia.c: the largest entry of the step in natural sizes. */
 double retrax_step_length(const retrax_search *search);
 
@@ -92,8 +121,8 @@ double retrax_step_length(const retrax_search *search);
  * whether the step has to be computed again. first: no trial was judged before. */
 bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
 
-/* funnel.c: writes the merit of a trajectory that was measured. */
-retrax_merit retrax_merit_of(const retrax_search *search, const double *trajectory);
+/* funnel.c: the merit of an iterate that was measured. */
+retrax_merit retrax_merit_of(const retrax_search *search, const double *iterate);
 
 /* degenerate.c: whether Newton's method cannot set out from the guess. */
 bool retrax_is_degenerate(retrax_search *search);
@@ -113,30 +142,30 @@ bool retrax_cost_falls(const retrax_search *search);
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
 
 /* warm_start.c: sets first slacks and multipliers near to the multipliers that a guess knows, of which the evaluated
- * iterate has the unknowns; known: a trajectory that is overwritten. Returns whether they fit. */
+ * iterate has the unknowns; known: an iterate that is overwritten. Returns whether they fit. */
 bool retrax_warm_start(retrax_search *search, double *known);
 
 /* barrier.c: whether no iterate leaves an inequality, as a bound of what is free. */
-bool retrax_is_kept(const retrax_search *search, retrax_index i);
+bool retrax_is_kept(const retrax_phase *phase, retrax_index i);
 
 /* barrier.c: the value of an inequality; a bound that no iterate leaves holds by rounding at least. */
-double retrax_limit_inside(const retrax_search *search, const double *trajectory, retrax_index i);
+double retrax_limit_inside(const retrax_phase *phase, const double *trajectory, retrax_index i);
 
 /* barrier.c: sets slacks and multipliers of inequalities that do not pull. */
 void retrax_rest_slacks(const retrax_layout *layout, double *trajectory);
 
 /* barrier.c: finds the natural sizes of the inequalities of an evaluated trajectory. */
-void retrax_find_limits(retrax_search *search, const double *trajectory);
+void retrax_find_limits(retrax_phase *phase, const double *trajectory);
 
 /* barrier.c: the natural sizes of the inequalities, and the first slacks of an evaluated trajectory. */
-void retrax_start_slacks(retrax_search *search, double *trajectory);
+void retrax_start_slacks(const retrax_search *search, retrax_phase *phase, double *trajectory);
 
 /* barrier.c: lowers the barrier while its problem is solved, raises penalties that are too small, and makes
  * inequalities elastic where steps jam. Returns whether the iterate is another one. */
 bool retrax_update_barrier(retrax_search *search);
 
 /* barrier.c: sets slacks that a step missed, where their inequalities hold; returns whether there were any. */
-bool retrax_reset_slacks(const retrax_search *search, double *trajectory);
+bool retrax_reset_slacks(const retrax_search *search, double *iterate);
 
 /* barrier.c: whether inequalities contradict each other, or the ends. */
 bool retrax_is_infeasible(const retrax_search *search);
@@ -147,23 +176,62 @@ bool retrax_is_hard(const retrax_search *search);
 /* initialise.c: natural sizes, first slacks and first multipliers of the guess, and the first step. */
 void retrax_initialise(retrax_search *search);
 
-/* initialise.c: writes the natural sizes of an evaluated trajectory. */
-void retrax_find_scale(retrax_search *search, const double *trajectory, retrax_scale *scale);
+/* initialise.c: writes the natural sizes of an evaluated trajectory to phase->fresh; least: [n] what the coordinates of
+ * its nodes have to move by at least, or NULL. */
+void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double *trajectory, const double *least);
+
+/* initialise.c: the same of all trajectories of an iterate. */
+void retrax_find_scales(retrax_search *search, double *iterate);
 
 /* initialise.c: copies the unknowns of a trajectory. */
 void retrax_copy_unknowns(const retrax_layout *layout, const double *from, double *to);
 
+/* initialise.c: the same of all trajectories of an iterate, with the multipliers of their coupling. */
+void retrax_copy_iterate(const retrax_search *search, const double *from, double *to);
+
 /* initialise.c: the largest size of control i of a step along the trajectory. */
 double retrax_control_size(const retrax_layout *layout, const double *trajectory, retrax_index i);
 
-/* algorithm.c: evaluates a trajectory and assembles its linear system. */
-void retrax_evaluate(retrax_search *search, double *trajectory);
+/* algorithm.c: evaluates an iterate and assembles its linear system. */
+void retrax_evaluate(retrax_search *search, double *iterate);
 
-/* algorithm.c: measures an evaluated trajectory. */
-void retrax_measure(retrax_search *search, double *trajectory);
+/* algorithm.c: measures an evaluated iterate. */
+void retrax_measure(retrax_search *search, double *iterate);
 
 /* algorithm.c: both of these. */
-void retrax_assess(retrax_search *search, double *trajectory);
+void retrax_assess(retrax_search *search, double *iterate);
+
+/* algorithm.c: writes the unknowns of an iterate after a fraction of the step from search->at. */
+void retrax_move_iterate(const retrax_search *search, double part, double *iterate);
+
+/* multiphase.c: evaluates what couples the ends of an iterate, which have been evaluated, with their costs. */
+void retrax_evaluate_coupling(const retrax_search *search, double *iterate);
+
+/* multiphase.c: the largest curvature of the cost of an iterate in natural sizes, which sets the scale of slopes where
+ * their parts vanish. */
+double retrax_largest_curvature(const retrax_search *search, const double *iterate);
+
+/* multiphase.c: writes the residuals of all trajectories together, each of which was measured. */
+void retrax_join_residuals(const retrax_search *search, double *iterate);
+
+/* multiphase.c: the most that an equation between the ends lacks, in its natural size. */
+double retrax_apart(const retrax_search *search, const double *iterate);
+
+/* multiphase.c: writes the natural sizes of all trajectories of an evaluated iterate, and of the equations between their
+ * ends. */
+void retrax_find_coupled_scales(retrax_search *search, double *iterate);
+
+/* multiphase.c: writes the multipliers of the coupling after a fraction of the step from search->at. */
+void retrax_move_coupling(const retrax_search *search, double part, double *iterate);
+
+/* response.c: finds how a trajectory follows its ends; returns the inertia of its system. */
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift);
+
+/* border.c: computes the Newton step of coupled trajectories with a shift of the Hessian. */
+void retrax_eliminate_coupled(retrax_search *search, double shift);
+
+/* border.c: adds what the coupling changes to what a step promises. */
+void retrax_add_coupled_promise(retrax_search *search);
 
 /* algorithm.c: lets iterate and trial change places. */
 void retrax_swap(retrax_search *search);

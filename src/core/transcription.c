@@ -164,7 +164,7 @@ retrax_end_cost retrax_end_cost_of(const retrax_layout *layout, const double *tr
     const retrax_index N = problem->steps, n = problem->state_size, E = problem->state_numbers;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], step = of_end ? N - 1 : 0;
     const double *const found = of_end ? ARRAY(END_COST) : ARRAY(START_COST);
-    if (problem->functions[of_end ? RETRAX_END_COST : RETRAX_START_COST].evaluate == NULL) {
+    if (!problem->coupled && problem->functions[of_end ? RETRAX_END_COST : RETRAX_START_COST].evaluate == NULL) {
         return (retrax_end_cost){.value = 0.0};
     }
     return (retrax_end_cost){
@@ -193,19 +193,22 @@ void retrax_turn_covectors(const retrax_layout *layout, const double *trajectory
 /* Evaluates the costs of the ends, where there are any. */
 static void evaluate_end_costs(const retrax_layout *layout, double *trajectory) {
     for (int name = RETRAX_START_COST; name <= RETRAX_END_COST; name++) {
-        if (layout->problem->functions[name].evaluate != NULL) {
+        if (!layout->problem->coupled && layout->problem->functions[name].evaluate != NULL) {
             retrax_evaluate_function(layout, trajectory, (retrax_function_name)name, 1);
         }
     }
 }
 
-void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory) {
-    const retrax_index N = layout->problem->steps, s = layout->problem->points;
+void retrax_evaluate_nodes(const retrax_layout *layout, double *trajectory) {
     if (retrax_collocates(layout->problem)) {
         write_displacements(layout, trajectory);
     }
-    retrax_evaluate_function(layout, trajectory, RETRAX_ENDS, N);
+    retrax_evaluate_function(layout, trajectory, RETRAX_ENDS, layout->problem->steps);
     meet(layout, trajectory);
+}
+
+void retrax_evaluate_points(const retrax_layout *layout, double *trajectory) {
+    const retrax_index N = layout->problem->steps, s = layout->problem->points;
     evaluate_end_costs(layout, trajectory);
     retrax_copy(ARRAY(TURNED_COSTATES), ARRAY(COSTATES), layout->count[RETRAX_ARRAY_COSTATES]);
     retrax_turn_covectors(layout, trajectory, 1.0, ARRAY(TURNED_COSTATES));
@@ -219,4 +222,9 @@ void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory)
     if (layout->problem->curved_controls) {
         retrax_evaluate_function(layout, trajectory, RETRAX_CONTROL_FRAMES, N * s);
     }
+}
+
+void retrax_evaluate_trajectory(const retrax_layout *layout, double *trajectory) {
+    retrax_evaluate_nodes(layout, trajectory);
+    retrax_evaluate_points(layout, trajectory);
 }

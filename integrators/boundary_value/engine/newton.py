@@ -66,8 +66,11 @@ def newton(
 def _search(conditions: Any, tolerance: float, most: int, callback: Any, **options: Any) -> Any:
     """The search of the engine, or of the core where that is asked for and has all that it needs."""
     if "search" in PARTS_ON_CORE:
+        from . import core_phases
         from .core_search import CoreSearch, is_on_core
 
+        if conditions.joint and core_phases.is_on_core(conditions):
+            return core_phases.CorePhases(conditions, tolerance, most, callback, **options)
         if is_on_core(conditions):
             return CoreSearch(conditions, tolerance, most, callback, **options)
     return Descent(conditions, tolerance, most, callback, **options)

@@ -25,7 +25,7 @@ from ..errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-HEADER_VERSION = 3  # of the header that the structs below repeat
+HEADER_VERSION = 4  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -194,6 +194,7 @@ class ProblemStruct(Structure):
         ("control_arrays", c_void_p),
         ("kept", c_void_p),
         ("bounds", c_ssize_t),
+        ("coupled", c_bool),
         ("functions", FunctionStruct * FUNCTIONS),
     )
 
@@ -212,6 +213,27 @@ class LayoutStruct(Structure):
         ("numbers", c_ssize_t),
         ("sources", c_void_p * FUNCTIONS),
         ("targets", c_void_p * FUNCTIONS),
+    )
+
+
+@final
+class LinkStruct(Structure):
+    """``retrax_link``."""
+
+    _fields_ = (("target", c_ssize_t), ("size", c_ssize_t), ("numbers", c_ssize_t))
+
+
+@final
+class MultiphaseStruct(Structure):
+    """``retrax_multiphase``."""
+
+    _fields_ = (
+        ("phases", c_ssize_t),
+        ("layouts", POINTER(POINTER(LayoutStruct))),
+        ("equations", c_ssize_t),
+        ("links", c_ssize_t),
+        ("link", POINTER(LinkStruct)),
+        ("function", FunctionStruct),
     )
 
 
@@ -301,6 +323,7 @@ class SearchResultStruct(Structure):
         ("steps", ScaleStruct),
         ("limits", c_void_p),
         ("rate", c_double),
+        ("equations", c_void_p),
         ("iterations", c_ssize_t),
         ("claimed", c_bool),
         ("isolated", c_bool),
@@ -362,11 +385,12 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         None,
         [POINTER(LayoutStruct), c_void_p, POINTER(ResidualScaleStruct), POINTER(LimitScaleStruct)],
     ),
-    "retrax_search_memory": (c_size_t, [POINTER(LayoutStruct), c_ssize_t]),
-    "retrax_search_make": (c_void_p, [POINTER(LayoutStruct), POINTER(OptionsStruct), c_int, c_void_p]),
-    "retrax_search_trajectory": (c_void_p, [c_void_p]),
+    "retrax_search_memory": (c_size_t, [POINTER(MultiphaseStruct), c_ssize_t]),
+    "retrax_search_make": (c_void_p, [POINTER(MultiphaseStruct), POINTER(OptionsStruct), c_int, c_void_p]),
+    "retrax_search_trajectory": (c_void_p, [c_void_p, c_ssize_t]),
+    "retrax_search_multipliers": (c_void_p, [c_void_p, c_bool]),
     "retrax_search_run": (c_int, [c_void_p]),
-    "retrax_search_read": (SearchResultStruct, [c_void_p]),
+    "retrax_search_read": (SearchResultStruct, [c_void_p, c_ssize_t]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
     "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p, c_void_p]),
     "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),

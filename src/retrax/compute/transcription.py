@@ -34,6 +34,7 @@ from .core import (
     best_instruction_set,
     library,
 )
+from .multiphase import Multiphase
 from .tape_machine import MachineProgram
 
 MOST_ITERATIONS = 1 << 20  # as in search.c
@@ -136,7 +137,7 @@ class Transcription:
         for own in (*groups, *(control_groups or ())):
             if own.size and not (own.min() >= 0 and own.max() < own.size):
                 raise InvalidInputError(f"columns of entries lie in 0 to {own.size - 1}, got {own}")
-        self._problem = ProblemStruct(*sizes, *addresses, bounds)
+        self._problem = ProblemStruct(*sizes, *addresses, bounds, False)
         self._kept: list[object] = [matrix, weights, groups, control_groups, kept]
         size = self._library.retrax_layout_memory(byref(self._problem))
         room = self._library.retrax_workspace(byref(self._problem))
@@ -307,6 +308,7 @@ class SearchResult(NamedTuple):
     steps: Scale
     limits: np.ndarray
     rate: float
+    equations: np.ndarray
     iterations: int
     claimed: bool
     isolated: bool
@@ -319,7 +321,7 @@ class SearchResult(NamedTuple):
 
 @final
 class Search:
-    """Newton's method on the conditions of one trajectory.
+    """Newton's method on the conditions of one trajectory, or of phases whose ends are coupled.
 
     ``width``: the infeasibility that the funnel lets pass first; ``firm``: times the usual first penalty of excesses;
     ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
@@ -327,7 +329,7 @@ class Search:
 
     def __init__(
         self,
-        transcription: Transcription,
+        problem: Transcription | Multiphase,
         tolerance: float,
         max_iterations: int,
         width: float = 1.0,
@@ -336,8 +338,9 @@ class Search:
         report: Callable[[IterationStruct], bool] | None = None,
     ) -> None:
         own = self._library = library()
-        self._of, self._layout = transcription, byref(transcription._layout)
-        size = own.retrax_search_memory(self._layout, max_iterations)
+        self._phases = problem if isinstance(problem, Multiphase) else Multiphase((problem,))
+        self._of = self._phases.transcriptions
+        size = own.retrax_search_memory(self._phases.address, max_iterations)
         if not size:
             raise InvalidInputError(f"a search has 1 to {MOST_ITERATIONS} iterations, got {max_iterations}")
         self._memory = aligned(-(-size // BYTES))
@@ -347,13 +350,22 @@ class Search:
         self._error: BaseException | None = None
         self._callback = REPORT(partial(_told, ref(self)))  # C calls it
         options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
-        self._search = own.retrax_search_make(self._layout, byref(options), transcription._set, place)
+        self._search = own.retrax_search_make(self._phases.address, byref(options), self._of[0]._set, place)
 
     @property
     def trajectory(self) -> Trajectory:
-        """The iterate: the guess before a run, the solution behind it."""
-        place = self._library.retrax_search_trajectory(self._search)
-        return Trajectory(self._of, self._part(place, self._of._layout.numbers))
+        """The iterate of the first phase: the guess before a run, the solution behind it."""
+        return self.phase(0)
+
+    def phase(self, k: int) -> Trajectory:
+        """The iterate of a phase."""
+        place = self._library.retrax_search_trajectory(self._search, k)
+        return Trajectory(self._of[k], self._part(place, self._of[k]._layout.numbers))
+
+    def multipliers(self, first: bool = False) -> np.ndarray:
+        """The multipliers of what couples the ends, of the iterate, or of the ``first`` one, a view."""
+        place = self._library.retrax_search_multipliers(self._search, first)
+        return self._part(place, self._phases.multipliers)
 
     def run(self) -> SearchStatus:
         """Search an extremal from the guess; an error of the report, or an interrupt, is raised when the search has
@@ -392,9 +404,10 @@ class Search:
             self._error = error
             return True
 
-    def read(self) -> SearchResult:
-        """Return the result of the last run; the next run overwrites its arrays."""
-        found, layout, of = self._library.retrax_search_read(self._search), self._of._layout, self._of
+    def read(self, phase: int = 0) -> SearchResult:
+        """Return the result of the last run, with the arrays of a phase; the next run overwrites these."""
+        of = self._of[phase]
+        found, layout = self._library.retrax_search_read(self._search, phase), of._layout
         sizes, z = of.sizes, layout.count[_PLACES["PARTS"]]
         at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
         judging, steps = (
@@ -402,8 +415,9 @@ class Search:
             for own in (found.judging, found.steps)
         )
         limits = self._part(found.limits, sizes.limits)
-        told = (getattr(found, name) for name in SearchResult._fields[5:])
-        return SearchResult(at, first, judging, steps, limits, *told)
+        equations = self._part(found.equations, self._phases.equations) if found.equations else np.zeros(0)
+        told = (getattr(found, name) for name in SearchResult._fields[7:])
+        return SearchResult(at, first, judging, steps, limits, found.rate, equations, *told)
 
     def _part(self, place: int, count: int) -> np.ndarray:
         """Numbers of the memory of the search from an address on."""

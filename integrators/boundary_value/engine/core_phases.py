@@ -1,0 +1,164 @@
+"""Searches of the compiled core for phases, and for ends that are coupled, in the place of ``Descent``."""
+
+from collections.abc import Callable
+from functools import partial
+from threading import local
+from typing import Any, final
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ....compute.multiphase import CoupledEnds, Multiphase
+from ....compute.tape_machine import MachineProgram
+from ....compute.transcription import Search, SearchResult, SearchStatus, Transcription
+from ....manifolds.numerics.ambient import joined
+from .acceptance import WIDE
+from .barrier import Barrier
+from .core_search import _functions, _units, iterate_of, made, put
+from .coupling import Coupling
+from .found import Found, Iteration, stops
+from .joint import JointConditions
+from .joint_system import JointAssembled, JointIterate, JointUnits
+
+
+class _ThreadTranscriptions(local):
+    """The transcriptions of phases of a thread, which no other one may use at the same time."""
+
+    def __init__(self) -> None:
+        self.of: WeakKeyDictionary[Any, dict[int, Transcription]] = WeakKeyDictionary()
+
+
+_known = _ThreadTranscriptions()
+
+
+def is_on_core(conditions: JointConditions) -> bool:
+    """Whether the core has all that a search asks for."""
+    functions = [own for phase in conditions.phases for own in _functions(phase).values()]
+    return all(hasattr(own, "tape") for own in (*functions, conditions.coupling._function))
+
+
+def _transcription_of(phase: Any) -> Transcription:
+    """The transcription of a phase; phases with the same one share it."""
+    known, count = _known.of.setdefault(phase.transcription, {}), phase.data.steps.shape[1]
+    if count not in known:
+        known.clear()  # of meshes that phases do not have any more
+        known[count] = made(phase)
+    return known[count]
+
+
+def _coupled_ends(coupling: Coupling) -> CoupledEnds:
+    """What couples the ends."""
+    tape: Any = coupling._function
+    p = tape.tape.program
+    program = MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size, None)
+    sizes = zip(coupling.links, coupling.sizes[1:], strict=True)
+    return CoupledEnds(program, coupling.count, [(own.target, own.manifold.dimension, size) for own, size in sizes])
+
+
+@final
+class CorePhases:
+    """Searches of the members of a batch, one after the other; see ``Descent``."""
+
+    def __init__(
+        self,
+        conditions: JointConditions,
+        tolerance: float,
+        max_iterations: int,
+        callback: Callable[[Iteration], Any] | None,
+        as_it_is: bool = False,
+        width: float = WIDE,
+        firm: float = 1.0,
+    ) -> None:
+        self.conditions, self.tolerance, self.max_iterations = conditions, tolerance, max_iterations
+        self.callback, self.width, self.firm = callback, width, firm
+        self.lost, self.stopped = np.zeros(0, bool), False  # no guess is moved aside
+
+    def ended(self, guess: JointIterate) -> Found:
+        """The result of the searches from the guesses, which an interrupt ends."""
+        joint, count = self.conditions, len(guess.multipliers)
+        self.lost = np.zeros(count, bool)
+        problem = Multiphase([_transcription_of(phase) for phase in joint.phases], _coupled_ends(joint.coupling))
+        found = [self._searched(problem, guess, k) for k in range(count)]
+        told = [results[0] for results, *_ in found]
+        self._take_units([results for results, *_ in found])
+        iterate, self._first = (joined([own[k] for own in found]) for k in (1, 2))
+        return self._found(iterate, told)
+
+    def _searched(
+        self, problem: Multiphase, guess: JointIterate, k: int
+    ) -> tuple[list[SearchResult], JointIterate, JointIterate]:
+        """The results of a member for all phases, its last iterate and its first one."""
+        own = self.tolerance, self.max_iterations, self.width, self.firm
+        search = Search(problem, *own, looks=False, report=partial(self._report, k))
+        search.multipliers()[...] = guess.multipliers[k]
+        for j, (phase, part) in enumerate(zip(self.conditions.phases, guess.parts, strict=True)):
+            put(search.phase(j), phase, part, k)
+        try:
+            status = search.run()
+        except KeyboardInterrupt:
+            status = SearchStatus.STOPPED
+        results = [search.read(j) for j in range(len(guess.parts))]
+        self.stopped |= status is SearchStatus.STOPPED or results[0].stopped
+        both = []
+        for name in ("trajectory", "first"):
+            arrays = [getattr(own, name) for own in results]
+            own = zip(arrays, guess.parts, self.conditions.phases, strict=True)
+            parts = tuple(iterate_of(at, part, phase.transcription) for at, part, phase in own)
+            both.append(JointIterate(parts, search.multipliers(name == "first")[None].copy()))
+        results = [
+            own._replace(trajectory=None, first=None, limits=own.limits.copy(), equations=own.equations.copy())
+            for own in results
+        ]
+        scales = [(_copied(own.judging), _copied(own.steps)) for own in results]
+        results = [own._replace(judging=a, steps=b) for own, (a, b) in zip(results, scales, strict=True)]
+        return results, *both
+
+    def _take_units(self, members: list[list[SearchResult]]) -> None:
+        """Let the conditions have the natural sizes of the searches."""
+        joint, firm = self.conditions, np.array([self.firm])
+        for j, phase in enumerate(joint.phases):
+            own = [results[j] for results in members]
+            phase.units, phase.wider = joined([_units(one.judging) for one in own]), None
+            steps = phase.transcription
+            if steps.inequalities:
+                barriers = [Barrier(np.array([one.rate]), one.limits[None], steps.kept[None], firm) for one in own]
+                phase.barrier = joined(barriers)
+        rows = np.stack([results[0].equations for results in members])
+        nodes = np.concatenate([*(phase.judging.nodes for phase in joint.phases), rows], axis=1)
+        joint.units = JointUnits(nodes, joint.phases[0].judging.cost)
+
+    def _report(self, k: int, iteration: Any) -> bool:
+        """Show an iteration to the callback; whether that, or an interrupt before, asks to stop."""
+        if self.stopped or self.callback is None:
+            return self.stopped
+        names = "cost", "defect", "stationarity", "shift", "fraction", "descends", "violation", "barrier"
+        seen = (np.array([getattr(iteration, name)]) for name in names)
+        return stops(self.callback(Iteration(iteration.number, np.array([k]), *seen)))
+
+    def first(self) -> tuple[JointIterate, JointAssembled]:
+        """The guesses with their first multipliers and slacks, and their systems."""
+        return self._first, self.conditions.assemble(self._first)
+
+    def failed(self, found: Found) -> np.ndarray:
+        """Which members begin anew from guesses that are moved aside: none."""
+        return np.zeros_like(found.claimed)
+
+    def _found(self, iterate: Any, told: list[SearchResult]) -> Found:
+        conditions: Any = self.conditions
+        assembled = conditions.assemble(iterate)
+        residuals = conditions.residuals(iterate, assembled)
+        names = "claimed", "isolated", "strict", "solvable", "infeasible", "falls", "iterations"
+        own = {name: np.array([getattr(one, name) for one in told]) for name in names}
+        strict, claimed = own["strict"], own["claimed"]
+        if iterate.slacks is not None:
+            strict = conditions.is_isolated_minimum(iterate, assembled)
+        missing = assembled.extent.lacking / conditions.judging.nodes
+        limited = own["iterations"] >= self.max_iterations
+        ended = strict & own["isolated"], own["iterations"], limited, claimed, own["solvable"]
+        falling, unit = own["falls"] & ~claimed, conditions.judging.cost
+        return Found(iterate, assembled, residuals, *ended, self.stopped, missing, own["infeasible"], unit, falling)
+
+
+def _copied(scale: Any) -> Any:
+    """Natural sizes in memory of their own."""
+    return scale._replace(unknowns=scale.unknowns.copy(), nodes=scale.nodes.copy())

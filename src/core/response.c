@@ -1,0 +1,124 @@
+/*
+ * Response: how a trajectory whose ends are coupled follows them.
+ *
+ * It is eliminated with its start prescribed to move by e, and its end free, with a linear cost f of what that moves by,
+ * w = R d: with both prescribed an arc without controls would have dependent equations. The end is held by a weight
+ * rho |w|^2 / 2, which the border takes back, so that focal points are no singular pivots.
+ */
+#include "search.h"
+
+#include <string.h>
+
+/* Weight on the motion of an end, times the number of stages, as in the block elimination. */
+#define WEIGHT 256.0
+
+/* Lists the free coordinates of both ends. */
+static void list_free(const retrax_layout *layout, const double *trajectory, retrax_response *own) {
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    for (int side = 0; side < 2; side++) {
+        own->counts[side] = 0;
+        for (retrax_index a = 0; a < n; a++) {
+            if (ARRAY(FIXED)[(side == 0 ? 0 : N * n) + a] == 0.0) {
+                own->free[side * n + own->counts[side]++] = a;
+            }
+        }
+    }
+    own->columns = 1 + own->counts[0] + n;
+}
+
+/* Writes the right-hand sides, and adds the weight on the end to the Hessian of the last stage, which is kept. */
+static void write_columns(const retrax_layout *layout, double *trajectory, retrax_response *own) {
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = own->columns, p = own->counts[0];
+    const double *const right = ARRAY(RIGHT) + (N - 1) * n * z;
+    const double *const after = retrax_collocates(layout->problem) ? ARRAY(AFTER) + (N - 1) * n : own->none;
+    double *const hessian = ARRAY(HESSIANS) + (N - 1) * z * z;
+    memset(own->slope, 0, sizeof(double) * (size_t)(N * z * columns));
+    memset(own->defect, 0, sizeof(double) * (size_t)((N + 1) * n * columns));
+    for (retrax_index i = 0; i < N * z; i++) {
+        own->slope[i * columns] = ARRAY(NEWTON_SIDES)[i];
+    }
+    for (retrax_index i = 0; i < (N + 1) * n; i++) {
+        own->defect[i * columns] = ARRAY(NEWTON_DEFECTS)[i];
+    }
+    for (retrax_index i = 0; i < p; i++) {
+        own->defect[own->free[i] * columns + 1 + i] = -1.0;
+    }
+    retrax_copy(own->last, hessian, z * z);
+    for (retrax_index a = 0; a < n; a++) {
+        for (retrax_index i = 0; i < z; i++) {
+            const double weighted = own->weights[a] * right[a * z + i];
+            double *const slope = own->slope + ((N - 1) * z + i) * columns;
+            slope[0] += weighted * after[a];
+            slope[1 + p + a] = right[a * z + i];
+            for (retrax_index j = 0; j < z; j++) {
+                hessian[i * z + j] += weighted * right[a * z + j];
+            }
+        }
+    }
+}
+
+/* Writes what the end moves by. */
+static void write_end(const retrax_layout *layout, const double *trajectory, retrax_response *own) {
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = own->columns;
+    const double *const right = ARRAY(RIGHT) + (N - 1) * n * z, *const steps = own->steps + (N - 1) * z * columns;
+    for (retrax_index a = 0; a < n; a++) {
+        for (retrax_index j = 0; j < columns; j++) {
+            double sum = 0.0;
+            for (retrax_index i = 0; i < z; i++) {
+                sum += right[a * z + i] * steps[i * columns + j];
+            }
+            own->end[a * columns + j] = sum;
+        }
+        own->end[a * columns] += retrax_collocates(layout->problem) ? ARRAY(AFTER)[(N - 1) * n + a] : 0.0;
+    }
+}
+
+/* Writes the weights on the end, and which equations of the ends count: all at the start, none at the end. */
+static void weigh(const retrax_phase *phase, retrax_response *own) {
+    const double each = WEIGHT * (double)phase->layout->problem->steps * phase->steps.cost;
+    for (retrax_index a = 0; a < phase->layout->problem->state_size; a++) {
+        own->weights[a] = each / (phase->steps.nodes[a] * phase->steps.nodes[a]);
+        own->ones[a] = 1.0;
+        own->none[a] = 0.0;
+    }
+}
+
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift) {
+    const retrax_layout *const layout = phase->layout;
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
+    retrax_response *const own = &phase->response;
+    double *const trajectory = search->at + phase->place;
+    retrax_write_right_sides(layout, trajectory);
+    list_free(layout, trajectory, own);
+    weigh(phase, own);
+    write_columns(layout, trajectory, own);
+    const retrax_block_system system = {
+        .stages = N,
+        .node_size = n,
+        .stage_size = z,
+        .columns = own->columns,
+        .hessian = ARRAY(HESSIANS),
+        .left = ARRAY(LEFT),
+        .right = ARRAY(RIGHT),
+        .slope = own->slope,
+        .defect = own->defect,
+        .fixed_start = own->ones,
+        .fixed_end = own->none,
+        .stage_scale = phase->steps.unknowns,
+        .node_scale = phase->steps.nodes,
+        .cost_scale = phase->steps.cost,
+        .regularisation = shift,
+        .regularised = phase->curvatures,
+    };
+    retrax_block_solution solution = {.step = own->steps,
+                                      .multipliers = own->multipliers,
+                                      .finite = own->finite,
+                                      .largest_step = phase->largest};
+    retrax_block_eliminate(&system, &solution, search->workspace, search->set);
+    retrax_copy(ARRAY(HESSIANS) + (N - 1) * z * z, own->last, z * z);
+    write_end(layout, trajectory, own);
+    return solution.inertia;
+}

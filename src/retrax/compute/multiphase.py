@@ -1,0 +1,81 @@
+"""Phases, and what couples their ends, as the core has them."""
+
+from collections.abc import Sequence
+from ctypes import POINTER, addressof, byref, c_void_p, cast, pointer
+from typing import Any, NamedTuple, final
+
+from ..aligned import aligned
+from ..errors import InvalidInputError
+from .core import (
+    FLOAT,
+    FunctionStruct,
+    LayoutStruct,
+    LinkStruct,
+    MultiphaseStruct,
+    TapeFunctionStruct,
+    address_of,
+    library,
+)
+from .tape_machine import MachineProgram
+
+
+class CoupledEnds(NamedTuple):
+    """The coupling of the ends of phases, which ``retrax_core.h`` explains.
+
+    ``program``: its function; ``equations``: their number beside links; ``links``: of each the end at which its
+    covector stands, its equations and its numbers.
+    """
+
+    program: MachineProgram
+    equations: int
+    links: Sequence[tuple[int, int, int]]
+
+
+@final
+class Multiphase:
+    """Phases, each a ``Transcription`` of its own or shared by phases of one problem; with ``coupled`` ends, or one
+    alone."""
+
+    def __init__(self, transcriptions: Sequence[Any], coupled: CoupledEnds | None = None) -> None:
+        self.transcriptions, self._coupled, count = tuple(transcriptions), coupled, len(transcriptions)
+        pointers = (POINTER(LayoutStruct) * count)(*(pointer(own._layout) for own in transcriptions))
+        self._struct, self._kept = (
+            MultiphaseStruct(count, pointers, 0, 0, None, FunctionStruct()),
+            list[object]([pointers]),
+        )
+        self.multipliers = self.equations = 0
+        if coupled is not None:
+            self._couple(coupled)
+        for own in transcriptions:
+            own._problem.coupled = coupled is not None
+
+    @property
+    def address(self) -> Any:
+        """The struct, as functions of the core take it."""
+        return byref(self._struct)
+
+    def _couple(self, coupled: CoupledEnds) -> None:
+        program, links = coupled.program, (LinkStruct * len(coupled.links))(*coupled.links)
+        self.equations = coupled.equations + sum(own[1] for own in coupled.links)
+        self.multipliers = coupled.equations + sum(own[2] for own in coupled.links)
+        if program.sizes[:2] != (expected := self._sizes()):
+            raise InvalidInputError(
+                f"a function of the ends of {len(self.transcriptions)} phases: got {program.sizes[0]} inputs and "
+                f"{program.sizes[1]} outputs, expected {expected[0]} and {expected[1]}"
+            )
+        registers = aligned(program.sizes[2] * program.lanes(1))
+        place = address_of(registers, FLOAT, registers.shape, "registers")
+        context = TapeFunctionStruct(pointer(program.tape), place, program.lanes(1), self.transcriptions[0]._set)
+        self._struct.equations, self._struct.links, self._struct.link = coupled.equations, len(links), links
+        self._struct.function = FunctionStruct(
+            cast(library().retrax_evaluate_tape, c_void_p), c_void_p(addressof(context))
+        )
+        self._kept += [links, registers, context]
+
+    def _sizes(self) -> tuple[int, int]:
+        """The numbers that the function of the ends reads, and writes."""
+        sizes = [own.sizes for own in self.transcriptions]
+        numbers, z = (2 * sum(getattr(own, name) for own in sizes) for name in ("state_numbers", "state_size"))
+        apart, r = self.multipliers - (self._coupled.equations if self._coupled else 0), self.equations
+        read = numbers + sum(own.parameters for own in sizes) + self.multipliers
+        return read, z * z + z + r * z + r + numbers + apart + 2 * len(sizes) + r
