@@ -2,13 +2,16 @@
 
 from collections.abc import Hashable
 from dataclasses import replace
+from functools import cached_property
 from typing import Any, NamedTuple, Self, final
 
 import casadi as ca
 import jax
 import numpy as np
 
+from ...compute.integration import StepFunction, StepMethod
 from ...compute.program_digest import content_key
+from ...compute.tape_machine import MachineProgram
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape
@@ -137,6 +140,23 @@ class StepPrograms(Often):
             from ...tape.native import native
 
             self.code = PackedPrograms([own._replace(program=native(own.program)) for own in self._programs])
+
+    @cached_property
+    def method(self) -> StepMethod:
+        """The programs on the core."""
+        at = dict(zip(MEMORY_PLACES, self.places.tolist(), strict=True))
+        functions = tuple(self._on_core(own, k) for k, own in enumerate(self._programs))
+        first = tuple(at[name] for name in ("c", "h", "state", "first", "sizes", "residual", "new", "control", "finite"))
+        return StepMethod(functions, first, at["count"], at["states"], at["controls"], self.rows)
+
+    def _on_core(self, own, k):
+        p, read, written = own
+        at = dict(zip(MEMORY_PLACES, self.places.tolist(), strict=True))
+        if k == 2:
+            d = at["direction"]
+            read = np.where((read >= d) & (read < d + at["count"]), read - d + self.rows, read)
+            written = written - at["pushed"]
+        return StepFunction(MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size), read, written)
 
     @property
     def unknowns(self) -> int:

@@ -8,6 +8,8 @@ from typing import Any, final
 import jax
 import numpy as np
 
+from ...compute.core import PARTS_ON_CORE
+from ...compute.integration import Integration
 from ...compute.jit_cache import call_compiled
 from ...compute.threads import in_threads
 from ...manifolds.numerics.ambient import Ambient
@@ -18,6 +20,7 @@ from .interruptible_loop import Steps
 from .step_programs import pack, rows, step_programs, unpack
 from .xla_steps import Nodes
 
+PARTS = set(PARTS_ON_CORE)
 EVALUATIONS = 4  # of the equations of a step
 FEW_TRAJECTORIES = 6  # trajectories that are faster one after the other than on lanes side by side
 
@@ -69,6 +72,11 @@ class TapeSteps(Steps):
         count = len(step_sizes)
         controls = pack(traced.single.control(unknowns)) if rows(self._control) else np.zeros((0, count))
         self._carry = np.ascontiguousarray(np.concatenate([pack((unknowns, q, p)), *[controls] * self._parts.size]))
+        if "integrate" in PARTS:
+            self._core = Integration(traced.programs.method, self._carry, self._step_sizes, np.ascontiguousarray(self._parts.ravel()),
+                None if traced.inverse is None else np.ascontiguousarray(traced.inverse, float), len(self._carry) - rows(self._like[0]))
+            return
+        self._core = None
         self._failed = np.full(count, -1)
         self._workspace = _Workspace(traced, count)
 
@@ -76,6 +84,10 @@ class TapeSteps(Steps):
         return self._carry[rows(self._like[0]) :].copy()
 
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[np.ndarray, np.ndarray, float]:
+        if self._core is not None:
+            began = time.perf_counter()
+            record = self._core.run(done, count, phase, every)
+            return record, self._core.failed.copy(), time.perf_counter() - began
         record = np.zeros((1 + (phase + count - 1) // every, *self.kept().shape))
         began = time.perf_counter()
         numbers = done, count, phase, every
