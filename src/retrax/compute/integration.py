@@ -159,7 +159,7 @@ class Integration:
         """Make the steps of some blocks of lanes, with registers and memory of this thread."""
         core, own = library(), MethodStruct.from_buffer_copy(self._shared)
         programs = [function.program for function in self._method.functions]
-        many = [program.lanes(points) for program, points in zip(programs, self._points, strict=True)]
+        many = [1 if points == 1 else program.lanes(points) for program, points in zip(programs, self._points, strict=True)]
         registers = max(program.sizes[2] * lanes for program, lanes in zip(programs, many, strict=True))
         size = core.retrax_integration_workspace(byref(own))
         if not size:
