@@ -173,12 +173,10 @@ static void renew(const retrax_lanes *own) {
 
 /* ------------------------------------------------------------------------------------------------ chord steps */
 
-/* Writes the Newton step at the unknowns, moved as `place` does, and the largest of its entries; NaN if one is. */
-static void compute_step(const retrax_lanes *own, double moves, bool turns) {
-    const retrax_index L = own->lanes, m = own->unknowns;
+/* Writes the Newton step in units of the unknowns, and the largest of its entries; NaN if one is. */
+static inline void apply_inverse(const retrax_lanes *own, retrax_index L) {
+    const retrax_index m = own->unknowns;
     const double *const missed = retrax_rows_of(own, RETRAX_ROWS_RESIDUAL);
-    place(own, moves, turns);
-    retrax_evaluate_step(own, RETRAX_STEP_RESIDUAL, own->memory, L);
     memset(own->length, 0, sizeof(double) * (size_t)L);
     for (retrax_index i = 0; i < m; i++) {
         double *const change = own->change + i * L;
@@ -194,6 +192,17 @@ static void compute_step(const retrax_lanes *own, double moves, bool turns) {
             const double size = fabs(change[j]), largest = own->length[j];
             own->length[j] = size <= largest || largest != largest ? largest : size;
         }
+    }
+}
+
+/* Computes the Newton step at the unknowns, moved as `place` does. */
+static void compute_step(const retrax_lanes *own, double moves, bool turns) {
+    place(own, moves, turns);
+    retrax_evaluate_step(own, RETRAX_STEP_RESIDUAL, own->memory, own->lanes);
+    if (own->lanes == 1) {
+        apply_inverse(own, 1); /* the compiler leaves out the loops over lanes */
+    } else {
+        apply_inverse(own, own->lanes);
     }
 }
 
