@@ -57,7 +57,7 @@ typedef enum {
     RETRAX_BAD_REGISTER = 3,    /* an operand is not a register, or the result overwrites an operand */
     RETRAX_BAD_PLACE = 4,       /* an input or output lies outside of its array */
     RETRAX_BAD_LOOP = 5,        /* a loop has no beginning, no end, or no whole number of rounds */
-    RETRAX_BAD_LANES = 6        /* the number of lanes is not a positive multiple of RETRAX_VECTOR */
+    RETRAX_BAD_LANES = 6        /* the number of lanes is neither 1 nor a positive multiple of RETRAX_VECTOR */
 } retrax_status;
 
 /* Instruction sets that the machine of tapes is compiled for. Numbers may differ in the last digits between
@@ -99,7 +99,7 @@ RETRAX_API retrax_instruction_set retrax_best_instruction_set(void);
 /* Entries of a row of operands: the result and at most seven arguments. */
 #define RETRAX_OPERANDS 8
 
-/* Lanes are a multiple of this number: one vector of AVX-512, two of AVX2. */
+/* Lanes are a multiple of this number, one vector of AVX-512 and two of AVX2; or there is one for a single point. */
 #define RETRAX_VECTOR 8
 
 /* A tape; all arrays belong to the caller and are only read. */
@@ -132,7 +132,7 @@ RETRAX_API const char *retrax_tape_instruction_name(int code);
 RETRAX_API retrax_status retrax_tape_check(const retrax_tape *tape);
 
 /* Returns RETRAX_OK if retrax_tape_run may be called with these arguments: 0 <= first <= last, inputs and outputs of
- * these points lie in their arrays, and lanes is a positive multiple of RETRAX_VECTOR. */
+ * these points lie in their arrays, and lanes is 1 or a positive multiple of RETRAX_VECTOR. */
 RETRAX_API retrax_status retrax_tape_check_data(const retrax_tape *tape, const retrax_tape_data *data,
                                                 retrax_index first, retrax_index last, retrax_index lanes);
 
@@ -144,7 +144,7 @@ RETRAX_API retrax_index retrax_tape_lanes(const retrax_tape *tape, retrax_index 
 /* Evaluates a tape at the points first, ..., last - 1.
  *
  * registers: workspace, double [tape.registers][lanes], of any content, which is overwritten; aligned to 64
- * bytes it is fastest. lanes: from retrax_tape_lanes, or any other positive multiple of RETRAX_VECTOR; it
+ * bytes it is fastest. lanes: from retrax_tape_lanes, or any other positive multiple of RETRAX_VECTOR, or 1; it
  * changes time and memory, not the numbers. set: from retrax_best_instruction_set, or a lesser set.
  *
  * The tape and the data must have passed their checks: nothing is checked here. NaN and infinity are numbers

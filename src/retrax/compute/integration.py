@@ -12,7 +12,6 @@ from .core import (
     BYTES,
     FLOAT,
     PLACE,
-    STEP_FUNCTIONS,
     STEP_ROWS,
     FunctionStruct,
     IntegrationStruct,
@@ -25,10 +24,10 @@ from .core import (
 from .tape_machine import MachineProgram
 from .threads import in_threads
 
-MOST_LANES = 64  # enough to hide the choice of an instruction
-VECTOR = 8  # lanes are a multiple of it where there are several
+MOST_LANES = 64  # trajectories side by side, enough to hide the choice of an instruction
+VECTOR = 8  # the number of lanes is a multiple of this, or 1
 ORDERS = 6  # of the differences by which predictions are corrected
-PUSH = 2
+PUSH = 2  # place of the function that has directions
 
 
 @final
@@ -42,28 +41,58 @@ class StepFunction(NamedTuple):
 
 @final
 class StepMethod(NamedTuple):
-    """The functions of the substeps of a method, and the sizes and rows of the memory that they share.
+    """The functions of a substep of a method, and the memory that they share; ``retrax_core.h`` explains them.
 
     ``functions``: prepare, residual, push and end; ``first``: the first row of each part of the memory, in the order of
-    ``retrax_step_rows``. Directions stand in the rows behind the last one; derivatives are written to rows of their
-    own, 0 to ``unknowns - 1``.
+    ``retrax_step_rows``; ``unknowns``, ``states``, ``controls``, ``rows``: numbers of rows. The direction stands in the
+    rows behind the memory, and derivatives along it in rows of their own, from 0 on.
     """
 
-    functions: tuple[StepFunction, StepFunction, StepFunction, StepFunction]
+    functions: tuple[StepFunction, ...]
     first: tuple[int, ...]
     unknowns: int
     states: int
     controls: int
     rows: int
 
+    def require_sound(self) -> None:
+        """Raise ``InvalidInputError`` unless all parts of the memory, and all that functions read and write, are within
+        it."""
+        m = self.unknowns
+        sizes = m, 1, self.states, m, m, m, self.states, self.controls, 1
+        if m < 1 or any(not 0 <= row <= self.rows - size for row, size in zip(self.first, sizes, strict=True)):
+            raise InvalidInputError(
+                f"parts of {sizes} rows in a memory of {self.rows} rows, got the first rows {self.first}"
+            )
+        for k, (program, *both) in enumerate(self.functions):
+            ends = (self.rows + m, m) if k == PUSH else (self.rows, self.rows)
+            for rows, count, end in zip(both, program.sizes, ends, strict=False):
+                if len(rows) != count or (count and not (rows.min() >= 0 and rows.max() < end)):
+                    raise InvalidInputError(f"function {k} of a step has {count} rows from 0 to {end - 1}, got {rows}")
+
+    def places(self, k: int, lanes: int) -> tuple[np.ndarray, np.ndarray]:
+        """Where the lanes of what a function reads and writes begin, and how far the next lane is."""
+        _, reads, writes = self.functions[k]
+        points, apart = self.points(lanes)[k], 1 if lanes > 1 or k != PUSH else 0
+        steps = np.where(reads < self.rows, apart, 1)
+        begins = np.where(reads < self.rows, lanes * reads, lanes * self.rows + points * (reads - self.rows))
+        ends = lanes * writes * (self.unknowns if k == PUSH else 1)
+        pairs = (begins, steps), (ends, np.ones_like(ends))
+        sources, targets = (np.ascontiguousarray(np.stack(pair, axis=1), PLACE) for pair in pairs)
+        return sources, targets
+
+    def points(self, lanes: int) -> tuple[int, int, int, int]:
+        """The numbers of points at which the functions are evaluated."""
+        return lanes, lanes, self.unknowns if lanes == 1 else lanes, lanes
+
 
 @final
 class Integration:
-    """Trajectories that begin together.
+    """Trajectories that begin together, and what the core keeps from step to step.
 
     ``carry``, shape ``(states + substeps * controls, T)``: states, and controls of the last step; ``step_sizes``, shape
     ``(T,)``; ``parts``: those of a step that its substeps are; ``inverse``: the inverse Jacobian of small steps, or
-    None; ``kept``: the rows of the carry that are recorded, the last ones. ``failed``: -1 or the step at which a
+    None; ``recorded``: rows of the carry that are recorded, the last ones. ``failed``: -1 or the step at which a
     trajectory has stopped.
     """
 
@@ -74,104 +103,70 @@ class Integration:
         step_sizes: np.ndarray,
         parts: np.ndarray,
         inverse: np.ndarray | None,
-        kept: int,
+        recorded: int,
     ) -> None:
-        count, m, substeps = len(step_sizes), method.unknowns, len(parts)
+        count, substeps, m = len(step_sizes), len(parts), method.unknowns
         shape = method.states + substeps * method.controls, count
-        self.blocks = math.ceil(count / MOST_LANES)
-        self.lanes = 1 if count == 1 else VECTOR * math.ceil(count / (self.blocks * VECTOR))
-        self.blocks = math.ceil(count / self.lanes)
-        self.carry, self.failed, self._method = carry, np.full(count, -1), method
-        steady = np.empty((self.blocks, substeps, m, m, self.lanes)), np.full((self.blocks, substeps), np.inf)
-        differences = np.zeros((self.blocks, substeps, ORDERS, m, self.lanes))
-        self._arrays = step_sizes, parts, inverse, *steady, differences
-        if not 0 <= kept <= shape[0]:
-            raise InvalidInputError(f"{shape[0]} rows are carried, got {kept} that are kept")
-        self._kept = kept
+        if not (count and substeps and 0 <= recorded <= shape[0]):
+            raise InvalidInputError(f"{count} trajectories with {substeps} substeps, {recorded} of {shape[0]} rows kept")
+        method.require_sound()
+        blocks = math.ceil(count / MOST_LANES)
+        self._lanes = 1 if count == 1 else VECTOR * math.ceil(count / (blocks * VECTOR))
+        self._blocks = blocks = math.ceil(count / self._lanes)
+        self.failed, self.kept, self._method = np.full(count, -1, PLACE), carry[len(carry) - recorded :], method
+        inverses, spent = np.empty((blocks, substeps, m, m, self._lanes)), np.full((blocks, substeps), np.inf)
+        differences = np.zeros((blocks, substeps, ORDERS, m, self._lanes))
+        places = [method.places(k, self._lanes) for k in range(len(method.functions))]
+        self._arrays = step_sizes, carry, inverses, spent, differences, parts, inverse, places  # C reads them
         self._struct = IntegrationStruct(
             count,
             address_of(step_sizes, FLOAT, (count,), "step sizes"),
             address_of(carry, FLOAT, shape, "states of trajectories"),
             address_of(self.failed, PLACE, (count,), "failed steps"),
-            *(address_of(a, FLOAT, a.shape, "what is kept from step to step") for a in (*steady, differences)),
+            *(address_of(a, FLOAT, a.shape, "what is kept from step to step") for a in (inverses, spent, differences)),
+            kept=recorded,
         )
-        self._places = [self._places_of(k, own) for k, own in enumerate(method.functions)]
-        self._shared = MethodStruct(
-            self.lanes,
+        self._steps = MethodStruct(
+            self._lanes,
             substeps,
-            m,
-            method.states,
-            method.controls,
-            method.rows,
-            (c_ssize_t * STEP_ROWS)(*self._first()),
+            *(m, method.states, method.controls, method.rows),
+            (c_ssize_t * STEP_ROWS)(*method.first),
             address_of(parts, FLOAT, (substeps,), "parts of a step"),
             None if inverse is None else address_of(inverse, FLOAT, (m, m), "inverse Jacobian of small steps"),
         )
-        for k, (sources, targets) in enumerate(self._places):
-            self._shared.sources[k], self._shared.targets[k] = (
-                address_of(own, PLACE, own.shape, "places of a step") for own in (sources, targets)
-            )
-
-    def _first(self) -> tuple[int, ...]:
-        """The first rows; raises unless each part of the memory is within it."""
-        own, m = self._method, self._method.unknowns
-        sizes = m, 1, own.states, m, m, m, own.states, own.controls, 1
-        if m < 1 or any(not 0 <= row <= own.rows - size for row, size in zip(own.first, sizes, strict=True)):
-            raise InvalidInputError(f"parts of {sizes} rows of a memory of {own.rows} rows, got first rows {own.first}")
-        return own.first
-
-    @property
-    def _points(self) -> tuple[int, int, int, int]:
-        """The numbers of points at which the functions are evaluated."""
-        lanes = self.lanes
-        return lanes, lanes, self._method.unknowns if lanes == 1 else lanes, lanes
-
-    def _places_of(self, k: int, function: StepFunction) -> tuple[np.ndarray, np.ndarray]:
-        """The places of the lanes of what a function reads and writes; raises unless these are in its memory."""
-        own, lanes, (program, reads, writes) = self._method, self.lanes, function
-        points, push = self._points[k], k == PUSH
-        behind, written = (own.rows + own.unknowns, own.unknowns) if push else (own.rows, own.rows)
-        inputs, outputs, _ = program.sizes
-        for of, rows, many, end in (("reads", reads, inputs, behind), ("writes", writes, outputs, written)):
-            if len(rows) != many or (rows.size and not (rows.min() >= 0 and rows.max() < end)):
-                raise InvalidInputError(f"a function of a step {of} {many} rows from 0 to {end - 1}, got {rows}")
-        beyond, end = reads >= own.rows, own.rows * lanes
-        places = np.where(beyond, end + (reads - own.rows) * points, reads * lanes)
-        sources = np.stack([places, np.where(beyond | (lanes > 1) | (not push), 1, 0)], axis=1).astype(PLACE)
-        targets = np.stack([writes * lanes * (own.unknowns if push else 1), np.ones_like(writes)], axis=1).astype(PLACE)
-        return sources, targets
+        for k, pair in enumerate(places):
+            addresses = (address_of(own, PLACE, own.shape, "places of a step") for own in pair)
+            self._steps.sources[k], self._steps.targets[k] = addresses
 
     def run(self, done: int, steps: int, phase: int, every: int) -> np.ndarray:
-        """Make more steps and return the rows that are kept after each group of ``every`` steps.
+        """Make more steps, and return the rows that are recorded after each group of ``every`` steps.
 
         ``done``: steps made before, of which ``phase`` belong to the first group.
         """
         if done < 0 or steps < 0 or not 0 <= phase < every:
-            raise InvalidInputError(f"numbers of steps, got {done}, {steps}, {phase} and {every}")
-        record = np.zeros((-(-(phase + steps) // every), self._kept, len(self.failed)))
+            raise InvalidInputError(f"numbers of steps, and those of a group, got {done}, {steps}, {phase}, {every}")
+        record = np.zeros((math.ceil((phase + steps) / every), *self.kept.shape))
         own = self._struct
-        own.done, own.steps, own.phase, own.every, own.kept = done, steps, phase, every, self._kept
+        own.done, own.steps, own.phase, own.every = done, steps, phase, every
         own.record = address_of(record, FLOAT, record.shape, "record")
-        in_threads(self._share, self.blocks, math.inf)
+        in_threads(self._advance, self._blocks, math.inf)
         return record
 
-    def _share(self, blocks: range) -> None:
+    def _advance(self, blocks: range) -> None:
         """Make the steps of some blocks of lanes, with registers and memory of this thread."""
-        core, own = library(), MethodStruct.from_buffer_copy(self._shared)
+        core, own = library(), MethodStruct.from_buffer_copy(self._steps)
         programs = [function.program for function in self._method.functions]
-        many = [1 if points == 1 else program.lanes(points) for program, points in zip(programs, self._points, strict=True)]
-        registers = max(program.sizes[2] * lanes for program, lanes in zip(programs, many, strict=True))
+        points = self._method.points(self._lanes)
+        lanes = [1 if count == 1 else program.lanes(count) for program, count in zip(programs, points, strict=True)]
+        registers = max(program.sizes[-1] * count for program, count in zip(programs, lanes, strict=True))
         size = core.retrax_integration_workspace(byref(own))
         if not size:
-            raise InvalidInputError("the memory of a step does not fit the address space")
-        shared, workspace = scratch(((registers,), (size // BYTES,)))
-        begin, room = (address_of(a, FLOAT, a.shape, "memory of a step") for a in (shared, workspace))
-        evaluate, own_set = cast(core.retrax_evaluate_tape, c_void_p).value, best_instruction_set()
-        tapes = [
-            TapeFunctionStruct(pointer(program.tape), begin, lanes, own_set)
-            for program, lanes in zip(programs, many, strict=True)
-        ]
-        for k in range(STEP_FUNCTIONS):
+            raise InvalidInputError("the memory of a step exceeds the address space")
+        rooms = scratch(((registers,), (size // BYTES,)))
+        begin, workspace = (address_of(room, FLOAT, room.shape, "memory of a step") for room in rooms)
+        evaluate, best = cast(core.retrax_evaluate_tape, c_void_p).value, best_instruction_set()
+        tapes = []  # C reads them
+        for k, (program, count) in enumerate(zip(programs, lanes, strict=True)):
+            tapes.append(TapeFunctionStruct(pointer(program.tape), begin, count, best))
             own.functions[k] = FunctionStruct(evaluate, addressof(tapes[k]))
-        core.retrax_integrate(byref(own), byref(self._struct), blocks.start, blocks.stop, room)
-
+        core.retrax_integrate(byref(own), byref(self._struct), blocks.start, blocks.stop, workspace)
