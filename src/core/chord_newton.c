@@ -94,7 +94,7 @@ static void choose_pivots(const retrax_lanes *own, retrax_index k) {
         const double weight = weights[best * L + j];
         weights[best * L + j] = weights[k * L + j];
         weights[k * L + j] = weight;
-        const double pivot = a[(best * m + k) * L + j];
+        const double entry = a[(best * m + k) * L + j], pivot = isfinite(entry) ? entry : NAN; /* else no step is left */
         for (retrax_index i = 0; i < m; i++) {
             const double held = i == k ? 1.0 : a[(best * m + i) * L + j];
             a[(best * m + i) * L + j] = a[(k * m + i) * L + j];
