@@ -10,7 +10,6 @@ import pytest
 from retrax.integrators import (
     KAHAN_LI_6,
     Composition,
-    Flow,
     PresymplecticIntegrator,
     Result,
     SymplecticIntegrator,

@@ -108,7 +108,9 @@ class Integration:
         count, substeps, m = len(step_sizes), len(parts), method.unknowns
         shape = method.states + substeps * method.controls, count
         if not (count and substeps and 0 <= recorded <= shape[0]):
-            raise InvalidInputError(f"{count} trajectories with {substeps} substeps, {recorded} of {shape[0]} rows kept")
+            raise InvalidInputError(
+                f"{count} trajectories with {substeps} substeps, {recorded} of {shape[0]} rows kept"
+            )
         method.require_sound()
         blocks = math.ceil(count / MOST_LANES)
         self._lanes = 1 if count == 1 else VECTOR * math.ceil(count / (blocks * VECTOR))
