@@ -13,7 +13,7 @@ from numba import extending, types
 from numba.core import cgutils
 
 from ..kernels import kernel, kernel_part
-from ..linked import view
+from ..linked import array, view
 from .emitted import EMITTED, operands_of, spread
 from .instructions import CODES, NAMES, OPERANDS
 from .program import VECTOR, Program
@@ -31,6 +31,10 @@ MEMORY = 2**17  # registers of all lanes, few enough for the near caches
     ERF, SINH, COSH, TANH, ASINH, ACOSH, ATANH, LOG1P, EXPM1,
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
+
+# What ``run`` is compiled for.
+_PROGRAM, _NUMBERS, _PLACES = (array(1, types.uint8), array(2, types.uint32), array(1)), array(1), array(2, types.int64)
+RUN = types.void(*_PROGRAM, _NUMBERS, _PLACES, _NUMBERS, _PLACES, array(2), types.int64, types.int64)
 
 # Numba's own types do not know that it passes an intrinsic its first argument itself.
 _intrinsic: Any = extending.intrinsic
