@@ -7,7 +7,6 @@
 
 #include <float.h>
 #include <math.h>
-#include <stdbool.h>
 #include <string.h>
 
 /* Chord steps with one Jacobian, and Jacobians of one substep. */
@@ -209,8 +208,7 @@ static void compute_step(const retrax_lanes *own, double moves, bool turns) {
 /* Decides of a lane that goes on whether its Newton step is taken, whether it has converged, and whether it goes on. */
 static void judge(const retrax_lanes *own, retrax_index j, retrax_index n, bool exact) {
     const double step = own->length[j], ratio = step / (n == 0 ? INFINITY : own->step[j]);
-    /* What further steps take away; near rounding, where steps shrink as they like, another one takes less time than a
-     * Jacobian. */
+    /* What further steps take away. Near rounding steps shrink as they like, and take less time than a Jacobian. */
     const double shrinks = n == 0 ? (exact ? LARGEST_CURVATURE * step : 1.0) : (n == 1 ? sqrt(ratio) : ratio);
     const bool stalled = step <= QUADRATIC && ratio > STALLED && n > 0;
     const bool done = step * (shrinks < 1.0 ? shrinks : 1.0) <= SMALLEST || stalled;
@@ -349,6 +347,22 @@ static void compare_prediction(const retrax_lanes *own) {
     }
 }
 
+/* Counts the chord steps that old inverse Jacobians have cost, and renews them where new ones cost less. `renewed`: how
+ * often that was done for this step. */
+static void weigh_inverses(const retrax_lanes *own, int renewed) {
+    double most = 0.0;
+    for (retrax_index j = 0; j < own->lanes; j++) {
+        most = own->good[j] != 0.0 && own->chords[j] > most ? own->chords[j] : most;
+    }
+    *own->spent += most > PATIENCE ? most - PATIENCE : 0.0;
+    if (renewed > 0) {
+        *own->spent = renewed == 1 ? 0.0 : INFINITY; /* what is solved with difficulty says little of the next step */
+    } else if (*own->spent > PUSH_COST * (double)own->unknowns) {
+        renew(own);
+        *own->spent = 0.0;
+    }
+}
+
 void retrax_solve_substep(const retrax_lanes *own) {
     const retrax_index L = own->lanes, m = own->unknowns;
     const double *const small = own->method->small_step_inverse, *const sizes = retrax_rows_of(own, RETRAX_ROWS_SIZES);
@@ -382,16 +396,5 @@ void retrax_solve_substep(const retrax_lanes *own) {
     }
     place(own, 0.0, false);
     compare_prediction(own);
-    double most = 0.0;
-    for (retrax_index j = 0; j < L; j++) {
-        most = own->good[j] != 0.0 && own->chords[j] > most ? own->chords[j] : most;
-    }
-    *own->spent += most > PATIENCE ? most - PATIENCE : 0.0;
-    if (renewed > 0) {
-        *own->spent = renewed == 1 ? 0.0 : INFINITY; /* what is solved with difficulty says little of the next step */
-    } else if (*own->spent > PUSH_COST * (double)m) {
-        renew(own);
-        *own->spent = 0.0;
-    }
+    weigh_inverses(own, renewed);
 }
-

@@ -200,10 +200,26 @@ static void end(journey *found) {
     free(found->own.differences);
 }
 
+/* Whether a step of trajectory t solves its equations. */
+static int is_solved(const system_of *system, const retrax_integration *own, const double *before, retrax_index t) {
+    const retrax_index m = system->m, T = own->trajectories;
+    const double h = own->step_sizes[t];
+    double c[LARGEST];
+    int solved = 1;
+    for (retrax_index i = 0; i < m; i++) {
+        c[i] = own->carry[i * T + t];
+    }
+    for (retrax_index i = 0; i < m; i++) {
+        const double was = before[i * T + t], missed = c[i] - was - h * slope_of(system, c, NULL, i);
+        solved = solved && fabs(missed) <= 1e-10 * parts_of(system, c, was, h, i);
+    }
+    return solved;
+}
+
 /* Makes steps, block by block; returns 0, or the number of a rule that is broken. */
 static int advance(built *method, journey *found, const system_of *system, retrax_index steps) {
     retrax_integration *const own = &found->own;
-    const retrax_index T = own->trajectories, L = method->method.lanes, count = own->kept * T, m = system->m;
+    const retrax_index T = own->trajectories, L = method->method.lanes, count = own->kept * T;
     own->steps = steps;
     own->record = numbers((own->phase + steps + own->every - 1) / own->every * count);
     double *const before = numbers(count);
@@ -229,15 +245,8 @@ static int advance(built *method, journey *found, const system_of *system, retra
             broken = memcmp(&is, &last, sizeof is) != 0 ? 3 : broken;
             broken = failed >= 0 && failed <= own->done && memcmp(&is, &was, sizeof is) != 0 ? 4 : broken;
         }
-        for (retrax_index i = 0; i < m && steps == 1 && failed < 0 && method->method.substeps == 1; i++) {
-            double c[LARGEST];
-            for (retrax_index a = 0; a < m; a++) {
-                c[a] = own->carry[a * T + t];
-            }
-            const double h = found->step_sizes[t], was = before[i * T + t];
-            const double missed = c[i] - was - h * slope_of(system, c, NULL, i);
-            broken = fabs(missed) <= 1e-10 * parts_of(system, c, was, h, i) ? broken : 5;
-        }
+        const int one = steps == 1 && failed < 0 && method->method.substeps == 1;
+        broken = !one || is_solved(system, own, before, t) ? broken : 5;
     }
     own->done += steps;
     own->phase = (own->phase + steps) % own->every;

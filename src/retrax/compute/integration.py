@@ -113,12 +113,12 @@ class Integration:
             )
         method.require_sound()
         blocks = math.ceil(count / MOST_LANES)
-        self._lanes = 1 if count == 1 else VECTOR * math.ceil(count / (blocks * VECTOR))
-        self._blocks = blocks = math.ceil(count / self._lanes)
-        self.failed, self.kept, self._method = np.full(count, -1, PLACE), carry[len(carry) - recorded :], method
-        inverses, spent = np.empty((blocks, substeps, m, m, self._lanes)), np.full((blocks, substeps), np.inf)
-        differences = np.zeros((blocks, substeps, ORDERS, m, self._lanes))
-        places = [method.places(k, self._lanes) for k in range(len(method.functions))]
+        self._lanes = lanes = 1 if count == 1 else VECTOR * math.ceil(count / (blocks * VECTOR))
+        self._blocks = blocks = math.ceil(count / lanes)
+        self.failed, self.kept, self._method = np.full(count, -1, PLACE), carry[shape[0] - recorded :], method
+        inverses, spent = np.empty((blocks, substeps, m, m, lanes)), np.full((blocks, substeps), np.inf)
+        differences = np.zeros((blocks, substeps, ORDERS, m, lanes))
+        places = [method.places(k, lanes) for k in range(len(method.functions))]
         self._arrays = step_sizes, carry, inverses, spent, differences, parts, inverse, places  # C reads them
         self._struct = IntegrationStruct(
             count,
@@ -128,17 +128,13 @@ class Integration:
             *(address_of(a, FLOAT, a.shape, "what is kept from step to step") for a in (inverses, spent, differences)),
             kept=recorded,
         )
-        self._steps = MethodStruct(
-            self._lanes,
-            substeps,
-            *(m, method.states, method.controls, method.rows),
-            (c_ssize_t * STEP_ROWS)(*method.first),
-            address_of(parts, FLOAT, (substeps,), "parts of a step"),
-            None if inverse is None else address_of(inverse, FLOAT, (m, m), "inverse Jacobian of small steps"),
-        )
+        fractions = address_of(parts, FLOAT, (substeps,), "parts of a step")
+        small = None if inverse is None else address_of(inverse, FLOAT, (m, m), "inverse Jacobian of small steps")
+        sizes = m, method.states, method.controls, method.rows
+        self._steps = MethodStruct(lanes, substeps, *sizes, (c_ssize_t * STEP_ROWS)(*method.first), fractions, small)
         for k, pair in enumerate(places):
-            addresses = (address_of(own, PLACE, own.shape, "places of a step") for own in pair)
-            self._steps.sources[k], self._steps.targets[k] = addresses
+            own = (address_of(array, PLACE, array.shape, "places of a step") for array in pair)
+            self._steps.sources[k], self._steps.targets[k] = own
 
     def run(self, done: int, steps: int, phase: int, every: int) -> np.ndarray:
         """Make more steps, and return the rows that are recorded after each group of ``every`` steps.
