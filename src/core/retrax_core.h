@@ -44,7 +44,7 @@ extern "C" {
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Version of the interface below; it changes whenever a struct or a function does. */
-#define RETRAX_CORE_VERSION 3
+#define RETRAX_CORE_VERSION 4
 
 /* Counts and places in arrays; signed, as wide as a pointer. */
 typedef ptrdiff_t retrax_index;
@@ -758,11 +758,11 @@ typedef enum {
     RETRAX_ROWS_STATE,      /* S */
     RETRAX_ROWS_FIRST,      /* m: prediction of the unknowns */
     RETRAX_ROWS_SIZES,      /* m: natural sizes of the unknowns, more than 0 */
-    RETRAX_ROWS_RESIDUAL, /* m */
+    RETRAX_ROWS_RESIDUAL,   /* m */
     RETRAX_ROWS_NEXT_STATE, /* S */
     RETRAX_ROWS_CONTROL,    /* U */
     RETRAX_ROWS_USABLE,     /* 1: 0 where the end of a substep is not what its equations mean, or not finite */
-    RETRAX_STEP_ROWS   /* number of parts */
+    RETRAX_STEP_ROWS        /* number of parts */
 } retrax_step_rows;
 
 /* An implicit method; all arrays belong to the caller and are only read.

@@ -10,6 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from retrax.compute.core import HEADER_VERSION
 
 ROOT = Path(__file__).parents[2]
 SDIST = "import backend, sys; print(backend.build_sdist(sys.argv[1]))"
@@ -45,6 +46,6 @@ def test_without_a_compiler_pip_builds_the_core_from_the_source_distribution(tmp
     assert "-abi3-" in wheel.name
     assert (tmp_path / library).stat().st_size < 500_000
     core = ctypes.CDLL(tmp_path / library)
-    assert core.retrax_core_version() == 1
+    assert core.retrax_core_version() == HEADER_VERSION
     core.retrax_tape_instruction_name.restype = ctypes.c_char_p
     assert core.retrax_tape_instruction_name(4) == b"MUL_ADD"

@@ -25,7 +25,7 @@ from ..errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-HEADER_VERSION = 3  # of the header that the structs below repeat
+HEADER_VERSION = 4  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -432,15 +432,15 @@ def library() -> ctypes.CDLL:
             "pip install --force-reinstall --no-deps retrax"
         )
     found = ctypes.CDLL(spec.origin)
-    for name, (result, arguments) in _SIGNATURES.items():
-        function = getattr(found, name)
-        function.restype, function.argtypes = result, arguments
     if found.retrax_core_version() != HEADER_VERSION:
         raise MissingCoreError(
             f"the compiled core has version {found.retrax_core_version()} of its interface, expected "
             f"{HEADER_VERSION}; try: "
             "pip install --force-reinstall --no-deps retrax"
         )
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(found, name)
+        function.restype, function.argtypes = result, arguments
     return found
 
 
