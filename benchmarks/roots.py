@@ -28,19 +28,11 @@ import numpy as np
 import optimistix
 from retrax.compute import automatic, jit_cache
 from retrax.integrators import Flow
-from retrax.integrators.initial_value.inverse_kernels import invert
-from retrax.kernels import kernel
 from retrax.manifolds.numerics.chord_newton import row_sizes
 from retrax.tracing import Tracing, resume_tracing
 from root_equations import CASES, COUNT, SYSTEMS, pose_step, states
 
 jax.config.update("jax_enable_x64", True)
-
-
-@kernel()
-def inverted(a, sizes):
-    """The part of the kernels that inverts, alone."""
-    invert(a, sizes)
 
 
 OURS = "retrax"
@@ -265,7 +257,7 @@ def size(case):
 
 
 def trajectories(name, seconds, compilations):
-    """Whole trajectories: ours by compiled kernels, and loops under XLA around its own solver and those of
+    """Whole trajectories: ours by the compiled core, and loops under XLA around its own solver and those of
     optimistix."""
     system, integrator = SYSTEMS[name]
     starts = states(integrator)
@@ -292,11 +284,11 @@ def trajectories(name, seconds, compilations):
         flow.integrate(taken(starts, 0), STEP, STEPS, save_every=STEPS)
         first.append(time.perf_counter() - began)
     calls = {
-        1: {"compiled kernels": lambda: flow.integrate(taken(starts, 0), STEP, STEPS, save_every=STEPS)},
-        COUNT: {"compiled kernels": lambda: flow.integrate_many(starts, STEP, STEPS, save_every=STEPS)},
+        1: {"compiled core": lambda: flow.integrate(taken(starts, 0), STEP, STEPS, save_every=STEPS)},
+        COUNT: {"compiled core": lambda: flow.integrate_many(starts, STEP, STEPS, save_every=STEPS)},
     }
     ends = flow.integrate_many(starts, STEP, STEPS, save_every=STEPS)
-    rows = {"compiled kernels": {"first call, s": round(statistics.median(first), 3)}}
+    rows = {"compiled core": {"first call, s": round(statistics.median(first), 3)}}
     for solver in (OURS, "Newton", "Chord"):
         run = partial(steps, solver)
         batch, _ = prepared(jax.vmap(run, (0, None)), (starts, 0.0))
@@ -312,11 +304,11 @@ def trajectories(name, seconds, compilations):
         calls[COUNT][solver] = partial(batch, starts, tolerance)
     warm = {count: seconds_of(sides, seconds) for count, sides in calls.items()}
     for solver, row in rows.items():
-        label = {"compiled kernels": f"{OURS}: compiled kernels", OURS: f"{OURS}: find_root"}.get(solver, solver)
+        label = {"compiled core": f"{OURS}: compiled kernels", OURS: f"{OURS}: find_root"}.get(solver, solver)
         row = {"trajectory": name, "solver": label, "tolerance": None, "apart": 0.0} | row
         for count, times in warm.items():
             row[f"microseconds a step, {count}"] = round(1e6 * times[solver] / STEPS / count, 3)
-            row[f"over ours, {count}"] = round(times[solver] / times["compiled kernels"], 2)
+            row[f"over ours, {count}"] = round(times[solver] / times["compiled core"], 2)
         yield row
 
 
@@ -354,11 +346,6 @@ def linear_solves(n, seconds, compilations):
         rows[name] = {"residual": float(jnp.median(left / jnp.max(jnp.abs(b), axis=1)))}
         rows[name]["compilation, s"] = round(float(np.median([np.sum(parts) for _, parts in single])), 4)
         calls[1][name], calls[COUNT][name] = partial(single[-1][0], a[0], b[0]), partial(batch, a, b)
-    last, sizes = np.ascontiguousarray(np.moveaxis(np.asarray(a), 0, -1)), np.ones((n, COUNT))
-    inverses = "retrax: inverses of the kernels"
-    calls[COUNT][inverses] = lambda: inverted(last.copy(), sizes)
-    calls[1][inverses] = lambda: inverted(last[..., :1].copy(), sizes[:, :1])
-    rows[inverses] = {"residual": None, "compilation, s": None}
     warm = {count: seconds_of(sides, seconds) for count, sides in calls.items()}
     for name, row in rows.items():
         for count, times in warm.items():

@@ -16,7 +16,7 @@ LATER = {
     **dict.fromkeys(
         (
             *(f"src/retrax/{name}.py" for name in ("aligned", "kernels", "linked")),
-            *(f"src/retrax/tape/{name}.py" for name in ("emitted", "machine", "native", "often", "transfers")),
+            *(f"src/retrax/tape/{name}.py" for name in ("emitted", "native", "often", "transfers")),
         ),
         "goes with Numba",
     ),

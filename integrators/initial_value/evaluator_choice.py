@@ -7,7 +7,6 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import working_precision
-from ...optional import WITHOUT_NUMBA, numba_is_there
 from ...tracing import one_tracing
 from ...undisturbed import undisturbed
 from .integrator import Integrator
@@ -45,8 +44,6 @@ def _trace_steps(system: Any, integrator: Integrator) -> "TracedSteps | str":
     reason = _obstacle(system, integrator)
     if reason:
         return reason
-    if not numba_is_there():
-        return WITHOUT_NUMBA
     from ...tape import NotTraceableError
     from ...tape.instructions import UnknownInstructionError
 

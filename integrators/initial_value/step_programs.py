@@ -1,20 +1,20 @@
 """The equations of a step as programs of scalar instructions, and where in one memory they read and write."""
 
 from collections.abc import Hashable
-from dataclasses import replace
-from typing import Any, NamedTuple, Self, final
+from typing import Any
 
 import casadi as ca
 import jax
 import numpy as np
 
+from ...compute.integration import StepFunction, StepMethod
 from ...compute.program_digest import content_key
+from ...compute.tape_machine import MachineProgram
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape
 from ...tape.graph import changed, symbols_in
 from ...tape.instructions import CODES
-from ...tape.often import Often
 from ...tape.program import Program, assembled
 from ...tape.trace import flat
 from ..stages import Stage
@@ -53,99 +53,20 @@ def unpack(array: np.ndarray, like: Any) -> Any:
     return jax.tree.unflatten(structure, found)
 
 
-# Parts of the memory, whose first rows are ``StepPrograms.places``: what programs read and write; what loops keep
-# there; sizes.
-MEMORY_PLACES = (
-    *("c", "h", "state", "first", "sizes", "residual", "direction", "pushed", "new", "control", "finite"),
-    *("scaled", "change", "step", "length", "taken", "chords", "going", "converged", "good", "fresh"),
-    *("count", "states", "controls"),
-)
+# Parts of the memory of a step, in the order of ``retrax_step_rows``.
+MEMORY_PARTS = "c", "h", "state", "first", "sizes", "residual", "new", "control", "finite"
 
 
-class InRows(NamedTuple):
-    """A program, and the rows of a memory that it reads and writes."""
-
-    program: Program
-    read: np.ndarray
-    written: np.ndarray
-
-    @classmethod
-    def of(cls, program: Program, read: np.ndarray, written: np.ndarray) -> Self:
-        """The program without the inputs that it does not need."""
-        here, values = program.codes == CODES["INPUT"], program.values.copy()
-        used, values[here] = np.unique(values[here].astype(int), return_inverse=True)
-        return cls(replace(program, values=values, inputs=len(used)), read[used], written)
-
-    def at(self, first: int, last: int) -> Program:
-        """The program with its rows moved behind ``first`` rows that are read and ``last`` rows that are written."""
-        p = self.program
-        values, registers = p.values.copy(), p.registers.copy()
-        for word, whole, table, operand, begin in (
-            ("INPUT", "READ", self.read, 1, first), ("OUTPUT", "WRITE", self.written, 0, last)
-        ):  # fmt: skip
-            here = p.codes == CODES[word]
-            registers[here, operand] = table[values[here].astype(int)]  # for ``run_one``
-            registers[here, 2] = 0  # none of them stand beside each other
-            values[here] += begin
-            registers[p.codes == CODES[whole], 2] = begin
-        return replace(p, values=values, registers=registers)
-
-
-@final
-class PackedPrograms:
-    """Programs in one list, with the ``ranges`` of each, and of the rows that they read and write.
-
-    ``registers``: how many they need; ``native``: whether they call machine code.
-    """
-
-    def __init__(self, programs: list[InRows]) -> None:
-        self.reads, self.writes = (np.concatenate([getattr(p, k) for p in programs]) for k in ("read", "written"))
-        sizes = np.array([[len(p.codes), len(read), len(written)] for p, read, written in programs])
-        cuts = np.concatenate([np.zeros((1, 3), int), np.cumsum(sizes, axis=0)])
-        placed = [own.at(*first) for own, first in zip(programs, cuts[:, 1:].tolist(), strict=False)]
-        self.codes, self.operands, self.values = (
-            np.concatenate([getattr(p, name) for p in placed]) for name in ("codes", "registers", "values")
-        )
-        self.ranges = np.stack([cuts[:-1, 0], cuts[1:, 0]], axis=1)
-        self.registers = max(p.size for p in placed)
-        self.engines = [p.engine for p in placed]  # these keep machine code alive
-
-    @property
-    def native(self) -> bool:
-        return self.engines[0] is not None
-
-
-@final
-class StepPrograms(Often):
-    """The programs of a step, ``prepare``, ``residual``, ``push`` and ``end``.
-
-    ``places``: the first rows of what is in the memory, and the numbers of unknowns, of numbers in a state, and of
-    controls; ``rows``: how many the memory has; ``code``: what the machine runs.
-    """
-
-    def __init__(self, programs: list[InRows], places: np.ndarray, rows: int) -> None:
-        super().__init__()
-        self.places, self.rows, self._programs = places, rows, programs
-        self.code = PackedPrograms(programs)
-
-    @property
-    def instructions(self) -> int:
-        return len(self.code.codes)
-
-    def compile(self) -> None:
-        if not self.code.native:
-            from ...tape.native import native
-
-            self.code = PackedPrograms([own._replace(program=native(own.program)) for own in self._programs])
-
-    @property
-    def unknowns(self) -> int:
-        """Number of unknowns of a step."""
-        return int(self.places[MEMORY_PLACES.index("count")])
+def _on_core(program: Program, read: np.ndarray, written: np.ndarray) -> StepFunction:
+    """A program between rows of a memory, without the inputs that it does not need."""
+    here, values = program.codes == CODES["INPUT"], program.values.copy()
+    used, values[here] = np.unique(values[here].astype(int), return_inverse=True)
+    own = MachineProgram(program.codes, program.registers, values, len(used), program.outputs, program.size)
+    return StepFunction(own, read[used], written)
 
 
 MOST_KNOWN = 64
-_known: dict[Hashable, StepPrograms] = {}  # by digests of what was traced, with all values read then; oldest first
+_known: dict[Hashable, StepMethod] = {}  # by digests of what was traced, with all values read then; oldest first
 
 
 class _Memory:
@@ -159,9 +80,8 @@ class _Memory:
         return np.arange(self.rows - count, self.rows)
 
 
-def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Ambient, substeps: int) -> StepPrograms:
-    """The programs of the steps of an integrator with a stage, from examples ``y``, ``q``, ``p`` of unknowns and a
-    state.
+def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Ambient) -> StepMethod:
+    """The programs of a step of an integrator with a stage, from examples ``y``, ``q``, ``p`` of unknowns and a state.
 
     Raises ``NotTraceableError`` where the equations cannot be written as scalar instructions.
     """
@@ -184,11 +104,11 @@ def step_programs(integrator: Integrator, system: Any, y: Any, q: Ambient, p: Am
     parts = {"c": c, "h": h, "y": y, "q": q, "p": p, **chart._asdict()}
     calls = first, flat(residual, c, h, q, p, chart), flat(end, c, h, q, chart)
     digests = [content_key(call.jaxpr) for call in calls]
-    key = (*digests, substeps, *map(rows, parts.values()))
+    key = (*digests, *map(rows, parts.values()))
     if key not in _known:
         before, middle, after = map(Tape.read, calls)
         control = rows(calls[2].zeros()[3])
-        found = _lay_out((before, middle, middle.push(0), after), parts, [*chart._fields], control, substeps)
+        found = _lay_out((before, middle, middle.push(0), after), parts, [*chart._fields], control)
         if None in digests:
             return found
         if len(_known) >= MOST_KNOWN:
@@ -207,18 +127,16 @@ def _stage(integrator: Integrator, system: Any, h: Any) -> Stage:
     return stage
 
 
-def _lay_out(
-    tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str], controls: int, substeps: int
-) -> StepPrograms:
+def _lay_out(tapes: tuple[Tape, ...], parts: dict[str, Any], charts: list[str], controls: int) -> StepMethod:
     """The programs of the four tapes with what they read, arrays by name, and write, in rows of one memory."""
     memory = _Memory()
     at = {name: memory.take(rows(part)) for name, part in parts.items()}
     count, states = at["c"].size, sum(at[name].size for name in "yqp")
-    at |= {name: memory.take(count) for name in ("direction", "residual", "pushed", "scaled", "change")}
-    at |= {"new": memory.take(states), "control": memory.take(controls), "fresh": memory.take(substeps * controls)}
-    at |= {
-        name: memory.take(1) for name in ("finite", "step", "length", "taken", "chords", "going", "converged", "good")
-    }
+    sizes = {"residual": count, "new": states, "control": controls, "finite": 1}
+    at |= {name: memory.take(size) for name, size in sizes.items()}
+    size = memory.rows
+    at |= {"direction": memory.take(count), "pushed": np.arange(count)}
+    at |= {"state": at["y"] if at["y"].size else at["q"]}
     reads = [
         "hyqp",
         ["c", "h", "q", "p", *charts],
@@ -227,27 +145,25 @@ def _lay_out(
     ]
     writes = charts, ["residual"], ["pushed"], ["new", "control", "finite"]
     read, written = ([np.concatenate([at[name] for name in names]) for names in part] for part in (reads, writes))
-    programs = _merge(tapes, read, written, always={*at["first"].tolist(), *at["sizes"].tolist()})
-    at |= {"state": at["y"] if at["y"].size else at["q"]}
-    counts = {"count": count, "states": states, "controls": controls}
-    places = [counts[name] if name in counts else int(at[name][0]) if at[name].size else 0 for name in MEMORY_PLACES]
-    return StepPrograms(programs, np.array(places), memory.rows)
+    functions = _merge(tapes, read, written, always={*at["first"].tolist(), *at["sizes"].tolist()})
+    first = tuple(int(at[name][0]) if at[name].size else 0 for name in MEMORY_PARTS)
+    return StepMethod(functions, first, count, states, controls, size)
 
 
 def _merge(
     tapes: tuple[Tape, ...], reads: list[np.ndarray], writes: list[np.ndarray], always: set[int]
-) -> list[InRows]:
+) -> tuple[StepFunction, ...]:
     """The programs of tapes that follow each other, between these rows.
 
-    What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or
-    kernels, read.
+    What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or the
+    core, read.
     """
     values, loops = zip(*(tape.graph.scheduled([tape.outputs]) for tape in tapes), strict=True)
     prepared: list[Any] = ca.cse(values[0][0]).elements()
     first_row: dict[int, int] = {}
     again = {row: first_row.setdefault(hash(e), row) for row, e in zip(writes[0].tolist(), prepared, strict=True)}
     constant = {row: e for row, e in zip(writes[0].tolist(), prepared, strict=True) if e.is_constant()}
-    programs, needed = [], set(always)
+    functions, needed = list[StepFunction](), set(always)
     for k, (tape, read, write) in enumerate(zip(tapes[1:], reads[1:], writes[1:], strict=True), 1):
         symbols: list[Any] = tape.inputs.elements()
         by_row = dict(zip(read.tolist(), symbols, strict=True))
@@ -256,7 +172,7 @@ def _merge(
         (value,), own = changed(lambda parts, given=given: ca.substitute(parts, *given), values[k], loops[k])
         used = symbols_in([value], own)
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        programs.append(InRows.of(assembled(tape.inputs, value, own, window=None), read, write))
+        functions.append(_on_core(assembled(tape.inputs, value, own, window=None), read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
     first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), loops[0], window=None)
-    return [InRows.of(first, reads[0], writes[0][kept]), *programs]
+    return _on_core(first, reads[0], writes[0][kept]), *functions

@@ -1,6 +1,5 @@
 """The steps of trajectories as programs on the machine of tapes: nothing is compiled for a system."""
 
-import math
 import time
 from functools import partial
 from typing import Any, final
@@ -8,8 +7,8 @@ from typing import Any, final
 import jax
 import numpy as np
 
+from ...compute.integration import Integration
 from ...compute.jit_cache import call_compiled
-from ...compute.threads import in_threads
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import NotTraceableError, Tape
 from ...tape.trace import flat
@@ -17,9 +16,6 @@ from .integrator import Integrator
 from .interruptible_loop import Steps
 from .step_programs import pack, rows, step_programs, unpack
 from .xla_steps import Nodes
-
-EVALUATIONS = 4  # of the equations of a step
-FEW_TRAJECTORIES = 6  # trajectories that are faster one after the other than on lanes side by side
 
 
 @final
@@ -30,9 +26,7 @@ class TracedSteps:
     """
 
     def __init__(self, system: Any, integrator: Integrator) -> None:
-        from . import step_kernels
-
-        self.kernels, self.system, (self.single, self.parts) = step_kernels, system, integrator.substeps()
+        self.system, (self.single, self.parts) = system, integrator.substeps()
         ambient = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), integrator.manifold.ambient)
         begun = flat(self._begun, (ambient, ambient))
         try:
@@ -42,9 +36,10 @@ class TracedSteps:
         self.like = begun.zeros()
         self.control = self.single.control(self.like[0])
         y, q, p = self.like
-        self.programs = step_programs(self.single, system, y, q, p, self.parts.size)
+        self.method = step_programs(self.single, system, y, q, p)
         stage = self.single.stage(system, 1.0)
-        self.inverse = None if stage is None else stage.small_step_inverse()
+        inverse = None if stage is None else stage.small_step_inverse()
+        self.inverse = None if inverse is None else np.array(inverse, float)
 
     def begin(self, starts: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
         """The unknowns before the first step, points and covectors, with a leading axis."""
@@ -63,24 +58,21 @@ class TapeSteps(Steps):
 
     def __init__(self, traced: TracedSteps, starts: tuple[Ambient, Ambient], step_sizes: np.ndarray) -> None:
         self.evaluator = "tape"
-        self._step_sizes, self._parts = np.array(step_sizes, float), traced.parts
-        self._like, self._control = traced.like, traced.control
+        self._parts, self._like, self._control = traced.parts, traced.like, traced.control
         unknowns, q, p = traced.begin(starts)
-        count = len(step_sizes)
-        controls = pack(traced.single.control(unknowns)) if rows(self._control) else np.zeros((0, count))
-        self._carry = np.ascontiguousarray(np.concatenate([pack((unknowns, q, p)), *[controls] * self._parts.size]))
-        self._failed = np.full(count, -1)
-        self._workspace = _Workspace(traced, count)
+        controls = pack(traced.single.control(unknowns)) if rows(self._control) else np.zeros((0, len(step_sizes)))
+        carry = np.ascontiguousarray(np.concatenate([pack((unknowns, q, p)), *[controls] * self._parts.size]))
+        kept = len(carry) - rows(self._like[0])
+        sizes, parts = np.array(step_sizes, float), np.array(self._parts, float).ravel()
+        self._integration = Integration(traced.method, carry, sizes, parts, traced.inverse, kept)
 
     def kept(self) -> np.ndarray:
-        return self._carry[rows(self._like[0]) :].copy()
+        return self._integration.kept.copy()
 
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[np.ndarray, np.ndarray, float]:
-        record = np.zeros((1 + (phase + count - 1) // every, *self.kept().shape))
         began = time.perf_counter()
-        numbers = done, count, phase, every
-        self._workspace.run(self._carry, self._failed, record, self._parts.ravel(), self._step_sizes, numbers)
-        return record, self._failed.copy(), time.perf_counter() - began
+        record = self._integration.run(done, count, phase, every)
+        return record, self._integration.failed.copy(), time.perf_counter() - began
 
     def nodes(self, kept: np.ndarray) -> Nodes:
         """States of all nodes, the start first, and controls of the steps, with leading axes ``(trajectories,
@@ -102,32 +94,3 @@ def _begin(system: Any, integrator: Integrator, start: tuple[Ambient, Ambient]) 
 
 def _begin_all(system: Any, integrator: Integrator, starts: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
     return jax.vmap(partial(_begin, system, integrator))(starts)
-
-
-class _Workspace:
-    """Programs and memory of the compiled loops."""
-
-    def __init__(self, traced: TracedSteps, count: int) -> None:
-        from .machine_kernels import machine
-
-        kernels, programs, substeps, inverse = traced.kernels, traced.programs, traced.parts.size, traced.inverse
-        self._lanes = lanes = 1 if count <= FEW_TRAJECTORIES else kernels.LANES
-        blocks, m = -(-count // lanes), programs.unknowns
-        self._integrate, self._programs, self._blocks = partial(kernels.integrate, machine()), programs, blocks
-        self._points = EVALUATIONS * substeps * lanes * blocks
-        inverses, spent = np.zeros((blocks, substeps, m, m, lanes)), np.full((blocks, substeps), np.inf)
-        differences = np.zeros((blocks, substeps, kernels.ORDERS, m, lanes))
-        small = np.zeros((0, 0)) if inverse is None else np.ascontiguousarray(inverse)
-        self._known = inverses, spent, differences, small
-
-    def run(self, carry: np.ndarray, failed: np.ndarray, record: np.ndarray, *numbers: Any) -> None:
-        """Integrate over a piece, blocks of lanes side by side on all processors."""
-        programs, code = self._programs, self._programs.code
-        lists = code.codes, code.operands, code.values, code.ranges, code.reads, code.writes, programs.places
-        memory = programs.rows, code.registers, self._lanes, code.native
-
-        def share(blocks: range) -> None:
-            self._integrate(*lists, memory, carry, failed, record, self._known, *numbers, (blocks.start, blocks.stop))
-
-        in_threads(share, self._blocks, math.inf)
-        programs.ran(self._points * numbers[-1][1])

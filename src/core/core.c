@@ -24,7 +24,7 @@ const char *retrax_status_message(int status) {
         case RETRAX_BAD_LOOP:
             return "a loop has no beginning, no end, or no whole number of rounds";
         case RETRAX_BAD_LANES:
-            return "the number of lanes is not a positive multiple of 8";
+            return "the number of lanes is neither 1 nor a positive multiple of 8";
         default:
             return "unknown status";
     }

@@ -16,6 +16,7 @@
  *   8. Convergence: how far a trajectory is from satisfying its conditions
  *   9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
  *  10. Search: Newton's method on the conditions of trajectories, whose ends may be coupled
+ *  11. Integration: implicit steps of trajectories, many of them side by side
  *
  * Matrices are stored by rows (C order). Shapes are written as in C: double a[m][n] has m rows.
  */
@@ -56,7 +57,7 @@ typedef enum {
     RETRAX_BAD_REGISTER = 3,    /* an operand is not a register, or the result overwrites an operand */
     RETRAX_BAD_PLACE = 4,       /* an input or output lies outside of its array */
     RETRAX_BAD_LOOP = 5,        /* a loop has no beginning, no end, or no whole number of rounds */
-    RETRAX_BAD_LANES = 6        /* the number of lanes is not a positive multiple of RETRAX_VECTOR */
+    RETRAX_BAD_LANES = 6        /* the number of lanes is neither 1 nor a positive multiple of RETRAX_VECTOR */
 } retrax_status;
 
 /* Instruction sets that the machine of tapes is compiled for. Numbers may differ in the last digits between
@@ -98,7 +99,7 @@ RETRAX_API retrax_instruction_set retrax_best_instruction_set(void);
 /* Entries of a row of operands: the result and at most seven arguments. */
 #define RETRAX_OPERANDS 8
 
-/* Lanes are a multiple of this number: one vector of AVX-512, two of AVX2. */
+/* Lanes are a multiple of this number, one vector of AVX-512 and two of AVX2; or there is one for a single point. */
 #define RETRAX_VECTOR 8
 
 /* A tape; all arrays belong to the caller and are only read. */
@@ -131,7 +132,7 @@ RETRAX_API const char *retrax_tape_instruction_name(int code);
 RETRAX_API retrax_status retrax_tape_check(const retrax_tape *tape);
 
 /* Returns RETRAX_OK if retrax_tape_run may be called with these arguments: 0 <= first <= last, inputs and outputs of
- * these points lie in their arrays, and lanes is a positive multiple of RETRAX_VECTOR. */
+ * these points lie in their arrays, and lanes is 1 or a positive multiple of RETRAX_VECTOR. */
 RETRAX_API retrax_status retrax_tape_check_data(const retrax_tape *tape, const retrax_tape_data *data,
                                                 retrax_index first, retrax_index last, retrax_index lanes);
 
@@ -143,7 +144,7 @@ RETRAX_API retrax_index retrax_tape_lanes(const retrax_tape *tape, retrax_index 
 /* Evaluates a tape at the points first, ..., last - 1.
  *
  * registers: workspace, double [tape.registers][lanes], of any content, which is overwritten; aligned to 64
- * bytes it is fastest. lanes: from retrax_tape_lanes, or any other positive multiple of RETRAX_VECTOR; it
+ * bytes it is fastest. lanes: from retrax_tape_lanes, or any other positive multiple of RETRAX_VECTOR, or 1; it
  * changes time and memory, not the numbers. set: from retrax_best_instruction_set, or a lesser set.
  *
  * The tape and the data must have passed their checks: nothing is checked here. NaN and infinity are numbers
@@ -769,6 +770,89 @@ typedef struct {
 
 /* Returns what the last run has found, with the arrays of a phase. */
 RETRAX_API retrax_search_result retrax_search_read(const retrax_search *search, retrax_index phase);
+
+/* ------------------------------------------------------------------------------------------------------
+ * 11. Integration: implicit steps of trajectories, many of them side by side
+ *
+ * A step of an implicit method leads from a state (S numbers) to the next one. It has K substeps, one after the other,
+ * each with m equations for m unknowns c in a chart. L trajectories are the lanes of a block; all their numbers are an
+ * array double memory[R][L], in which the functions of the method read and write rows.
+ *
+ * Newton's method solves the equations of all lanes of a block at once, with inverse Jacobians that stay from step to
+ * step as long as that takes less time. Errors of earlier predictions correct the prediction of the unknowns.
+ * ------------------------------------------------------------------------------------------------------ */
+
+/* The functions of a method, with the rows that they read -> write. */
+typedef enum {
+    RETRAX_STEP_PREPARE,  /* step size, state -> chart, among it FIRST and SIZES */
+    RETRAX_STEP_RESIDUAL, /* unknowns, step size, state, chart -> RESIDUAL */
+    RETRAX_STEP_PUSH,     /* the same and a direction [m] -> derivative of the residual along it [m]; see retrax_method */
+    RETRAX_STEP_END,      /* unknowns, step size, state, chart -> NEXT_STATE, CONTROL, USABLE */
+    RETRAX_STEP_FUNCTIONS /* their number */
+} retrax_step_function;
+
+/* Parts of the memory of a block, of some rows each. */
+typedef enum {
+    RETRAX_ROWS_UNKNOWNS,   /* m */
+    RETRAX_ROWS_STEP_SIZE,  /* 1 */
+    RETRAX_ROWS_STATE,      /* S */
+    RETRAX_ROWS_FIRST,      /* m: prediction of the unknowns */
+    RETRAX_ROWS_SIZES,      /* m: natural sizes of the unknowns, more than 0 */
+    RETRAX_ROWS_RESIDUAL,   /* m */
+    RETRAX_ROWS_NEXT_STATE, /* S */
+    RETRAX_ROWS_CONTROL,    /* U */
+    RETRAX_ROWS_USABLE,     /* 1: 0 where the end of a substep is not what its equations mean, or not finite */
+    RETRAX_STEP_ROWS        /* number of parts */
+} retrax_step_rows;
+
+/* An implicit method; all arrays belong to the caller and are only read.
+ *
+ * Of PUSH, number i of the direction of lane j stands behind the memory, at R L + i P + j, with P = L. With a single
+ * lane P = m, and the points that PUSH is evaluated at are m directions of this lane: the distance from one point to the
+ * next is 1 for directions and derivatives, 0 for all else that is read. The derivative of residual i is output number
+ * i m L + j of an array of its own. */
+typedef struct {
+    retrax_index lanes;    /* L >= 1 */
+    retrax_index substeps; /* K >= 1 */
+    retrax_index unknowns; /* m >= 1 of a substep */
+    retrax_index states;   /* S >= 0 */
+    retrax_index controls; /* U >= 0 of a substep */
+    retrax_index rows;     /* R */
+    retrax_index first[RETRAX_STEP_ROWS];           /* first row of each part */
+    const double *parts;                            /* [K]: fractions of a step that its substeps are */
+    const double *small_step_inverse;               /* [m][m] inverse Jacobian of small steps; NULL: not known */
+    retrax_function functions[RETRAX_STEP_FUNCTIONS];
+    const retrax_index (*sources[RETRAX_STEP_FUNCTIONS])[2]; /* places of the lanes of what functions read, write */
+    const retrax_index (*targets[RETRAX_STEP_FUNCTIONS])[2];
+} retrax_method;
+
+/* Differences of successive errors that predictions are corrected by. */
+#define RETRAX_ORDERS 6
+
+/* Trajectories that begin together, in blocks of L; B = T / L rounded up. All arrays belong to the caller. */
+typedef struct {
+    retrax_index trajectories; /* T >= 1 */
+    const double *step_sizes;  /* [T] */
+    double *carry;             /* [S + K U][T]: state, and controls of the last step */
+    retrax_index *failed;      /* [T]: -1, or the step at which a trajectory has stopped, where its state stays */
+    double *inverses;          /* [B][K][m][m][L]: inverse Jacobians, of any content at first */
+    double *spent;             /* [B][K]: chord steps spent on them; infinite at first, and where they are of no use */
+    double *differences;       /* [B][K][RETRAX_ORDERS][m][L]: of predictions from solutions; 0 at first */
+    retrax_index done;         /* steps made before */
+    retrax_index steps;        /* to be made */
+    retrax_index phase;        /* steps that were made before of a group that is recorded together, less than `every` */
+    retrax_index every;        /* steps of a group, at least 1 */
+    retrax_index kept;         /* rows of the carry that are recorded, the last ones */
+    double *record;            /* [(phase + steps + every - 1) / every][kept][T]: those rows after each group */
+} retrax_integration;
+
+/* Returns the bytes of workspace of a method; 0 if that does not fit the address space. */
+RETRAX_API size_t retrax_integration_workspace(const retrax_method *method);
+
+/* Makes the steps of the blocks first, ..., last - 1. Blocks share no number but those of the method: threads may make
+ * them at the same time, each with functions and a workspace of its own, aligned to 64 bytes, of any content. */
+RETRAX_API void retrax_integrate(const retrax_method *method, const retrax_integration *integration,
+                                 retrax_index first, retrax_index last, void *workspace);
 
 #ifdef __cplusplus
 }

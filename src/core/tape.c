@@ -137,7 +137,7 @@ retrax_status retrax_tape_check_data(const retrax_tape *tape, const retrax_tape_
     if (first < 0 || last < first || data->input_size < 0 || data->output_size < 0) {
         return RETRAX_BAD_SIZE;
     }
-    if (lanes <= 0 || lanes % RETRAX_VECTOR != 0) {
+    if (lanes != 1 && (lanes <= 0 || lanes % RETRAX_VECTOR != 0)) {
         return RETRAX_BAD_LANES;
     }
     if (last == first) {
@@ -236,15 +236,32 @@ static bool any_is_zero(const double *numbers, retrax_index count) {
 /* ------------------------------------------------------------------------------------------------- machine */
 
 #define FUSED RETRAX_PORTABLE_FUSED
-#define MACHINE run_portable
 #define TARGET
+#define ALONE false
+#define MACHINE run_portable
 #include "tape_machine.h"
-#undef FUSED
+#undef ALONE
 #undef MACHINE
+
+#define ALONE true
+#define MACHINE run_one_portable
+#include "tape_machine.h"
+#undef ALONE
+#undef MACHINE
+#undef FUSED
 #undef TARGET
 
 #if RETRAX_HAS_X86_SETS
 #define FUSED __builtin_fma
+#define ALONE true
+#define MACHINE run_one_fused
+#define TARGET RETRAX_TARGET_AVX2
+#include "tape_machine.h"
+#undef ALONE
+#undef MACHINE
+#undef TARGET
+
+#define ALONE false
 #define MACHINE run_avx2
 #define TARGET RETRAX_TARGET_AVX2
 #include "tape_machine.h"
@@ -256,13 +273,31 @@ static bool any_is_zero(const double *numbers, retrax_index count) {
 #include "tape_machine.h"
 #undef MACHINE
 #undef TARGET
+#undef ALONE
 #undef FUSED
 #endif
+
+/* Runs the tape at one point, whose registers are a column. */
+static void run_one(const retrax_tape *tape, const retrax_tape_data *data, retrax_index point, double *registers,
+                    retrax_instruction_set set) {
+#if RETRAX_HAS_X86_SETS
+    if (set != RETRAX_PORTABLE) {
+        run_one_fused(tape, data, point, 1, registers, 1);
+        return;
+    }
+#endif
+    (void)set;
+    run_one_portable(tape, data, point, 1, registers, 1);
+}
 
 void retrax_tape_run(const retrax_tape *tape, const retrax_tape_data *data, retrax_index first, retrax_index last,
                      double *registers, retrax_index lanes, retrax_instruction_set set) {
     for (retrax_index point = first; point < last; point += lanes) {
         const retrax_index count = last - point < lanes ? last - point : lanes;
+        if (lanes == 1) {
+            run_one(tape, data, point, registers, set);
+            continue;
+        }
         switch (set) {
 #if RETRAX_HAS_X86_SETS
             case RETRAX_AVX2:

@@ -6,63 +6,56 @@
  * turns each into vector instructions without a remainder. Lanes behind the last point hold arbitrary numbers.
  */
 
-/* Pointer to the lanes of argument i. */
-#define LANES_OF(i) (registers + (retrax_index)r[i] * lanes)
-#define RESULT(expression)                        \
-    RETRAX_INDEPENDENT                            \
-    for (retrax_index j = 0; j < padded; j++) {   \
-        o[j] = (expression);                      \
-    }                                             \
-    break;
-#define NONE(name, expression) \
-    case RETRAX_##name: {      \
-        RESULT(expression)     \
+/* Pointer to the lanes of argument i of the instruction at hand, 0 being its result. */
+#define LANES_OF(i) (registers + (retrax_index)tape->operands[k][i] * lanes)
+/* The instruction, and of a single point those behind it that are the same: there to choose takes most of the time. */
+#define CASE(name, statements)                                                                     \
+    case RETRAX_##name: {                                                                          \
+        for (;;) {                                                                                 \
+            const double value = tape->values[k];                                                  \
+            double *restrict const o = LANES_OF(0);                                                \
+            (void)value;                                                                           \
+            statements                                                                             \
+            if (k + 1 >= instructions || tape->codes[k + 1] != RETRAX_##name) {                    \
+                break;                                                                             \
+            }                                                                                      \
+            k++;                                                                                   \
+        }                                                                                          \
+        break;                                                                                     \
     }
-#define UNARY(name, expression)            \
-    case RETRAX_##name: {                  \
-        const double *const x = LANES_OF(1); \
-        RESULT(expression)                 \
+#define RESULT(expression)                      \
+    RETRAX_INDEPENDENT                          \
+    for (retrax_index j = 0; j < padded; j++) { \
+        o[j] = (expression);                    \
     }
-#define BINARY(name, expression)                                     \
-    case RETRAX_##name: {                                            \
-        const double *const x = LANES_OF(1), *const y = LANES_OF(2); \
-        RESULT(expression)                                           \
-    }
-#define TERNARY(name, expression)                                                              \
-    case RETRAX_##name: {                                                                      \
-        const double *const x = LANES_OF(1), *const y = LANES_OF(2), *const z = LANES_OF(3);   \
-        RESULT(expression)                                                                     \
-    }
+#define NONE(name, expression) CASE(name, RESULT(expression))
+#define UNARY(name, expression) CASE(name, const double *const x = LANES_OF(1); RESULT(expression))
+#define BINARY(name, expression) \
+    CASE(name, const double *const x = LANES_OF(1); const double *const y = LANES_OF(2); RESULT(expression))
+#define TERNARY(name, expression)                                                                  \
+    CASE(name, const double *const x = LANES_OF(1); const double *const y = LANES_OF(2);           \
+         const double *const z = LANES_OF(3); RESULT(expression))
 /* Up to seven arguments a[0], ..., a[6]. */
-#define SUM(name, arguments, expression)                                        \
-    case RETRAX_##name: {                                                       \
-        const double *a[arguments];                                             \
-        for (int i = 0; i < (arguments); i++) {                                 \
-            a[i] = LANES_OF(i + 1);                                             \
-        }                                                                       \
-        RESULT(expression)                                                      \
-    }
+#define SUM(name, arguments, expression)              \
+    CASE(name, const double *a[arguments];            \
+         for (int i = 0; i < (arguments); i++) {      \
+             a[i] = LANES_OF(i + 1);                  \
+         } RESULT(expression))
 /* Functions of libm, only at the points that there are. */
-#define FUNCTION(name, expression)                                   \
-    case RETRAX_##name: {                                            \
-        const double *const x = LANES_OF(1), *const y = LANES_OF(2); \
-        (void)y;                                                     \
-        for (retrax_index j = 0; j < count; j++) {                   \
-            o[j] = (expression);                                     \
-        }                                                            \
-        break;                                                       \
-    }
+#define FUNCTION(name, expression)                                                                   \
+    CASE(name, const double *const x = LANES_OF(1); const double *const y = LANES_OF(2); (void)y;    \
+         for (retrax_index j = 0; j < count; j++) {                                                  \
+             o[j] = (expression);                                                                    \
+         })
 
-/* Runs the tape at `count` points from `point` on, at most as many as there are lanes. */
+/* Runs the tape at `points` points from `point` on, at most as many as there are lanes. */
 TARGET static void MACHINE(const retrax_tape *tape, const retrax_tape_data *data, retrax_index point,
-                           retrax_index count, double *registers, retrax_index lanes) {
-    const retrax_index padded = (count + RETRAX_VECTOR - 1) & -(retrax_index)RETRAX_VECTOR;
+                           retrax_index points, double *registers, retrax_index columns) {
+    const retrax_index count = ALONE ? 1 : points, lanes = ALONE ? 1 : columns;
+    const retrax_index padded = ALONE ? 1 : (count + RETRAX_VECTOR - 1) & -(retrax_index)RETRAX_VECTOR;
     const retrax_index instructions = tape->instructions;
     retrax_index rounds = 0; /* of the loop, that are left */
     for (retrax_index k = 0; k < instructions; k++) {
-        const uint32_t *const r = tape->operands[k];
-        const double value = tape->values[k];
-        double *restrict const o = LANES_OF(0);
         switch (tape->codes[k]) {
             BINARY(MUL, x[j] * y[j])
             TERNARY(MUL_ADD, FUSED(x[j], y[j], z[j]))
@@ -137,12 +130,12 @@ TARGET static void MACHINE(const retrax_tape *tape, const retrax_tape_data *data
                 k += write_outputs(tape, data, k, point, count, registers, lanes) - 1;
                 break;
             case RETRAX_LOOP:
-                rounds = (retrax_index)value;
+                rounds = (retrax_index)tape->values[k];
                 break;
             case RETRAX_REPEAT:
                 rounds--;
                 if (rounds > 0 && any_is_zero(LANES_OF(1), count)) {
-                    k = (retrax_index)value - 1;
+                    k = (retrax_index)tape->values[k] - 1;
                 }
                 break;
             default:
@@ -152,6 +145,7 @@ TARGET static void MACHINE(const retrax_tape *tape, const retrax_tape_data *data
 }
 
 #undef LANES_OF
+#undef CASE
 #undef RESULT
 #undef NONE
 #undef UNARY

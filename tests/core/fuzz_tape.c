@@ -174,7 +174,8 @@ static int run(generator *g, program *p, int sound) {
     if (retrax_tape_check(&tape) == RETRAX_OK && !is_long(p)) {
         const retrax_instruction_set best = retrax_best_instruction_set();
         for (int trial = 0; trial < 6 && result >= 0; trial++) {
-            const retrax_index lanes = trial < 2 ? retrax_tape_lanes(&tape, points) : 8 * (1 + below(g, 5));
+            const retrax_index several = below(g, 3) == 0 ? 1 : 8 * (1 + below(g, 5));
+            const retrax_index lanes = trial < 2 ? retrax_tape_lanes(&tape, points) : several;
             const retrax_instruction_set set = (retrax_instruction_set)(trial % 3);
             data.outputs = trial == 1 ? expected : outputs;
             if (set > best || retrax_tape_check_data(&tape, &data, first, points, lanes) != RETRAX_OK) {

@@ -116,9 +116,10 @@ def test_lanes_change_nothing():
         program = random_program(rng)
         program = replace(program, values=np.where(program.codes == CODES["LOOP"], 1.0, program.values))
         x = rng.choice([*HARD, *rng.normal(size=30)], (77, program.inputs))
-        expected = run(program, x)
-        for lanes in (8, 16, 40, 80, 256):
-            assert_same_numbers(run(program, x, lanes=lanes), expected)
+        for own in range(best_instruction_set() + 1):
+            expected = run(program, x, own)
+            for lanes in (1, 8, 16, 40, 80, 256):
+                assert_same_numbers(run(program, x, own, lanes), expected)
 
 
 @pytest.mark.parametrize("registers", [1, 10, 600, 5000])
@@ -251,6 +252,6 @@ def test_points_outside_of_arrays_are_refused():
             own.run(range(6), ends)
     with pytest.raises(InvalidInputError, match="negative"):
         own.run(range(-1, 3), (inputs, sources, outputs, targets))
-    for lanes in (0, -8, 12):
-        with pytest.raises(InvalidInputError, match="multiple of 8"):
+    for lanes in (0, -8, 12, 2):
+        with pytest.raises(InvalidInputError, match="neither 1 nor a positive multiple of 8"):
             own.run(range(6), (inputs, sources, outputs, targets), lanes)

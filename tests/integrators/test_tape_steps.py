@@ -7,21 +7,18 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.compute import threads
 from retrax.integrators import (
     KAHAN_LI_6,
     Composition,
-    Flow,
     PresymplecticIntegrator,
     Result,
     SymplecticIntegrator,
     integrate,
     integrate_many,
 )
-from retrax.integrators.initial_value import step_programs, tape_steps
+from retrax.integrators.initial_value import tape_steps
 from retrax.manifolds import SE, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, U
 from retrax.retractions import Cayley, CotangentLift, Gauss, Projection, Theta, default_retraction
-from retrax.tape import often
 
 from tests.support.numerics import norm
 
@@ -107,46 +104,6 @@ def test_both_fail_at_the_same_step_or_both_succeed(name):
     assert np.array_equal(*failed)
 
 
-@pytest.mark.parametrize("count", [1, 3, tape_steps.FEW_TRAJECTORIES + 1, 130])
-@pytest.mark.parametrize("name", CASES)
-@pytest.mark.usual("rotations-1", "unitary-7", "optimal control-130")
-def test_machine_code_computes_the_same_numbers(name, count, monkeypatch):
-    """Alone, one after the other, and in blocks that are not full, through step sizes from which on steps fail; before
-    it takes over, and from the piece on in which it does."""
-    system, method = CASES[name]
-    q, p = start_of(method, 2.0)
-    starts = jax.tree.map(lambda a: np.repeat(np.asarray(a)[None], count, 0), (q, p))
-    sizes = np.geomspace(0.05, 4.0, count)
-
-    def moved():
-        flow = Flow(system, method, evaluator="tape")
-        if count == 1:
-            return flow.integrate(start_of(method), 0.1, 7)
-        return flow.integrate_many(starts, sizes, 7)
-
-    monkeypatch.setattr(step_programs, "_known", {})
-    monkeypatch.setattr(often, "OFTEN", np.inf)
-    before = moved()
-    monkeypatch.setattr(often, "OFTEN", 0)
-    moved()
-    threads.settled()
-    for one, other in zip(*map(jax.tree.leaves, (before, moved())), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize("steps", [1, 4, 5, 20])
-def test_steps_become_machine_code_once_they_are_many(steps, monkeypatch):
-    """Through the number of steps after which they do."""
-    monkeypatch.setattr(often, "OFTEN", 4 * tape_steps.EVALUATIONS * often.SHORT)
-    method = SymplecticIntegrator(lifted(default_retraction(PLANE), 0.25 + steps / 100))
-    traced = tape_steps.TracedSteps(quartic, method)
-    for _ in range(steps):
-        carried = tape_steps.TapeSteps(traced, jax.tree.map(lambda a: a[None], start_of(method)), np.array([0.1]))
-        carried.piece(0, often.SHORT, 0, 1, often.SHORT)
-    threads.settled()
-    assert traced.programs.code.native == (steps > 4)
-
-
 @pytest.mark.parametrize("evaluator", ["tape", "xla"])
 def test_a_step_fails_exactly_where_its_equations_have_no_solution(evaluator):
     """``c = h (c^2 + 1) / 2`` has none for ``h > 1``, and Newton's method then wanders through finite numbers."""
@@ -227,9 +184,9 @@ def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
         integrate(quartic, method, start, 0.1, 2, evaluator="gpu")
 
 
-@pytest.mark.parametrize("count", [1, tape_steps.FEW_TRAJECTORIES, 130])
+@pytest.mark.parametrize("count", [1, 2, 8, 9, 130])
 def test_many_trajectories_are_those_of_one_after_the_other(count):
-    """One after the other, and on lanes with two full blocks; with step sizes of their own."""
+    """On lanes in blocks that are full and not; with step sizes of their own."""
     method = CASES["sphere"][1]
     starts = jax.tree.map(lambda a: jnp.asarray(a[:count]), many_starts())
     sizes = np.linspace(0.05, 0.2, count)

@@ -1,4 +1,4 @@
-"""Where Numba is not available, as for a new Python: XLA and Python take its place, and one warning says so."""
+"""Where Numba is not available, as for a new Python: XLA and Python solve, and one warning says so."""
 
 import json
 import os
@@ -30,7 +30,6 @@ def problem(**limits):
 def solved():
     """Costs of problems with and without limits by methods with one point and with several, of one and of a batch; a
     sensitivity; the end of a trajectory; a tape. And the evaluators that computed them."""
-    # First, so that it is the one that warns.
     method = SymplecticIntegrator(CotangentLift(Midpoint(Exponential(BALL))))
     path = integrate(lambda q, p: p @ p / 2 + q[2], method, (NORTH, EAST), 0.1, 5)
     free, held = (
@@ -60,7 +59,7 @@ def test_all_is_found_with_one_warning(way, advice):
     np.testing.assert_allclose(found["numbers"], expected["numbers"], rtol=1e-9)
     assert all(name.startswith("tape") for name in expected["evaluators"]), expected
     assert found["evaluators"][0] == "xla"
-    assert "Numba is not available" in found["evaluators"][1]
+    assert found["evaluators"][1].startswith("tape")
     (warning,) = found["warnings"]
     assert "Numba is not available" in warning
     assert advice in warning

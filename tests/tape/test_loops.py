@@ -10,9 +10,10 @@ from retrax.tape import Tape
 from retrax.tape.arrays import scalars
 from retrax.tape.graph import Graph
 from retrax.tape.instructions import CODES
-from retrax.tape.machine import run_one
 from retrax.tape.native import native
 from retrax.tape.packing import Leaf
+
+from .functions import run_alone
 
 POINTS = np.random.default_rng(0).uniform(0.5, 4.0, (2, 70))
 
@@ -55,14 +56,8 @@ def test_loops_give_the_state_after_their_rounds(rounds, twice):
     values = tape(POINTS)
     np.testing.assert_allclose(values, expected(rounds, twice), rtol=1e-14)
     np.testing.assert_allclose(np.array(tape.to_casadi()(POINTS)), values, rtol=1e-14)
-    program, registers = tape.program, tape.program.registers.copy()
-    for name, operand, first in (("INPUT", 1, 0), ("OUTPUT", 0, 2)):
-        here = program.codes == CODES[name]
-        registers[here, operand] = first + program.values[here].astype(int)
     for k in range(3):
-        memory = np.concatenate([POINTS[:, k], np.zeros(len(values))])
-        run_one(program.codes, registers, program.values, memory, np.zeros(program.size))
-        np.testing.assert_array_equal(memory[2:], values[:, k])
+        np.testing.assert_array_equal(run_alone(tape.program, POINTS[:, k].copy()), values[:, k])
 
 
 @pytest.mark.parametrize("twice", [False, True])

@@ -18,11 +18,12 @@ from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape import tape as module
 from retrax.tape.arrays import column
-from retrax.tape.instructions import CODES, NAMES
-from retrax.tape.machine import run_one
+from retrax.tape.instructions import NAMES
 from retrax.tape.program import FUSED_SUMS, assembled
 
 from tests.support.numerics import compiled
+
+from .functions import run_alone
 
 REMARKABLE = {
     "exponential of SO(3)": Exponential(SO(3)),
@@ -115,17 +116,6 @@ def test_sums_of_any_number_of_products():
     names = {NAMES[code] for code in tape.program.codes}
     assert names >= {"MUL_ADD", "SUB_MUL", *FUSED_SUMS.values()}
     np.testing.assert_allclose(tape(x, y), jax.vmap(sums, (-1, -1), -1)(x, y), atol=1e-13)
-
-
-def run_alone(program, inputs):
-    """The values of a program at one point."""
-    codes, registers, values = (a.copy() for a in (program.codes, program.registers, program.values))
-    for name, operand, begin in (("INPUT", 1, 0), ("OUTPUT", 0, inputs.size)):
-        here = codes == CODES[name]
-        registers[here, operand] = begin + values[here]
-    memory = np.concatenate([inputs, np.zeros(program.outputs)])
-    run_one(codes, registers, values, memory, np.zeros(program.size))
-    return memory[inputs.size :]
 
 
 def test_threads_change_nothing(monkeypatch):

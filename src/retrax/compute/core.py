@@ -335,6 +335,50 @@ class SearchResultStruct(Structure):
     )
 
 
+STEP_FUNCTIONS, STEP_ROWS = 4, 9  # functions of a method, and parts of the memory of its steps
+
+
+@final
+class MethodStruct(Structure):
+    """``retrax_method``."""
+
+    _fields_ = (
+        ("lanes", c_ssize_t),
+        ("substeps", c_ssize_t),
+        ("unknowns", c_ssize_t),
+        ("states", c_ssize_t),
+        ("controls", c_ssize_t),
+        ("rows", c_ssize_t),
+        ("first", c_ssize_t * STEP_ROWS),
+        ("parts", c_void_p),
+        ("small_step_inverse", c_void_p),
+        ("functions", FunctionStruct * STEP_FUNCTIONS),
+        ("sources", c_void_p * STEP_FUNCTIONS),
+        ("targets", c_void_p * STEP_FUNCTIONS),
+    )
+
+
+@final
+class IntegrationStruct(Structure):
+    """``retrax_integration``."""
+
+    _fields_ = (
+        ("trajectories", c_ssize_t),
+        ("step_sizes", c_void_p),
+        ("carry", c_void_p),
+        ("failed", c_void_p),
+        ("inverses", c_void_p),
+        ("spent", c_void_p),
+        ("differences", c_void_p),
+        ("done", c_ssize_t),
+        ("steps", c_ssize_t),
+        ("phase", c_ssize_t),
+        ("every", c_ssize_t),
+        ("kept", c_ssize_t),
+        ("record", c_void_p),
+    )
+
+
 _CONDENSED = [POINTER(CollocationSystemStruct), POINTER(CondensedSystemStruct)]
 
 # Result and arguments of the functions.
@@ -393,6 +437,11 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_search_read": (SearchResultStruct, [c_void_p, c_ssize_t]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
     "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p, c_void_p]),
+    "retrax_integration_workspace": (c_size_t, [POINTER(MethodStruct)]),
+    "retrax_integrate": (
+        None,
+        [POINTER(MethodStruct), POINTER(IntegrationStruct), c_ssize_t, c_ssize_t, c_void_p],
+    ),
     "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),
 }
 
@@ -407,15 +456,15 @@ def library() -> ctypes.CDLL:
             "pip install --force-reinstall --no-deps retrax"
         )
     found = ctypes.CDLL(spec.origin)
-    for name, (result, arguments) in _SIGNATURES.items():
-        function = getattr(found, name)
-        function.restype, function.argtypes = result, arguments
     if found.retrax_core_version() != HEADER_VERSION:
         raise MissingCoreError(
             f"the compiled core has version {found.retrax_core_version()} of its interface, expected "
             f"{HEADER_VERSION}; try: "
             "pip install --force-reinstall --no-deps retrax"
         )
+    for name, (result, arguments) in _SIGNATURES.items():
+        function = getattr(found, name)
+        function.restype, function.argtypes = result, arguments
     return found
 
 

@@ -32,10 +32,9 @@ MEMORY = 2**17  # registers of all lanes, few enough for the near caches
 ) = range(len(NAMES))  # fmt: skip
 FIRST_OF_ONE = NEG
 
-# What ``run`` and ``run_one`` are compiled for.
+# What ``run`` is compiled for.
 _PROGRAM, _NUMBERS, _PLACES = (array(1, types.uint8), array(2, types.uint32), array(1)), array(1), array(2, types.int64)
 RUN = types.void(*_PROGRAM, _NUMBERS, _PLACES, _NUMBERS, _PLACES, array(2), types.int64, types.int64)
-RUN_ONE = types.void(*_PROGRAM, _NUMBERS, _NUMBERS)
 
 # Numba's own types do not know that it passes an intrinsic its first argument itself.
 _intrinsic: Any = extending.intrinsic
@@ -83,49 +82,7 @@ def _on_lanes(typing: Any, codes: Any, registers: Any, values: Any, w: Any, m: A
     return types.boolean(codes, registers, values, w, types.intp, types.intp), generate
 
 
-@_intrinsic
-def _on_one(typing: Any, codes: Any, registers: Any, values: Any, w: Any, k: Any) -> Any:
-    """``run(codes, registers, values, w, k)``: run the instructions from ``k`` on that are the same on one point; the
-    next one.
-
-    That is ``k`` itself where the instruction is none of these.
-    """
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        arrays = [
-            context.make_array(t)(context, builder, a) for t, a in zip(signature.args, arguments[:4], strict=False)
-        ]
-        codes, registers, values, w = (array.data for array in arrays)
-        first, count = arguments[4], builder.extract_value(arrays[0].shape, 0)
-        at, after = cgutils.alloca_once_value(builder, first), builder.append_basic_block("after")
-        code = builder.load(builder.gep(codes, [first]))
-        for number, emit in _cases(builder, code, after, numbered=True):
-            again, more = builder.append_basic_block("again"), builder.append_basic_block("more")
-            builder.branch(again)
-            builder.position_at_end(again)
-            here = builder.load(at)
-            row = builder.mul(here, ir.Constant(here.type, 1 + OPERANDS))
-
-            def place(operand: int, row: Any = row) -> Any:
-                register = builder.load(builder.gep(registers, [builder.add(row, ir.Constant(row.type, operand))]))
-                return builder.gep(w, [builder.zext(register, row.type)])
-
-            loads = (lambda i=i: builder.load(place(i)) for i in range(1, 1 + operands_of(emit)))
-            builder.store(emit(builder, builder.load(builder.gep(values, [here])), *loads), place(0))
-            following = builder.add(here, ir.Constant(here.type, 1))
-            builder.store(following, at)
-            builder.cbranch(builder.icmp_unsigned("<", following, count), more, after)
-            builder.position_at_end(more)
-            next_code = builder.load(builder.gep(codes, [following]))
-            builder.cbranch(builder.icmp_unsigned("==", next_code, ir.Constant(code.type, number)), again, after)
-        builder.branch(after)
-        builder.position_at_end(after)
-        return builder.load(at)
-
-    return types.intp(codes, registers, values, w, types.intp), generate
-
-
-def _cases(builder: Any, code: Any, after: Any, numbered: bool = False) -> Iterator[Any]:
+def _cases(builder: Any, code: Any, after: Any) -> Iterator[Any]:
     """Go through the instructions with the builder where one begins; at the end, where a code is none of them."""
     unknown = builder.append_basic_block("unknown")
     jump = builder.switch(code, unknown)
@@ -133,7 +90,7 @@ def _cases(builder: Any, code: Any, after: Any, numbered: bool = False) -> Itera
         number, block = CODES[name], builder.append_basic_block(name)
         jump.add_case(ir.Constant(code.type, number), block)
         builder.position_at_end(block)
-        yield (number, emit) if numbered else emit
+        yield emit
     builder.position_at_end(unknown)
 
 
@@ -297,32 +254,3 @@ def run(
                 for j in range(m):
                     w[o, j] = _other(c, w[x, j], w[y, j])
                 k += 1
-
-
-@kernel()
-def run_one(codes: np.ndarray, registers: np.ndarray, values: np.ndarray, v: np.ndarray, w: np.ndarray) -> None:
-    """Run a program on one point; ``v``: inputs and outputs, in the places that are operand and destination; ``w``:
-    registers.
-
-    The same instructions after each other take least time.
-    """
-    k = left = 0
-    while k < codes.size:
-        begin = k
-        k = _on_one(codes, registers, values, w, k)
-        if k > begin:
-            continue
-        c, o, x = codes[k], registers[k, 0], registers[k, 1]
-        if c == INPUT:
-            w[o] = v[x]
-        elif c == OUTPUT:
-            v[o] = w[x]
-        elif c == LOOP:
-            left = int(values[k])
-        elif c == REPEAT:
-            left -= 1
-            if left > 0 and w[x] == 0:
-                k = int(values[k]) - 1
-        else:
-            w[o] = _other(c, w[x], w[registers[k, 2]])
-        k += 1
