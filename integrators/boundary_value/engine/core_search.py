@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ....compute.problem_functions import CallbackFunction
 from ....compute.tape_machine import MachineProgram
 from ....compute.transcription import (
     FunctionName,
@@ -47,9 +48,7 @@ _known = _ThreadTranscriptions()
 
 def is_on_core(conditions: Any) -> bool:
     """Whether the core has all that a search asks for."""
-    if conditions.joint:
-        return False
-    return all(hasattr(own, "tape") for own in _functions(conditions).values())
+    return not conditions.joint
 
 
 def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
@@ -88,14 +87,18 @@ def made(conditions: Conditions, instruction_set: int | None = None) -> Transcri
     )  # fmt: skip
     groups, of_controls = _groups(nodes.layout), None if nodes.flat_controls else _groups(nodes.control)
     bounds = sum(map(len, nodes.problem._limits.bounded.values()))
-    programs = {}
-    for key, function in _functions(conditions).items():
-        p = function.tape.program
-        own = p.codes, p.registers, p.values, p.inputs, p.outputs, p.size
-        programs[key] = MachineProgram(*own, instruction_set)
+    functions = {name: _function(own, instruction_set) for name, own in _functions(conditions).items()}
     return Transcription(
-        sizes, tableau, groups, of_controls, steps.kept.astype(float), bounds, programs, instruction_set
+        sizes, tableau, groups, of_controls, steps.kept.astype(float), bounds, functions, instruction_set
     )
+
+
+def _function(function: Any, instruction_set: int | None) -> MachineProgram | CallbackFunction:
+    """A function of a problem for the core: a tape, or a callback to what its evaluator has compiled."""
+    if not hasattr(function, "tape"):
+        return CallbackFunction(function, *function.sizes)
+    p = function.tape.program
+    return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size, instruction_set)
 
 
 def _groups(layout: PointLayout) -> tuple[np.ndarray, np.ndarray]:

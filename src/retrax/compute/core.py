@@ -302,13 +302,7 @@ class SearchResultStruct(Structure):
         ("limits", c_void_p),
         ("rate", c_double),
         ("iterations", c_ssize_t),
-        ("claimed", c_bool),
-        ("isolated", c_bool),
-        ("strict", c_bool),
-        ("solvable", c_bool),
-        ("infeasible", c_bool),
-        ("falls", c_bool),
-        ("stopped", c_bool),
+        *((fact, c_bool) for fact in ("claimed", "isolated", "strict", "solvable", "infeasible", "falls", "stopped")),
     )
 
 

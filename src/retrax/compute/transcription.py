@@ -3,7 +3,7 @@
 import signal
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from ctypes import addressof, byref, c_void_p, cast, pointer
+from ctypes import byref
 from enum import IntEnum
 from functools import partial
 from threading import current_thread, main_thread
@@ -20,7 +20,6 @@ from .core import (
     FLOAT,
     PLACE,
     REPORT,
-    FunctionStruct,
     IterationStruct,
     LayoutStruct,
     LimitScaleStruct,
@@ -29,29 +28,15 @@ from .core import (
     ResidualScaleStruct,
     ScaleDataStruct,
     ScaleStruct,
-    TapeFunctionStruct,
     address_of,
     best_instruction_set,
     library,
 )
+from .problem_functions import CallbackFunction, Failure, FunctionName
 from .tape_machine import MachineProgram
 
+Function = MachineProgram | CallbackFunction  # of a problem
 MOST_ITERATIONS = 1 << 20  # as in search.c
-
-
-class FunctionName(IntEnum):
-    """The functions of a problem; ``retrax_core.h`` says what each reads and writes."""
-
-    ENDS = 0
-    MIDDLE = 1
-    FRAMES = 2
-    POINTS = 3
-    BOTH_ENDS = 4
-    MOVE = 5
-    MOVE_CONTROLS = 6
-    START_COST = 7
-    END_COST = 8
-    CONTROL_FRAMES = 9
 
 
 _OPTIONAL = FunctionName.START_COST, FunctionName.END_COST
@@ -116,10 +101,11 @@ class Transcription:
         control_groups: tuple[np.ndarray, np.ndarray] | None,
         kept: np.ndarray,
         bounds: int,
-        functions: Mapping[FunctionName, MachineProgram],
+        functions: Mapping[FunctionName, Function],
         instruction_set: int | None = None,
     ) -> None:
         self.sizes, self.programs, self._library = sizes, dict(functions), library()
+        self.failure = Failure()
         self._set = best_instruction_set() if instruction_set is None else instruction_set
         (matrix, weights), s = tableau, sizes.points
         addresses = (
@@ -141,7 +127,8 @@ class Transcription:
         if not size or not room:
             raise InvalidInputError(f"a problem of these sizes does not fit, or is larger than the core takes: {sizes}")
         points = (sizes.steps + 1) * s
-        most = max((own.sizes[2] * own.lanes(points) for own in functions.values()), default=0)
+        tapes = [own for own in functions.values() if isinstance(own, MachineProgram)]
+        most = max((own.sizes[2] * own.lanes(points) for own in tapes), default=0)
         self._registers = aligned(max(most, 1))
         for name in FunctionName:
             if name is not FunctionName.CONTROL_FRAMES or control_groups is not None:
@@ -160,24 +147,25 @@ class Transcription:
         """Return a trajectory, all of whose numbers are zero."""
         return Trajectory(self)
 
-    def _set_function(self, name: FunctionName, program: MachineProgram | None, points: int) -> None:
+    def _set_function(
+        self, name: FunctionName, function: MachineProgram | CallbackFunction | None, points: int
+    ) -> None:
         problem, own = byref(self._problem), self._library
         sizes = own.retrax_function_inputs(problem, name), own.retrax_function_outputs(problem, name)
-        if program is None:
+        if function is None:
             if any(sizes) and name not in _OPTIONAL:
                 raise InvalidInputError(f"a problem with {self.sizes} needs the function {name.name}")
             return
-        if program.sizes[:2] != sizes:
+        if function.sizes[:2] != sizes:
             raise InvalidInputError(
-                f"function {name.name}: got {program.sizes[0]} inputs and {program.sizes[1]} outputs, expected "
+                f"function {name.name}: got {function.sizes[0]} inputs and {function.sizes[1]} outputs, expected "
                 f"{sizes[0]} and {sizes[1]} for {self.sizes}"
             )
-        registers = address_of(self._registers, FLOAT, self._registers.shape, "registers")
-        context = TapeFunctionStruct(pointer(program.tape), registers, program.lanes(points), self._set)
+        if isinstance(function, CallbackFunction):
+            self._problem.functions[name] = function.as_function(self.failure)
+            return
+        self._problem.functions[name], context = function.as_function(self._registers, points, self._set)
         self._kept.append(context)
-        self._problem.functions[name] = FunctionStruct(
-            cast(own.retrax_evaluate_tape, c_void_p), c_void_p(addressof(context))
-        )
 
 
 @final
@@ -206,6 +194,7 @@ class Trajectory:
         own.retrax_assemble_system(*here, self._of.workspace, self._of._set)
         own.retrax_write_right_sides(*here)
         own.retrax_survey_trajectory(*here)
+        self._of.failure.check()
 
     def measure(self, judging: Scale, steps: Scale, limits: LimitScale | None, least_part: float) -> None:
         """Measure how far the trajectory is from its conditions, and survey its inequalities.
@@ -267,6 +256,7 @@ class Trajectory:
     def move(self, before: "Trajectory", part: float) -> None:
         """Move the unknowns from another trajectory by a part of the step from there."""
         self._of._library.retrax_move_trajectory(byref(self._layout), before._address, part, self._address)
+        self._of.failure.check()
 
     @property
     def _address(self) -> int:
@@ -333,7 +323,6 @@ class Search:
         self._memory[...] = 0.0
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
         self._report, self._interrupted = report, False
-        self._error: BaseException | None = None
         self._callback = REPORT(partial(_told, ref(self)))  # C calls it
         options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
         self._search = own.retrax_search_make(self._layout, byref(options), transcription._set, place)
@@ -345,13 +334,12 @@ class Search:
         return Trajectory(self._of, self._part(place, self._of._layout.numbers))
 
     def run(self) -> SearchStatus:
-        """Search an extremal from the guess; an error of the report, or an interrupt, is raised when the search has
-        ended."""
-        self._error, self._interrupted = None, False
+        """Search an extremal from the guess; an error of the report or of a function, or an interrupt, is raised when
+        the search has ended."""
+        self._interrupted = False
         with self._interrupts():
             status = SearchStatus(self._library.retrax_search_run(self._search))
-        if self._error is not None:
-            raise self._error
+        self._of.failure.check()
         if self._interrupted:
             raise KeyboardInterrupt
         return status
@@ -374,11 +362,13 @@ class Search:
             signal.signal(signal.SIGINT, usual)
 
     def _reports(self, iteration: IterationStruct) -> bool:
-        """Whether the report, an error of that, or an interrupt asks to stop."""
+        """Whether the report, an error of that or of a function, or an interrupt asks to stop."""
+        failure = self._of.failure
         try:
-            return self._interrupted or (self._report is not None and self._report(iteration))
+            ends = failure.error is not None or self._interrupted
+            return ends or (self._report is not None and self._report(iteration))
         except BaseException as error:  # C knows no exceptions
-            self._error = error
+            failure.error = error
             return True
 
     def read(self) -> SearchResult:
