@@ -14,7 +14,7 @@ from retrax.compute.transcription import (
     Trajectory,
     Transcription,
 )
-from retrax.integrators.boundary_value.engine import beginning, core_search
+from retrax.integrators.boundary_value.engine import beginning, core_search, newton
 from retrax.integrators.boundary_value.engine import first_units as engine_units
 from retrax.integrators.boundary_value.engine.barrier import PRICES
 from retrax.integrators.boundary_value.engine.conditions import Conditions
@@ -26,6 +26,12 @@ from ..integrators.engine.test_trial import CASES, SLEWS
 
 SETS = range(best_instruction_set() + 1)
 NAMES = list(CASES)
+
+
+@pytest.fixture(autouse=True)
+def engine(monkeypatch):
+    """Solves by the engine, which these tests compare with, whatever runs on the core."""
+    monkeypatch.setattr(newton, "PARTS_ON_CORE", frozenset())
 
 
 def transcription(conditions: Conditions, own: int) -> Transcription:
