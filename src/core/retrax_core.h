@@ -365,7 +365,9 @@ typedef enum {
 } retrax_function_name;
 
 /* A function of the problem. `evaluate` reads and writes at `points` places, as retrax_tape_run does with a tape;
- * numbers that it cannot compute are NaN. It is NULL where a problem does not have the function. */
+ * numbers that it cannot compute are NaN. It is NULL where a problem does not have the function. A function that fails
+ * notes that in its context, and writes NaN from then on: no trial with NaN is accepted, and the report of the search,
+ * which follows each trial, ends it. */
 typedef struct {
     void (*evaluate)(void *context, const retrax_tape_data *data, retrax_index points);
     void *context;

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....compute.automatic import AutomaticEvaluator
 from ....compute.base import Arrays, Evaluator, PointwiseFunction
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
@@ -273,7 +272,7 @@ class Nodes:
             PointLayout.of(problem.manifold),
             parameter_layout(parameters),
         )
-        self.control = PointLayout.of(problem.controls)
+        self.control, self._evaluator = PointLayout.of(problem.controls), evaluator
         self.dimension, e = problem.manifold.dimension, self.layout.size
         self._in_frame = evaluator.values(self._in_frame_of, e, self.dimension, e, e)
         costs = {"first_cost": problem.initial_cost, "final_cost": problem.terminal_cost}
@@ -329,7 +328,7 @@ class Nodes:
         Each column of a point is taken to run along a circle: with the half chord s and the sagitta c between its ends,
         tan(angle / 4) = c / s. A tangent vector at the middle moves the chord by the cosine of angle / 2.
         """
-        middle, columns = self._middle.at(1, first, second)[0], self.layout.in_columns
+        middle, columns = self._middle.of_any(1, first, second)[0], self.layout.in_columns
         found = np.where(np.all(np.isfinite(middle), axis=1, keepdims=True), middle, first)
         sagitta, half = (np.sqrt(a**2 @ columns.T) for a in ((first + second) / 2 - found, (second - first) / 2))
         angle = np.where(half > 0, 2 * np.arctan2(sagitta, np.where(half > 0, half, 1.0)), 0.0)  # of half the arc
@@ -340,7 +339,7 @@ class Nodes:
     @cached_property
     def _middle(self) -> PointwiseFunction:
         """Traced where ends are far apart for the first time; it reads nothing but the manifold."""
-        return AutomaticEvaluator().values(self._middle_of, self.layout.size, self.layout.size)
+        return self._evaluator.values(self._middle_of, self.layout.size, self.layout.size)
 
     @cached_property
     def roll_out(self) -> RollOut:
