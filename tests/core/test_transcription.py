@@ -5,15 +5,8 @@ from typing import Any
 import numpy as np
 import pytest
 from retrax.compute.core import best_instruction_set
-from retrax.compute.transcription import (
-    FunctionName,
-    LimitScale,
-    Scale,
-    Search,
-    SearchStatus,
-    Trajectory,
-    Transcription,
-)
+from retrax.compute.search import Search, SearchStatus
+from retrax.compute.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
 from retrax.integrators.boundary_value.engine import beginning, core_search
 from retrax.integrators.boundary_value.engine import first_units as engine_units
 from retrax.integrators.boundary_value.engine.barrier import PRICES

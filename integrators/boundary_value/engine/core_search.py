@@ -8,16 +8,9 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
+from ....compute.search import Search, SearchResult, SearchStatus
 from ....compute.tape_machine import MachineProgram
-from ....compute.transcription import (
-    FunctionName,
-    Search,
-    SearchResult,
-    SearchStatus,
-    Sizes,
-    Trajectory,
-    Transcription,
-)
+from ....compute.transcription import FunctionName, Sizes, Trajectory, Transcription
 from ....manifolds.numerics.ambient import joined, taken
 from ...problem.point_layout import PointLayout
 from .acceptance import WIDE

@@ -1,14 +1,9 @@
 """Trajectories of a transcribed problem: their arrays, their linear systems, and steps from one to the next."""
 
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from ctypes import addressof, byref, c_void_p, cast, pointer
 from enum import IntEnum
-from functools import partial
-from threading import current_thread, main_thread
-from typing import Any, NamedTuple, final
-from weakref import ref
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -19,12 +14,9 @@ from .core import (
     BYTES,
     FLOAT,
     PLACE,
-    REPORT,
     FunctionStruct,
-    IterationStruct,
     LayoutStruct,
     LimitScaleStruct,
-    OptionsStruct,
     ProblemStruct,
     ResidualScaleStruct,
     ScaleDataStruct,
@@ -35,8 +27,6 @@ from .core import (
     library,
 )
 from .tape_machine import MachineProgram
-
-MOST_ITERATIONS = 1 << 20  # as in search.c
 
 
 class FunctionName(IntEnum):
@@ -120,7 +110,7 @@ class Transcription:
         instruction_set: int | None = None,
     ) -> None:
         self.sizes, self.programs, self._library = sizes, dict(functions), library()
-        self._set = best_instruction_set() if instruction_set is None else instruction_set
+        self.instruction_set = best_instruction_set() if instruction_set is None else instruction_set
         (matrix, weights), s = tableau, sizes.points
         addresses = (
             address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
@@ -147,9 +137,9 @@ class Transcription:
             if name is not FunctionName.CONTROL_FRAMES or control_groups is not None:
                 self._set_function(name, functions.get(name), points)
         self._workspace = aligned(-(-room // BYTES))
-        self._memory, self._layout = aligned(-(-size // BYTES)), LayoutStruct()
+        self._memory, self.layout = aligned(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
-        self._library.retrax_layout_make(byref(self._problem), place, byref(self._layout))
+        self._library.retrax_layout_make(byref(self._problem), place, byref(self.layout))
 
     @property
     def workspace(self) -> int:
@@ -173,7 +163,7 @@ class Transcription:
                 f"{sizes[0]} and {sizes[1]} for {self.sizes}"
             )
         registers = address_of(self._registers, FLOAT, self._registers.shape, "registers")
-        context = TapeFunctionStruct(pointer(program.tape), registers, program.lanes(points), self._set)
+        context = TapeFunctionStruct(pointer(program.tape), registers, program.lanes(points), self.instruction_set)
         self._kept.append(context)
         self._problem.functions[name] = FunctionStruct(
             cast(own.retrax_evaluate_tape, c_void_p), c_void_p(addressof(context))
@@ -185,7 +175,7 @@ class Trajectory:
     """The arrays of a trajectory; ``retrax_core.h`` names them."""
 
     def __init__(self, transcription: Transcription, numbers: np.ndarray | None = None) -> None:
-        self._of, self._layout = transcription, transcription._layout
+        self._of, self._layout = transcription, transcription.layout
         if numbers is None:
             numbers = aligned(self._layout.numbers)
             numbers[...] = 0.0
@@ -193,7 +183,7 @@ class Trajectory:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The entries of an array, a view of shape ``(count,)``."""
-        place = _PLACES[name]
+        place = PLACES[name]
         first = self._layout.first[place]
         return self._numbers[first : first + self._layout.count[place]]
 
@@ -203,7 +193,7 @@ class Trajectory:
         own.retrax_evaluate_trajectory(*here)
         if self._of.sizes.limits:
             own.retrax_add_inequalities(*here)
-        own.retrax_assemble_system(*here, self._of.workspace, self._of._set)
+        own.retrax_assemble_system(*here, self._of.workspace, self._of.instruction_set)
         own.retrax_write_right_sides(*here)
         own.retrax_survey_trajectory(*here)
 
@@ -273,137 +263,4 @@ class Trajectory:
         return address_of(self._numbers, FLOAT, self._numbers.shape, "numbers of a trajectory")
 
 
-class SearchStatus(IntEnum):
-    """How a search has ended; ``retrax_core.h`` explains these."""
-
-    GOING_ON = 0
-    CONVERGED = 1
-    SINGULAR = 2
-    INFEASIBLE = 3
-    ELSEWHERE = 4
-    DEGENERATE = 5
-    ITERATION_LIMIT = 6
-    STOPPED = 7
-
-
-@final
-class SearchResult(NamedTuple):
-    """The result of a search; ``retrax_core.h`` explains the fields."""
-
-    trajectory: "Trajectory"
-    first: "Trajectory"
-    judging: Scale
-    steps: Scale
-    limits: np.ndarray
-    rate: float
-    iterations: int
-    claimed: bool
-    isolated: bool
-    strict: bool
-    solvable: bool
-    infeasible: bool
-    falls: bool
-    stopped: bool
-
-
-@final
-class Search:
-    """Newton's method on the conditions of one trajectory.
-
-    ``width``: the infeasibility that the funnel lets pass first; ``firm``: times the usual first penalty of excesses;
-    ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
-    """
-
-    def __init__(
-        self,
-        transcription: Transcription,
-        tolerance: float,
-        max_iterations: int,
-        width: float = 1.0,
-        firm: float = 1.0,
-        looks: bool = True,
-        report: Callable[[IterationStruct], bool] | None = None,
-    ) -> None:
-        own = self._library = library()
-        self._of, self._layout = transcription, byref(transcription._layout)
-        size = own.retrax_search_memory(self._layout, max_iterations)
-        if not size:
-            raise InvalidInputError(f"a search has 1 to {MOST_ITERATIONS} iterations, got {max_iterations}")
-        self._memory = aligned(-(-size // BYTES))
-        self._memory[...] = 0.0
-        place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
-        self._report, self._interrupted = report, False
-        self._error: BaseException | None = None
-        self._callback = REPORT(partial(_told, ref(self)))  # C calls it
-        options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
-        self._search = own.retrax_search_make(self._layout, byref(options), transcription._set, place)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """The iterate: the guess before a run, the solution behind it."""
-        place = self._library.retrax_search_trajectory(self._search)
-        return Trajectory(self._of, self._part(place, self._of._layout.numbers))
-
-    def run(self) -> SearchStatus:
-        """Search an extremal from the guess; an error of the report, or an interrupt, is raised when the search has
-        ended."""
-        self._error, self._interrupted = None, False
-        with self._interrupts():
-            status = SearchStatus(self._library.retrax_search_run(self._search))
-        if self._error is not None:
-            raise self._error
-        if self._interrupted:
-            raise KeyboardInterrupt
-        return status
-
-    @contextmanager
-    def _interrupts(self) -> Iterator[None]:
-        """A time in which an interrupt asks the search to stop: where C calls Python, nobody could catch it."""
-        usual = signal.default_int_handler
-        if current_thread() is not main_thread() or signal.getsignal(signal.SIGINT) is not usual:
-            yield
-            return
-
-        def note(*_: Any) -> None:
-            self._interrupted = True
-
-        signal.signal(signal.SIGINT, note)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, usual)
-
-    def _reports(self, iteration: IterationStruct) -> bool:
-        """Whether the report, an error of that, or an interrupt asks to stop."""
-        try:
-            return self._interrupted or (self._report is not None and self._report(iteration))
-        except BaseException as error:  # C knows no exceptions
-            self._error = error
-            return True
-
-    def read(self) -> SearchResult:
-        """Return the result of the last run; the next run overwrites its arrays."""
-        found, layout, of = self._library.retrax_search_read(self._search), self._of._layout, self._of
-        sizes, z = of.sizes, layout.count[_PLACES["PARTS"]]
-        at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
-        judging, steps = (
-            Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
-            for own in (found.judging, found.steps)
-        )
-        limits = self._part(found.limits, sizes.limits)
-        told = (getattr(found, name) for name in SearchResult._fields[5:])
-        return SearchResult(at, first, judging, steps, limits, *told)
-
-    def _part(self, place: int, count: int) -> np.ndarray:
-        """Numbers of the memory of the search from an address on."""
-        first = (place - self._memory.ctypes.data) // BYTES
-        return self._memory[first : first + count]
-
-
-def _told(search: Any, _context: int | None, iteration: Any) -> bool:
-    """The report that C calls after each evaluation."""
-    own = search()
-    return own is None or own._reports(iteration.contents)
-
-
-_PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
+PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
