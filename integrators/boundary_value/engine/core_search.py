@@ -18,7 +18,6 @@ from .aside import aside
 from .barrier import Barrier
 from .collocation import Collocation, GaussUnknowns
 from .conditions import Conditions
-from .extent import ends_meet
 from .found import Found, Iteration, stops
 from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate
@@ -184,11 +183,10 @@ class CoreSearch:
     def ended(self, guess: Iterate) -> Found:
         """The result of the searches from the guesses, which an interrupt ends."""
         conditions, steps, count = self.conditions, self.conditions.transcription, len(guess.costates)
-        self.lost, limited = np.zeros(count, bool), np.zeros(count, bool)
+        self.lost = np.zeros(count, bool)
         told, iterates, firsts, units, wider, barriers = [], [], [], [], [], []
         for k in range(count):
             result = self._searched(guess, k).read()
-            limited[k] = result.iterations >= self.max_iterations
             iterates.append(iterate_of(result.trajectory, guess, steps))
             firsts.append(iterate_of(result.first, guess, steps))
             units.append(_units(result.judging))
@@ -200,7 +198,7 @@ class CoreSearch:
         conditions.units, conditions.wider = joined(units), joined(wider)
         conditions.barrier = joined(barriers) if barriers else None
         iterate, self._first = joined(iterates), joined(firsts)
-        return self._found(iterate, told, limited)
+        return self._found(iterate, told)
 
     def _searched(self, guess: Iterate, k: int) -> Search:
         """The search of a member, from its guess or from that moved aside."""
@@ -247,19 +245,16 @@ class CoreSearch:
         moved, _ = aside(alone, *alone.begin(taken(guess, np.array([k])), self.firm))
         return alone, moved
 
-    def _found(self, iterate: Iterate, told: list[SearchResult], limited: np.ndarray) -> Found:
+    def _found(self, iterate: Iterate, told: list[SearchResult]) -> Found:
         conditions = self.conditions
         assembled = conditions.assemble(iterate)
         residuals = conditions.residuals(iterate, assembled)
-        names = "claimed", "isolated", "strict", "solvable", "infeasible", "falls", "iterations"
-        own = {name: np.array([getattr(one, name) for one in told]) for name in names}
-        strict = own["strict"]
-        if iterate.slacks is not None:
-            strict = conditions.is_isolated_minimum(iterate, assembled)
-        claimed = own["claimed"] & ends_meet(assembled, conditions.at_nodes.layout.in_arrays, self.tolerance)
+        names = "strict", "iterations", "limited", "claimed", "solvable", "infeasible", "falls"
+        strict, count, limited, claimed, solvable, infeasible, falls = (
+            np.array([getattr(one, name) for one in told]) for name in names
+        )
         missing = assembled.extent.lacking / conditions.judging.nodes
-        ended = strict & own["isolated"], own["iterations"], limited, claimed, own["solvable"]
-        falling = own["falls"] & ~claimed
+        ended = strict, count, limited, claimed, solvable
         return Found(
             iterate,
             assembled,
@@ -267,9 +262,9 @@ class CoreSearch:
             *ended,
             self.stopped,
             missing,
-            own["infeasible"],
+            infeasible,
             conditions.judging.cost,
-            falling,
+            falls,
         )
 
 

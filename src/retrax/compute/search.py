@@ -44,9 +44,10 @@ class SearchResult(NamedTuple):
     limits: np.ndarray
     rate: float
     iterations: int
+    limited: bool
     claimed: bool
-    isolated: bool
     strict: bool
+    convex: bool
     solvable: bool
     infeasible: bool
     falls: bool
