@@ -247,3 +247,20 @@ def test_searches_end_where_those_of_the_engine_do(name, monkeypatch):
     found = search.read()
     assert found.claimed
     assert found.iterations == expected.statistics.iterations
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_the_memory_of_a_search_held_before_changes_no_bit(name, monkeypatch):
+    solver, way, options = CASES[name]()
+    conditions, guess = posed(solver, way, monkeypatch, **options)
+    own, ends = transcription(conditions, SETS[-1]), []
+    for held in (0.0, np.nan, 1e300):
+        Search(own, 1e-10, 100)
+        own.search_room(1)[...] = held
+        search = Search(own, 1e-10, 100)
+        put(search.trajectory, conditions, guess._replace(slacks=None))
+        status, found = search.run(), search.read()
+        told = [status, found.iterations, found.claimed, found.strict, found.convex, found.limits.tobytes()]
+        names = "CENTRES", "CONTROLS", "COSTATES", "LIMIT_MULTIPLIERS", "RESIDUALS", "STEPS", "TOTALS"
+        ends.append(told + [found.trajectory[array].tobytes() for array in names])
+    assert ends[0] == ends[1] == ends[2]

@@ -12,7 +12,6 @@ from weakref import ref
 
 import numpy as np
 
-from ..aligned import aligned
 from ..errors import InvalidInputError
 from .core import BYTES, FLOAT, REPORT, IterationStruct, OptionsStruct, address_of, library
 from .transcription import PLACES, Scale, Trajectory, Transcription
@@ -60,6 +59,7 @@ class Search:
 
     ``width``: the infeasibility that the funnel lets pass first; ``firm``: times the usual first penalty of excesses;
     ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
+    The memory is the transcription's: one search at a time, and a result holds until the next one begins.
     """
 
     def __init__(
@@ -77,14 +77,13 @@ class Search:
         size = own.retrax_search_memory(self._layout, max_iterations)
         if not size:
             raise InvalidInputError(f"a search has 1 to {MOST_ITERATIONS} iterations, got {max_iterations}")
-        self._memory = aligned(-(-size // BYTES))
-        self._memory[...] = 0.0
-        place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
+        self._memory = transcription.search_room(-(-size // BYTES))
+        self._place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
         self._report, self._interrupted = report, False
         self._error: BaseException | None = None
         self._callback = REPORT(partial(_told, ref(self)))  # C calls it
         options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
-        self._search = own.retrax_search_make(self._layout, byref(options), transcription.instruction_set, place)
+        self._search = own.retrax_search_make(self._layout, byref(options), transcription.instruction_set, self._place)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -144,7 +143,7 @@ class Search:
 
     def _part(self, place: int, count: int) -> np.ndarray:
         """Numbers of the memory of the search from an address on."""
-        first = (place - self._memory.ctypes.data) // BYTES
+        first = (place - self._place) // BYTES
         return self._memory[first : first + count]
 
 

@@ -91,6 +91,8 @@ class LimitScale(NamedTuple):
 class Transcription:
     """A transcribed problem as the core has it, for one thread: its functions share registers.
 
+    ``parts``: where the arrays of a trajectory stand; the first ``iterate_numbers`` determine all others.
+
     ``matrix``, ``weights``: the tableau about the middle of a step, shapes ``(s, s)`` and ``(s,)``; ``groups``: the
     column of a matrix, and the array, that each entry of a state belongs to, shape ``(E,)``; ``control_groups``: the
     same of the controls, shape ``(U,)``, where these lie on a manifold that is not flat, else None; ``kept``: 1 for the
@@ -140,11 +142,21 @@ class Transcription:
         self._memory, self.layout = aligned(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
         self._library.retrax_layout_make(byref(self._problem), place, byref(self.layout))
+        firsts, counts = self.layout.first[:], self.layout.count[:]
+        self.parts = {name: slice(firsts[k], firsts[k] + counts[k]) for name, k in PLACES.items()}
+        self.iterate_numbers = firsts[PLACES["POINT_CENTRES"]]
+        self._room = aligned(1)
 
     @property
     def workspace(self) -> int:
         """The address of the workspace; one thread uses it at a time."""
         return address_of(self._workspace, FLOAT, self._workspace.shape, "workspace")
+
+    def search_room(self, size: int) -> np.ndarray:
+        """Numbers for the memory of a search, which the next search in this thread takes too."""
+        if len(self._room) < size:
+            self._room = aligned(size)
+        return self._room
 
     def trajectory(self) -> "Trajectory":
         """Return a trajectory, all of whose numbers are zero."""
@@ -171,6 +183,18 @@ class Transcription:
 
 
 @final
+class IterateNumbers(NamedTuple):
+    """The given arrays and the unknowns of a trajectory: all from which the rest is evaluated."""
+
+    numbers: np.ndarray
+    parts: Mapping[str, slice]
+
+    def array(self, name: str) -> np.ndarray:
+        """The entries of an array, a view of shape ``(count,)``."""
+        return self.numbers[self.parts[name]]
+
+
+@final
 class Trajectory:
     """The arrays of a trajectory; ``retrax_core.h`` names them."""
 
@@ -183,9 +207,12 @@ class Trajectory:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The entries of an array, a view of shape ``(count,)``."""
-        place = PLACES[name]
-        first = self._layout.first[place]
-        return self._numbers[first : first + self._layout.count[place]]
+        return self._numbers[self._of.parts[name]]
+
+    @property
+    def iterate(self) -> "IterateNumbers":
+        """A copy of all that is given and of the unknowns, which come first."""
+        return IterateNumbers(self._numbers[: self._of.iterate_numbers].copy(), self._of.parts)
 
     def evaluate(self) -> None:
         """Evaluate the functions of the problem at the unknowns, and assemble the linear system."""
