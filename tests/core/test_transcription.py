@@ -7,12 +7,13 @@ import pytest
 from retrax.compute.core import best_instruction_set
 from retrax.compute.search import Search, SearchStatus
 from retrax.compute.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
-from retrax.integrators.boundary_value.engine import beginning, core_search
+from retrax.integrators.boundary_value.engine import beginning
 from retrax.integrators.boundary_value.engine import first_units as engine_units
 from retrax.integrators.boundary_value.engine.barrier import PRICES
 from retrax.integrators.boundary_value.engine.conditions import Conditions
 from retrax.integrators.boundary_value.engine.inequalities import BOUNDARY
 from retrax.integrators.boundary_value.engine.transcription import Moves
+from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import InvalidInputError
 
 from ..integrators.engine.test_trial import CASES, SLEWS
