@@ -12,7 +12,6 @@ import numpy as np
 from ...compute.automatic import choose_evaluator
 from ...compute.closure_guard import ClosureGuard
 from ...manifolds import InvalidInputError
-from ...manifolds.numerics.ambient import taken
 from ...tracing import is_tracing, one_tracing, reads_once
 from ..problem.argument_errors import require_known_options
 from ..problem.free_quantities import Free, is_free
@@ -24,7 +23,7 @@ from ..singular import Classification, SingularIntegrator
 from .audit.audit import Audit
 from .audit.termination_status import add_compile_time, explain_failure
 from .engine.derivatives import Sensitivities
-from .engine.found import Found, Iteration
+from .engine.found import Iteration
 from .engine.stopwatch import Stopwatch
 from .guess import Guess
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
@@ -37,6 +36,7 @@ from .shooting import solve_on_final_manifold
 from .solution.batch import Solutions
 from .solution.builder import SolutionBuilder
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
+from .solution.discrete_extremals import DiscreteExtremals
 from .solution.interpolation import Interpolant
 from .solution.record import Solution
 from .solution.resampling import Mesh
@@ -50,7 +50,7 @@ class _LastSolution(NamedTuple):
     """The KKT system of a solution, which is one place of a batch."""
 
     transcribed: TranscribedProblem
-    found: Found
+    found: DiscreteExtremals
     place: int
     parameters: Any
 
@@ -323,13 +323,12 @@ class Solver:
                 f"{brief(solution)}; try solver.sensitivity(solver.solve(...)) with one and the same solver"
             )
         kept = self._kept[solution]
-        key, place = structure_of(kept.parameters), np.array([kept.place])
+        key = structure_of(kept.parameters)
         with self._required(kept.parameters), np.errstate(all="ignore"):
             if key not in self._derivatives:
                 traced = kept.transcribed.traced
                 self._derivatives[key] = Sensitivities(traced.steps, traced.nodes, self._evaluator)
-            system = taken((kept.found.iterate, kept.found.assembled), place)
-            columns = self._derivatives[key](kept.transcribed.conditions.of(place), *system)
+            columns = self._derivatives[key](*kept.found.system(kept.place))
         require_isolated(columns, solution)
         layouts = self._transcription.state, self._transcription.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)

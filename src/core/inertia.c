@@ -77,6 +77,8 @@ static void write_promise(retrax_search *search) {
     found->turned = (found->reach * turned + dual) / search->steps.cost;
 }
 
+double retrax_clear_pivot(retrax_index equations) { return CLEAR * fmax(1.0, (double)equations / MANY); }
+
 /* Solves the linear system of the iterate. */
 static void eliminate(retrax_search *search, double shift) {
     const retrax_layout *const layout = search->layout;
@@ -109,8 +111,8 @@ static void eliminate(retrax_search *search, double shift) {
                                       .largest_step = search->largest};
     retrax_block_eliminate(&system, &solution, search->workspace, search->set);
     const bool right = solution.inertia.negative == equations;
-    const bool clear = solution.inertia.smallest > CLEAR * fmax(1.0, (double)equations / MANY);
-    const bool hidden = solution.inertia.smallest <= CLEAR * fmax(1.0, (double)equations / MANY);
+    const bool clear = solution.inertia.smallest > retrax_clear_pivot(equations);
+    const bool hidden = solution.inertia.smallest <= retrax_clear_pivot(equations);
     retrax_direction *const found = &search->direction;
     found->shift = shift;
     found->curvature = solution.curvature;

@@ -43,7 +43,7 @@ extern "C" {
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Version of the interface below; it changes whenever a struct or a function does. */
-#define RETRAX_CORE_VERSION 3
+#define RETRAX_CORE_VERSION 4
 
 /* Counts and places in arrays; signed, as wide as a pointer. */
 typedef ptrdiff_t retrax_index;
@@ -720,12 +720,14 @@ typedef struct {
     const double *limits;       /* [c + d] of the inequalities */
     double rate;                /* unit of the barrier */
     retrax_index iterations;
-    bool claimed;               /* whether the iterate counts as an extremal */
-    bool isolated;              /* whether Newton's next step was small there */
-    bool strict;                /* whether without inequalities the second-order condition of a strict minimum holds */
+    bool limited;               /* whether it has made as many iterations as it may */
+    bool claimed;               /* whether the iterate is an extremal */
+    bool strict;                /* whether it is a strict minimum: Newton's next step was small, and the Hessian of the
+                                 * Lagrangian is positive definite on the null space of the constraints */
+    bool convex;                /* whether its cost is strictly convex in the controls, at each point by itself */
     bool solvable;              /* whether the last step is finite, with a shift that is not too large */
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
-    bool falls;                 /* whether the cost falls as if it had no lower bound */
+    bool falls;                 /* whether it is no extremal and the cost falls as if it had no lower bound */
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
 } retrax_search_result;
 

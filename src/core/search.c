@@ -7,6 +7,28 @@
 /* Bound of the iterations of a search, whose costs are kept. */
 #define MOST_ITERATIONS ((retrax_index)1 << 20)
 
+/* Takes the arrays of the linear system with the multipliers of the inequalities from a block. */
+static void take_augmented(const retrax_problem *problem, retrax_block *block, retrax_augmented *to) {
+    const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, z = n + s * problem->control_size;
+    const retrax_index limits = s * problem->inequalities + problem->node_inequalities, y = z + limits;
+    to->size = y;
+    if (limits == 0) {
+        return;
+    }
+    to->rows = retrax_take(block, N * limits, z, sizeof(double));
+    to->gives = retrax_take(block, N, limits, sizeof(double));
+    to->sizes = retrax_take(block, y, 1, sizeof(double));
+    to->hessian = retrax_take(block, N * y, y, sizeof(double));
+    to->left = retrax_take(block, N * n, y, sizeof(double));
+    to->right = retrax_take(block, N * n, y, sizeof(double));
+    to->zeros = retrax_take(block, N + 1, y + n, sizeof(double));
+    to->step = retrax_take(block, N, y, sizeof(double));
+    to->multipliers = retrax_take(block, N + 1, n, sizeof(double));
+    to->largest = retrax_take(block, y, 1, sizeof(double));
+    const size_t size = retrax_block_workspace(N, n, y, 1);
+    to->workspace = retrax_take(block, 1, 1, size == 0 ? SIZE_MAX / 2 : size);
+}
+
 /* Lays out a search in a block. */
 static retrax_search *lay_out(const retrax_layout *layout, retrax_index max_iterations, retrax_block *block) {
     const retrax_problem *const problem = layout->problem;
@@ -38,6 +60,7 @@ static retrax_search *lay_out(const retrax_layout *layout, retrax_index max_iter
     to->square = retrax_take(block, z, z, sizeof(double));
     to->steady = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
     to->workspace = retrax_take(block, 1, 1, retrax_workspace(problem));
+    take_augmented(problem, block, &to->augmented);
     return own;
 }
 
@@ -66,6 +89,7 @@ double *retrax_search_trajectory(retrax_search *search) { return search->at; }
 
 retrax_search_result retrax_search_read(const retrax_search *search) {
     const retrax_direction *const step = &search->direction;
+    const bool extremal = retrax_is_extremal(search);
     return (retrax_search_result){
         .trajectory = search->at,
         .first = search->first,
@@ -74,13 +98,13 @@ retrax_search_result retrax_search_read(const retrax_search *search) {
         .limits = search->limit_sizes,
         .rate = search->limits.rate,
         .iterations = search->trials - 1,
-        .claimed = search->claimed && search->at[search->layout->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_FINAL] <=
-                                          search->options.tolerance,
-        .isolated = search->isolated,
-        .strict = step->strict && step->shift == 0.0,
+        .limited = search->trials > search->options.max_iterations,
+        .claimed = extremal,
+        .strict = search->strict,
+        .convex = search->convex,
         .solvable = step->finite && step->shift < RETRAX_LARGEST_SHIFT,
         .infeasible = retrax_is_infeasible(search),
-        .falls = retrax_cost_falls(search),
+        .falls = !extremal && retrax_cost_falls(search),
         .stopped = search->stopped,
     };
 }

@@ -34,6 +34,20 @@ typedef struct {
     double infeasibility, cost, held;
 } retrax_merit;
 
+/* The linear system of the Lagrangian alone, with the multipliers of the inequalities among the unknowns of a step. */
+typedef struct {
+    retrax_index size;          /* y: unknowns of a step, its inequalities last */
+    double *rows;               /* [N][y - z][z] derivatives of the inequalities */
+    double *gives;              /* [N][y - z] one over stiffness and weight */
+    double *sizes;              /* [y] natural sizes of the unknowns */
+    double *hessian;            /* [N][y][y] */
+    double *left, *right;       /* [N][n][y] */
+    double *zeros;              /* [N + 1][y + n] right-hand sides */
+    double *step, *multipliers; /* [N][y], [N + 1][n] */
+    double *largest;            /* [y] */
+    void *workspace;
+} retrax_augmented;
+
 /* A search; arrays stand in its memory. */
 struct retrax_search {
     const retrax_layout *layout;
@@ -57,6 +71,7 @@ struct retrax_search {
     double *costs;               /* [max_iterations + 2] of the iterates after 1, 2, ... trials */
     double first_cost;           /* natural size of the cost at the guess */
     bool *steady;                /* [E + U] */
+    retrax_augmented augmented;  /* without inequalities its arrays are missing */
     retrax_direction direction;
     retrax_merit merit;
     double fraction;   /* of the step that is tried */
@@ -66,6 +81,8 @@ struct retrax_search {
     double firm;       /* times the usual first penalty; its root times the usual first barrier */
     bool isolated;     /* whether Newton's next step is small where the residuals meet the tolerance */
     bool claimed;      /* whether the iterate counts as an extremal */
+    bool strict;       /* whether the extremal that was found is a strict minimum of the discrete problem */
+    bool convex;       /* whether the cost is strictly convex in the controls there, at each point by itself */
     bool done;
     bool accepted;     /* whether the last trial was */
     bool stopped;      /* whether the report has asked to stop, be it in the last iteration */
@@ -84,6 +101,9 @@ void retrax_newton_step(retrax_search *search, double shift);
 /* inertia.c: computes the step with the smallest tried shift, from `shift` on, that makes it descend. keep: the shift
  * is used as it is; loose: positive curvature along the step is enough. */
 void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose);
+
+/* inertia.c: what a pivot that is more than rounding exceeds, in a system of so many equations of nodes. */
+double retrax_clear_pivot(retrax_index equations);
 
 /* inertia.c: the largest entry of the step in natural sizes. */
 double retrax_step_length(const retrax_search *search);
@@ -108,6 +128,12 @@ bool retrax_renew_scale(retrax_search *search);
 /* rescaling.c: whether the cost has fallen by far, and in the second half of the trials by no less than in the first:
  * one with a lower bound falls by less and less on the way to it. */
 bool retrax_cost_falls(const retrax_search *search);
+
+/* conclusion.c: whether the iterate is an extremal: one that counts, meets the tolerance and has ends that meet. */
+bool retrax_is_extremal(const retrax_search *search);
+
+/* conclusion.c: finds out whether the conditions of second order hold at the extremal, if it is one. */
+void retrax_conclude(retrax_search *search);
 
 /* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);

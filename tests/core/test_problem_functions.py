@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 from retrax.compute.base import Evaluator
 from retrax.compute.problem_functions import CallbackFunction, _columns
+from retrax.compute.search import Search, SearchStatus
 from retrax.compute.tape_evaluator import TapeEvaluator
-from retrax.compute.transcription import Search, SearchStatus, Transcription
+from retrax.compute.transcription import Transcription
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.engine import core_search, newton
+from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss, Midpoint
 
 from ..integrators.engine.test_trial import CASES
 from ..integrators.problems import half_square
-from .test_transcription import posed
+from .test_transcription import posed, run_on_core
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 NAMES = list(CASES)
@@ -49,7 +50,7 @@ def test_searches_by_callbacks_are_those_by_tapes(name, monkeypatch):
     """Of all functions, and of every second one; the same arithmetic, so that iterates are the same to rounding."""
     solver, way, options = CASES[name]()
     with monkeypatch.context() as patch:
-        patch.setattr(newton, "PARTS_ON_CORE", frozenset())
+        run_on_core(patch)
         conditions, guess = posed(solver, way, monkeypatch, **options)
     own = core_search.made(conditions)
     found = []
@@ -71,7 +72,7 @@ def on_core(monkeypatch):
     """Solves by the core; its searches, one after the other."""
     searches = list[Search]()
     run = Search.run
-    monkeypatch.setattr(newton, "PARTS_ON_CORE", frozenset({"search"}))
+    run_on_core(monkeypatch, "search")
     monkeypatch.setattr(Search, "run", lambda own: searches.append(own) or run(own))
     return searches
 
@@ -133,7 +134,7 @@ def test_what_has_no_tape_is_solved_as_by_the_engine(name, method, on_core, monk
     assert solver.evaluator == "xla", solver.reason
     assert on_core
     assert all(len(kinds(search)) == 2 for search in on_core)
-    monkeypatch.setattr(newton, "PARTS_ON_CORE", frozenset())
+    run_on_core(monkeypatch)
     expected = solver.solve(*way)
     assert found.success
     assert found.cost == pytest.approx(expected.cost, rel=1e-9)

@@ -13,7 +13,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import imprecise
 from ...problem_checks.smoothness.kinks import find_kinks
 from ...reporting.results import sentence
-from ..engine.found import Found
+from ..solution.discrete_extremals import DiscreteExtremals
 from ..solution.record import Solution
 
 NEARLY_SOLVED = (
@@ -68,23 +68,23 @@ def add_compile_time(solution: Solution, seconds: float) -> Solution:
     return replace(solution, statistics=replace(spent, compile_seconds=spent.compile_seconds + seconds))
 
 
-def termination_statuses(found: Found, tolerance: float) -> tuple[np.ndarray, list[str]]:
+def termination_statuses(found: DiscreteExtremals, tolerance: float) -> tuple[np.ndarray, list[str]]:
     """Whether each finished iteration has success, and the results of all in words."""
     largest = found.residuals.largest
-    finite = np.isfinite(largest) & np.isfinite(found.assembled.cost)
+    finite = np.isfinite(largest) & np.isfinite(found.cost)
     success = found.claimed & finite
     if (success & found.strict_minimum).all():
         return success, [sentence("successful")] * len(success)
     meets = np.max(np.abs(found.missing), axis=1) <= tolerance
-    apart = (found.residuals.stationarity <= tolerance) & meets & (found.residuals.gap > np.sqrt(tolerance))
+    apart = (found.residuals.stationarity <= tolerance) & meets & (found.residuals.defect > np.sqrt(tolerance))
     residuals = found.residuals
-    trespass = np.maximum(residuals.gap, np.maximum(residuals.violation, residuals.excess))
+    trespass = np.maximum(residuals.defect, np.maximum(residuals.violation, residuals.excess))
     undetermined = (largest <= tolerance) & (not found.stopped)
     ways = {
         "not_finite": ~finite,
         "stationary": found.claimed & ~found.strict_minimum,
         "successful": found.claimed,
-        "infeasible": found.contradictory,
+        "infeasible": found.infeasible,
         "wrong_point": apart,
         "falling": found.falling & (trespass <= NEARLY_SOLVED) & (not found.stopped),
         "singular": (~found.solvable & ~meets) | undetermined,

@@ -14,13 +14,13 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.inspection import inspect_problem
 from ..audit.audit import Audit
 from ..audit.termination_status import explain_failure
-from ..engine.found import Found
 from ..inputs.arguments import BoundaryData, Method, Options, step_fractions
 from ..inputs.inputs import InputReader, Inputs
 from ..reformulations.free_quantities import Reformulation
 from ..reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationSolver
 from ..reformulations.vanishing_horizons import VanishingHorizon
 from ..solution.builder import SolutionBuilder
+from ..solution.discrete_extremals import DiscreteExtremals
 from ..solution.interpolation import Interpolant
 from ..solution.record import Solution
 from ..solution.resampling import Mesh
@@ -97,7 +97,7 @@ class TranscribedPhase(NamedTuple):
         """The time at which the phase begins."""
         return jnp.zeros(()) if self.formulation is None else self.formulation.rate(first) * first[-1][0]
 
-    def recorded(self, found: Found, seconds: tuple[float, float]) -> Solution:
+    def recorded(self, found: DiscreteExtremals, seconds: tuple[float, float]) -> Solution:
         """The solution of the phase."""
         _, member = self.inner.builder.of(self.transcribed, self.own.parameters(), found, self.own.options, seconds)
         solution = member(0)

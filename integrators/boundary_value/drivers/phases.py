@@ -231,7 +231,7 @@ class _Task:
             found = check_independence(joint, newton(joint, first, *self.options), names)  # pyright: ignore[reportArgumentType]
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
-            solutions = [part.recorded(phase_of(found, k, owns), seconds) for k, part in enumerate(parts)]
+            solutions = [part.recorded(phase_of(joint, found, k, owns), seconds) for k, part in enumerate(parts)]
             free = any(is_free(phase.duration) for phase in phases)
             solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]
             solutions = [add_compile_time(solution, watch.seconds()[0] - compiling) for solution in solutions]

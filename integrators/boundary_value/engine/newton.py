@@ -33,8 +33,9 @@ def newton(
     tolerance: float,
     max_iterations: int,
     callback: Callable[[Iteration], Any] | None = None,
+    first: Any = None,
 ) -> Found:
-    """Solve the KKT systems of a batch of trajectories from guesses.
+    """Solve the KKT systems of a batch of trajectories from guesses; ``first``: the search from these.
 
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its
     square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
@@ -47,7 +48,7 @@ def newton(
     minimum was found. After it come the states to which the controls of the guess lead from its start, then the guess
     with dear excesses and a high barrier.
     """
-    search = _search(conditions, tolerance, max_iterations, callback)
+    search = _search(conditions, tolerance, max_iterations, callback) if first is None else first
     found = search.ended(guess)
     if search.lost.any():
         found = _again(search, found, guess, np.flatnonzero(search.lost))
@@ -66,7 +67,8 @@ def newton(
 def _search(conditions: Any, tolerance: float, most: int, callback: Any, **options: Any) -> Any:
     """The search of the engine, or of the core where that is asked for and has all that it needs."""
     if "search" in PARTS_ON_CORE:
-        from .core_search import CoreSearch, is_on_core
+        from ..transcription.core_search import is_on_core
+        from .core_restarts import CoreSearch
 
         if is_on_core(conditions):
             return CoreSearch(conditions, tolerance, most, callback, **options)

@@ -25,7 +25,7 @@ from ..errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-HEADER_VERSION = 3  # of the header that the structs below repeat
+HEADER_VERSION = 4  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -302,7 +302,10 @@ class SearchResultStruct(Structure):
         ("limits", c_void_p),
         ("rate", c_double),
         ("iterations", c_ssize_t),
-        *((fact, c_bool) for fact in ("claimed", "isolated", "strict", "solvable", "infeasible", "falls", "stopped")),
+        *(
+            (fact, c_bool)
+            for fact in ("limited", "claimed", "strict", "convex", "solvable", "infeasible", "falls", "stopped")
+        ),
     )
 
 

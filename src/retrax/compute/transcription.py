@@ -1,14 +1,8 @@
 """Trajectories of a transcribed problem: their arrays, their linear systems, and steps from one to the next."""
 
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from ctypes import byref
-from enum import IntEnum
-from functools import partial
-from threading import current_thread, main_thread
-from typing import Any, NamedTuple, final
-from weakref import ref
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -19,11 +13,8 @@ from .core import (
     BYTES,
     FLOAT,
     PLACE,
-    REPORT,
-    IterationStruct,
     LayoutStruct,
     LimitScaleStruct,
-    OptionsStruct,
     ProblemStruct,
     ResidualScaleStruct,
     ScaleDataStruct,
@@ -36,8 +27,6 @@ from .problem_functions import CallbackFunction, Failure, FunctionName
 from .tape_machine import MachineProgram
 
 Function = MachineProgram | CallbackFunction  # of a problem
-MOST_ITERATIONS = 1 << 20  # as in search.c
-
 
 _OPTIONAL = FunctionName.START_COST, FunctionName.END_COST
 
@@ -86,6 +75,8 @@ class LimitScale(NamedTuple):
 class Transcription:
     """A transcribed problem as the core has it, for one thread: its functions share registers.
 
+    ``parts``: where the arrays of a trajectory stand; the first ``iterate_numbers`` determine all others.
+
     ``matrix``, ``weights``: the tableau about the middle of a step, shapes ``(s, s)`` and ``(s,)``; ``groups``: the
     column of a matrix, and the array, that each entry of a state belongs to, shape ``(E,)``; ``control_groups``: the
     same of the controls, shape ``(U,)``, where these lie on a manifold that is not flat, else None; ``kept``: 1 for the
@@ -106,7 +97,7 @@ class Transcription:
     ) -> None:
         self.sizes, self.programs, self._library = sizes, dict(functions), library()
         self.failure = Failure()
-        self._set = best_instruction_set() if instruction_set is None else instruction_set
+        self.instruction_set = best_instruction_set() if instruction_set is None else instruction_set
         (matrix, weights), s = tableau, sizes.points
         addresses = (
             address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
@@ -134,14 +125,24 @@ class Transcription:
             if name is not FunctionName.CONTROL_FRAMES or control_groups is not None:
                 self._set_function(name, functions.get(name), points)
         self._workspace = aligned(-(-room // BYTES))
-        self._memory, self._layout = aligned(-(-size // BYTES)), LayoutStruct()
+        self._memory, self.layout = aligned(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
-        self._library.retrax_layout_make(byref(self._problem), place, byref(self._layout))
+        self._library.retrax_layout_make(byref(self._problem), place, byref(self.layout))
+        firsts, counts = self.layout.first[:], self.layout.count[:]
+        self.parts = {name: slice(firsts[k], firsts[k] + counts[k]) for name, k in PLACES.items()}
+        self.iterate_numbers = firsts[PLACES["POINT_CENTRES"]]
+        self._room = aligned(1)
 
     @property
     def workspace(self) -> int:
         """The address of the workspace; one thread uses it at a time."""
         return address_of(self._workspace, FLOAT, self._workspace.shape, "workspace")
+
+    def search_room(self, size: int) -> np.ndarray:
+        """Numbers for the memory of a search, which the next search in this thread takes too."""
+        if len(self._room) < size:
+            self._room = aligned(size)
+        return self._room
 
     def trajectory(self) -> "Trajectory":
         """Return a trajectory, all of whose numbers are zero."""
@@ -164,8 +165,20 @@ class Transcription:
         if isinstance(function, CallbackFunction):
             self._problem.functions[name] = function.as_function(self.failure)
             return
-        self._problem.functions[name], context = function.as_function(self._registers, points, self._set)
+        self._problem.functions[name], context = function.as_function(self._registers, points, self.instruction_set)
         self._kept.append(context)
+
+
+@final
+class IterateNumbers(NamedTuple):
+    """The given arrays and the unknowns of a trajectory: all from which the rest is evaluated."""
+
+    numbers: np.ndarray
+    parts: Mapping[str, slice]
+
+    def array(self, name: str) -> np.ndarray:
+        """The entries of an array, a view of shape ``(count,)``."""
+        return self.numbers[self.parts[name]]
 
 
 @final
@@ -173,7 +186,7 @@ class Trajectory:
     """The arrays of a trajectory; ``retrax_core.h`` names them."""
 
     def __init__(self, transcription: Transcription, numbers: np.ndarray | None = None) -> None:
-        self._of, self._layout = transcription, transcription._layout
+        self._of, self._layout = transcription, transcription.layout
         if numbers is None:
             numbers = aligned(self._layout.numbers)
             numbers[...] = 0.0
@@ -181,9 +194,12 @@ class Trajectory:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The entries of an array, a view of shape ``(count,)``."""
-        place = _PLACES[name]
-        first = self._layout.first[place]
-        return self._numbers[first : first + self._layout.count[place]]
+        return self._numbers[self._of.parts[name]]
+
+    @property
+    def iterate(self) -> "IterateNumbers":
+        """A copy of all that is given and of the unknowns, which come first."""
+        return IterateNumbers(self._numbers[: self._of.iterate_numbers].copy(), self._of.parts)
 
     def evaluate(self) -> None:
         """Evaluate the functions of the problem at the unknowns, and assemble the linear system."""
@@ -191,7 +207,7 @@ class Trajectory:
         own.retrax_evaluate_trajectory(*here)
         if self._of.sizes.limits:
             own.retrax_add_inequalities(*here)
-        own.retrax_assemble_system(*here, self._of.workspace, self._of._set)
+        own.retrax_assemble_system(*here, self._of.workspace, self._of.instruction_set)
         own.retrax_write_right_sides(*here)
         own.retrax_survey_trajectory(*here)
         self._of.failure.check()
@@ -263,137 +279,4 @@ class Trajectory:
         return address_of(self._numbers, FLOAT, self._numbers.shape, "numbers of a trajectory")
 
 
-class SearchStatus(IntEnum):
-    """How a search has ended; ``retrax_core.h`` explains these."""
-
-    GOING_ON = 0
-    CONVERGED = 1
-    SINGULAR = 2
-    INFEASIBLE = 3
-    ELSEWHERE = 4
-    DEGENERATE = 5
-    ITERATION_LIMIT = 6
-    STOPPED = 7
-
-
-@final
-class SearchResult(NamedTuple):
-    """The result of a search; ``retrax_core.h`` explains the fields."""
-
-    trajectory: "Trajectory"
-    first: "Trajectory"
-    judging: Scale
-    steps: Scale
-    limits: np.ndarray
-    rate: float
-    iterations: int
-    claimed: bool
-    isolated: bool
-    strict: bool
-    solvable: bool
-    infeasible: bool
-    falls: bool
-    stopped: bool
-
-
-@final
-class Search:
-    """Newton's method on the conditions of one trajectory.
-
-    ``width``: the infeasibility that the funnel lets pass first; ``firm``: times the usual first penalty of excesses;
-    ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
-    """
-
-    def __init__(
-        self,
-        transcription: Transcription,
-        tolerance: float,
-        max_iterations: int,
-        width: float = 1.0,
-        firm: float = 1.0,
-        looks: bool = True,
-        report: Callable[[IterationStruct], bool] | None = None,
-    ) -> None:
-        own = self._library = library()
-        self._of, self._layout = transcription, byref(transcription._layout)
-        size = own.retrax_search_memory(self._layout, max_iterations)
-        if not size:
-            raise InvalidInputError(f"a search has 1 to {MOST_ITERATIONS} iterations, got {max_iterations}")
-        self._memory = aligned(-(-size // BYTES))
-        self._memory[...] = 0.0
-        place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
-        self._report, self._interrupted = report, False
-        self._callback = REPORT(partial(_told, ref(self)))  # C calls it
-        options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
-        self._search = own.retrax_search_make(self._layout, byref(options), transcription._set, place)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """The iterate: the guess before a run, the solution behind it."""
-        place = self._library.retrax_search_trajectory(self._search)
-        return Trajectory(self._of, self._part(place, self._of._layout.numbers))
-
-    def run(self) -> SearchStatus:
-        """Search an extremal from the guess; an error of the report or of a function, or an interrupt, is raised when
-        the search has ended."""
-        self._interrupted = False
-        with self._interrupts():
-            status = SearchStatus(self._library.retrax_search_run(self._search))
-        self._of.failure.check()
-        if self._interrupted:
-            raise KeyboardInterrupt
-        return status
-
-    @contextmanager
-    def _interrupts(self) -> Iterator[None]:
-        """A time in which an interrupt asks the search to stop: where C calls Python, nobody could catch it."""
-        usual = signal.default_int_handler
-        if current_thread() is not main_thread() or signal.getsignal(signal.SIGINT) is not usual:
-            yield
-            return
-
-        def note(*_: Any) -> None:
-            self._interrupted = True
-
-        signal.signal(signal.SIGINT, note)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, usual)
-
-    def _reports(self, iteration: IterationStruct) -> bool:
-        """Whether the report, an error of that or of a function, or an interrupt asks to stop."""
-        failure = self._of.failure
-        try:
-            ends = failure.error is not None or self._interrupted
-            return ends or (self._report is not None and self._report(iteration))
-        except BaseException as error:  # C knows no exceptions
-            failure.error = error
-            return True
-
-    def read(self) -> SearchResult:
-        """Return the result of the last run; the next run overwrites its arrays."""
-        found, layout, of = self._library.retrax_search_read(self._search), self._of._layout, self._of
-        sizes, z = of.sizes, layout.count[_PLACES["PARTS"]]
-        at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
-        judging, steps = (
-            Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
-            for own in (found.judging, found.steps)
-        )
-        limits = self._part(found.limits, sizes.limits)
-        told = (getattr(found, name) for name in SearchResult._fields[5:])
-        return SearchResult(at, first, judging, steps, limits, *told)
-
-    def _part(self, place: int, count: int) -> np.ndarray:
-        """Numbers of the memory of the search from an address on."""
-        first = (place - self._memory.ctypes.data) // BYTES
-        return self._memory[first : first + count]
-
-
-def _told(search: Any, _context: int | None, iteration: Any) -> bool:
-    """The report that C calls after each evaluation."""
-    own = search()
-    return own is None or own._reports(iteration.contents)
-
-
-_PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
+PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
