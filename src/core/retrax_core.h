@@ -708,6 +708,12 @@ RETRAX_API retrax_search *retrax_search_make(const retrax_layout *layout, const 
 /* Returns the iterate: write what is given and the unknowns of a guess before a run, and read the solution behind it. */
 RETRAX_API double *retrax_search_trajectory(retrax_search *search);
 
+/* Moves the guess aside, where a run has ended as RETRAX_DEGENERATE or found nothing: by waves of the controls, and by the
+ * states to which these lead to first order. draws: [3][s m] amplitudes of size one, such as normal random numbers.
+ * Returns whether that hardly moves something that changes along the guess: then a guess is worth moving that is not
+ * degenerate. No later run calls a guess degenerate. */
+RETRAX_API bool retrax_search_perturb(retrax_search *search, const double *draws);
+
 /* Searches an extremal from the guess. */
 RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
 

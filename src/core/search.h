@@ -115,6 +115,19 @@ bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
 /* funnel.c: writes the merit of a trajectory that was measured. */
 retrax_merit retrax_merit_of(const retrax_search *search, const double *trajectory);
 
+/* A piece of the states: an array, but for entries that have a coordinate of their own, which are pieces. */
+typedef struct {
+    double far;         /* the most that an entry of it is moved by the step, to first order */
+    double spread;      /* the most that an entry of it changes along the trajectory */
+    retrax_index first; /* its first entry */
+} retrax_piece;
+
+/* degenerate.c: finds out which entries of the iterate, which was surveyed, are pieces by themselves. */
+void retrax_find_pieces(retrax_search *search);
+
+/* degenerate.c: the piece that an entry belongs to, after retrax_find_pieces. */
+retrax_piece retrax_piece_of(const retrax_search *search, retrax_index e);
+
 /* degenerate.c: whether Newton's method cannot set out from the guess. */
 bool retrax_is_degenerate(retrax_search *search);
 

@@ -14,6 +14,7 @@ from .batches import merged
 from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
 from .extent import alone
+from .inequalities import Slacks
 from .kkt_system import Assembled, Iterate, Step
 from .scaling import SHARE, Units
 
@@ -68,6 +69,11 @@ def aside(
         return moved, held
     again, _ = aside(conditions, moved, conditions.assemble(moved), rounds - 1)
     return merged(still, again, moved), held | still
+
+
+def violates(slacks: Slacks | None, held: np.ndarray) -> np.ndarray:
+    """Which guesses violate inequalities, by their first slacks, shape (B,)."""
+    return np.zeros(len(held), bool) if slacks is None else slacks.elastic.any(axis=(1, 2, 3))
 
 
 def _at_random(conditions: Conditions, assembled: Assembled) -> tuple[Step, np.ndarray]:

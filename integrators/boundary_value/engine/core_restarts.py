@@ -6,13 +6,12 @@ from typing import Any, final
 
 import numpy as np
 
-from ....compute.search import SearchStatus
-from ....manifolds.numerics.ambient import joined, taken
+from ....manifolds.numerics.ambient import joined
 from ..solution.discrete_extremals import DiscreteExtremals
-from ..transcription.core_search import Member, SearchOptions, Watch, iterate_of, search, search_all
+from ..transcription.core_search import Member, SearchOptions, Watch, iterate_of, perturbed, search_all
 from .acceptance import WIDE
 from .adaptor import adapted
-from .aside import aside
+from .aside import violates
 from .barrier import Barrier
 from .conditions import Conditions
 from .found import Found, Iteration
@@ -92,19 +91,18 @@ class CoreSearch:
         """The result of the searches from the guesses, which an interrupt ends."""
         conditions, options = self.conditions, self._options
         members = list(self.known) or search_all(conditions, guess, options, self._watch)
-        self.lost = np.array([member.status is SearchStatus.DEGENERATE for member in members])
-        for k in np.flatnonzero(self.lost):
-            alone = conditions.of(np.array([k]))
-            moved, _ = aside(alone, *alone.begin(taken(guess, np.array([k])), options.firm))
-            members[k] = search(alone, moved, 0, options._replace(looks=False), self._watch, int(k))
+        self.lost = np.array([member.perturbed for member in members])
         take_sizes(conditions, members, options.firm)
         steps = conditions.transcription
-        self._first = joined([iterate_of(own.first or own.iterate, guess, steps) for own in members])
+        self._first, self._guess = [own.first or own.iterate for own in members], guess
         return self._found(joined([iterate_of(own.iterate, guess, steps) for own in members]), members)
 
-    def first(self) -> tuple[Iterate, Assembled]:
-        """The guesses with their first multipliers and slacks, and their systems."""
-        return self._first, self.conditions.assemble(self._first)
+    def moved_aside(self) -> tuple[Iterate, np.ndarray]:
+        """The guesses moved aside; and which members are worth a search from there, shape (B,)."""
+        conditions, guess = self.conditions, self._guess
+        moved, held = perturbed(conditions, guess, self._first)
+        slacks = joined([iterate_of(first, guess, conditions.transcription) for first in self._first]).slacks
+        return moved, held | violates(slacks, held)
 
     def failed(self, found: Found) -> np.ndarray:
         """Which members have ended without success from guesses that nothing moved aside."""

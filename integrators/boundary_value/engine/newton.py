@@ -9,7 +9,6 @@ import numpy as np
 from ....compute.core import PARTS_ON_CORE
 from ....manifolds.numerics.ambient import taken
 from .acceptance import WIDE
-from .aside import aside
 from .batches import put
 from .conditions import Conditions
 from .descent import Descent
@@ -53,11 +52,8 @@ def newton(
     if search.lost.any():
         found = _again(search, found, guess, np.flatnonzero(search.lost))
     if (failed := search.failed(found)).any():
-        first = search.first()
-        moved, held = aside(conditions, *first)
-        slacks = first[0].slacks
-        violated = np.zeros(len(held), bool) if slacks is None else slacks.elastic.any(axis=(1, 2, 3))
-        found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
+        moved, worth = search.moved_aside()
+        found = _again(search, found, moved, np.flatnonzero(failed & worth))
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
     found = _restored(search, _crawled(search, found), guess)

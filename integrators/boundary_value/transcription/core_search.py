@@ -156,7 +156,7 @@ class SearchOptions(NamedTuple):
 class Member(NamedTuple):
     """The result of the search of a member, in arrays of its own; ``retrax_core.h`` explains them."""
 
-    status: SearchStatus
+    perturbed: bool  # whether the guess was degenerate and was moved aside
     result: SearchResult  # without its trajectories
     iterate: IterateNumbers
     first: IterateNumbers | None  # the guess with first multipliers and slacks, where no minimum was found
@@ -201,11 +201,18 @@ def search_all(conditions: Conditions, guess: Iterate, options: SearchOptions, w
 
 
 def search(conditions: Conditions, guess: Iterate, k: int, options: SearchOptions, watch: Watch, number: int) -> Member:
-    """The result of the search of a member from its guess; ``number``: of the member for the callback."""
+    """The result of the search of a member from its guess, or from beside a degenerate one.
+
+    ``number``: of the member for the callback.
+    """
     own = Search(transcription_of(conditions), *options, report=partial(watch.told, number))
     put(own.trajectory, conditions, guess, k)
+    perturbed = False
     try:
         status = own.run()
+        if perturbed := status is SearchStatus.DEGENERATE:
+            own.perturb()
+            status = own.run()
     except KeyboardInterrupt:
         status = SearchStatus.STOPPED
     found = own.read()
@@ -217,7 +224,19 @@ def search(conditions: Conditions, guess: Iterate, k: int, options: SearchOption
     missing, limits = at["LACKING"] / judging.nodes, at["LIMITS"].copy()
     first = None if found.claimed and found.strict else found.first.iterate
     kept: Any = found._replace(trajectory=None, first=None, judging=judging, steps=steps, limits=found.limits.copy())
-    return Member(status, kept, at.iterate, first, *numbers, missing, limits)
+    return Member(perturbed, kept, at.iterate, first, *numbers, missing, limits)
+
+
+def perturbed(conditions: Conditions, guess: Iterate, firsts: list[IterateNumbers]) -> tuple[Iterate, np.ndarray]:
+    """The guesses of members moved aside, from the first iterates of searches; and whether that hardly moves something,
+    shape (B,). ``guess``: a batch of iterates."""
+    steps, moved, held = conditions.transcription, list[Iterate](), list[bool]()
+    for first in firsts:
+        own = Search(transcription_of(conditions), 1.0, 1)
+        own.trajectory.set_iterate(first)
+        held.append(own.perturb())
+        moved.append(iterate_of(own.trajectory.iterate, guess, steps))
+    return joined(moved).bare, np.array(held)
 
 
 def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
@@ -305,7 +324,9 @@ def find_on_core(conditions: Conditions, guess: Iterate, options: Any) -> Discre
     watch = Watch(options.callback)
     members = search_all(conditions, guess, SearchOptions(options.tolerance, options.max_iterations), watch)
     controlled = conditions.transcription.controls.dimension > 0
-    settled = np.array([own.result.claimed and (controlled or own.result.strict) for own in members])
+    settled = np.array(
+        [own.result.claimed and (controlled or own.result.strict) and not own.perturbed for own in members]
+    )
     if settled.all():
         return extremals_of(conditions, guess, members, watch.stopped)
     from ..engine.core_restarts import restarted

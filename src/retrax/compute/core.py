@@ -362,6 +362,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_search_memory": (c_size_t, [POINTER(LayoutStruct), c_ssize_t]),
     "retrax_search_make": (c_void_p, [POINTER(LayoutStruct), POINTER(OptionsStruct), c_int, c_void_p]),
     "retrax_search_trajectory": (c_void_p, [c_void_p]),
+    "retrax_search_perturb": (c_bool, [c_void_p, c_void_p]),
     "retrax_search_run": (c_int, [c_void_p]),
     "retrax_search_read": (SearchResultStruct, [c_void_p]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),

@@ -17,6 +17,7 @@ from .core import BYTES, FLOAT, REPORT, IterationStruct, OptionsStruct, address_
 from .transcription import PLACES, Scale, Trajectory, Transcription
 
 MOST_ITERATIONS = 1 << 20  # as in search.c
+WAVES = 3  # as in perturbed_guess.c
 
 
 class SearchStatus(IntEnum):
@@ -89,6 +90,15 @@ class Search:
         """The iterate: the guess before a run, the solution behind it."""
         place = self._library.retrax_search_trajectory(self._search)
         return Trajectory(self._of, self._part(place, self._of.layout.numbers))
+
+    def perturb(self) -> bool:
+        """Move the guess aside, always in the same way; whether that hardly moves something that is spread along it."""
+        sizes = self._of.sizes
+        draws = np.random.default_rng(0).standard_normal((WAVES, sizes.points * sizes.control_size))
+        place = address_of(draws, FLOAT, draws.shape, "amplitudes of waves")
+        held = self._library.retrax_search_perturb(self._search, place)
+        self._of.failure.check()
+        return held
 
     def run(self) -> SearchStatus:
         """Search an extremal from the guess; an error of the report or of a function, or an interrupt, is raised when

@@ -201,6 +201,10 @@ class Trajectory:
         """A copy of all that is given and of the unknowns, which come first."""
         return IterateNumbers(self._numbers[: self._of.iterate_numbers].copy(), self._of.parts)
 
+    def set_iterate(self, iterate: "IterateNumbers") -> None:
+        """Take all that is given and the unknowns from an iterate."""
+        self._numbers[: self._of.iterate_numbers] = iterate.numbers
+
     def evaluate(self) -> None:
         """Evaluate the functions of the problem at the unknowns, and assemble the linear system."""
         own, here = self._of._library, (byref(self._layout), self._address)
