@@ -117,10 +117,20 @@ static int try_search(generator *g) {
         guess[layout.first[RETRAX_ARRAY_LIMIT_WEIGHTS] + i] = below(g, 5) == 0 ? 0.0 : 0.5;
     }
 
-    const retrax_search_status status = retrax_search_run(search);
+    int broken = 0;
+    retrax_search_status status = retrax_search_run(search);
+    if (status == RETRAX_DEGENERATE || below(g, 4) == 0) {
+        double draws[3 * 3 * 2]; /* [waves][s m] */
+        for (size_t i = 0; i < sizeof draws / sizeof *draws; i++) {
+            draws[i] = number(g);
+        }
+        retrax_search_perturb(search, draws);
+        status = retrax_search_run(search);
+        broken = status == RETRAX_DEGENERATE ? 4 : 0;
+    }
     const retrax_search_result found = retrax_search_read(search);
     const double final = found.trajectory[layout.first[RETRAX_ARRAY_RESIDUALS] + RETRAX_FINAL];
-    int broken = status <= RETRAX_GOING_ON || status > RETRAX_STOPPED ? 1 : 0;
+    broken = status <= RETRAX_GOING_ON || status > RETRAX_STOPPED ? 1 : broken;
     broken = found.claimed && !(final <= TOLERANCE) ? 2 : broken;
     broken = found.iterations < 0 || found.iterations > options.max_iterations + 5 ? 3 : broken;
     free(places);
