@@ -75,6 +75,11 @@ class Scale(NamedTuple):
     nodes: np.ndarray
     cost: float
 
+    @property
+    def copy(self) -> "Scale":
+        """The same sizes in arrays of their own."""
+        return Scale(self.unknowns.copy(), self.nodes.copy(), self.cost)
+
 
 @final
 class LimitScale(NamedTuple):
@@ -208,6 +213,9 @@ class Trajectory:
     def __getitem__(self, name: str) -> np.ndarray:
         """The entries of an array, a view of shape ``(count,)``."""
         return self._numbers[self._of.parts[name]]
+
+    def __setitem__(self, name: str, entries: np.ndarray) -> None:
+        self._numbers[self._of.parts[name]] = entries
 
     @property
     def iterate(self) -> "IterateNumbers":
