@@ -307,12 +307,15 @@ def find_on_core(conditions: Conditions, guess: Iterate, options: Any) -> Discre
     """The extremals of a batch; from where a search found no minimum, other searches follow."""
     watch = Watch(options.callback)
     members = search_all(conditions, guess, SearchOptions(options.tolerance, options.max_iterations), watch)
-    controlled = conditions.transcription.controls.dimension > 0
-    settled = np.array([own.result.claimed and (controlled or own.result.strict) for own in members])
-    if settled.all():
+    if all(own.result.strict for own in members):
         return extremals_of(conditions, guess, members, watch.stopped)
     from ..engine.core_restarts import restarted
 
+    # Without controls there is one feasible trajectory, and only a minimum fits best.
+    controlled = conditions.transcription.controls.dimension > 0
+    settled = np.array([own.result.claimed if controlled else own.result.strict for own in members])
+    if settled.all():
+        return extremals_of(conditions, guess, members, watch.stopped)
     ready, rest = np.flatnonzero(settled), np.flatnonzero(~settled)
     found = restarted(conditions.of(rest), taken(guess, rest), [members[k] for k in rest], rest, options, watch)
     if not ready.size:
