@@ -47,6 +47,9 @@ class FunctionName(IntEnum):
 _OPTIONAL = FunctionName.START_COST, FunctionName.END_COST
 
 
+KEPT = 2**22  # numbers, 32 MiB: more are made anew, which takes no time beside their use
+
+
 @final
 class Sizes(NamedTuple):
     """The sizes of a problem. A discretization map has one point in each step."""
@@ -158,7 +161,9 @@ class Transcription:
         return address_of(self._workspace, FLOAT, self._workspace.shape, "workspace")
 
     def search_room(self, size: int) -> np.ndarray:
-        """Numbers for the memory of a search, which the next search in this thread takes too."""
+        """Numbers for the memory of a search, which the next search in this thread takes too, unless they are many."""
+        if size > KEPT:
+            return aligned(size)
         if len(self._room) < size:
             self._room = aligned(size)
         return self._room
