@@ -236,11 +236,11 @@ static bool is_strict(const retrax_search *search) {
         write_row(layout, search->spare, k, limit_place(problem, k, i % limits), search->augmented.rows + i * z);
     }
     const retrax_inertia found = augmented_inertia(search, &search->steps, false);
-    if (found.negative != equations || found.smallest > retrax_clear_pivot(equations)) {
+    if (found.negative != equations || retrax_is_clear(found.smallest, equations)) {
         return found.negative == equations;
     }
     const retrax_inertia softer = augmented_inertia(search, &search->judging, true);
-    return softer.negative == equations && softer.smallest > retrax_clear_pivot(equations);
+    return softer.negative == equations && retrax_is_clear(softer.smallest, equations);
 }
 
 void retrax_conclude(retrax_search *search) {

@@ -77,7 +77,9 @@ static void write_promise(retrax_search *search) {
     found->turned = (found->reach * turned + dual) / search->steps.cost;
 }
 
-double retrax_clear_pivot(retrax_index equations) { return CLEAR * fmax(1.0, (double)equations / MANY); }
+bool retrax_is_clear(double smallest, retrax_index equations) {
+    return smallest > CLEAR * fmax(1.0, (double)equations / MANY);
+}
 
 /* Solves the linear system of the iterate. */
 static void eliminate(retrax_search *search, double shift) {
@@ -111,8 +113,8 @@ static void eliminate(retrax_search *search, double shift) {
                                       .largest_step = search->largest};
     retrax_block_eliminate(&system, &solution, search->workspace, search->set);
     const bool right = solution.inertia.negative == equations;
-    const bool clear = solution.inertia.smallest > retrax_clear_pivot(equations);
-    const bool hidden = solution.inertia.smallest <= retrax_clear_pivot(equations);
+    const bool clear = retrax_is_clear(solution.inertia.smallest, equations);
+    const bool hidden = solution.inertia.smallest <= CLEAR * fmax(1.0, (double)equations / MANY);
     retrax_direction *const found = &search->direction;
     found->shift = shift;
     found->curvature = solution.curvature;

@@ -701,7 +701,8 @@ typedef struct retrax_search retrax_search;
 /* Returns the bytes of memory of a search with at most so many iterations, 1 to 2^20; 0 if that does not fit. */
 RETRAX_API size_t retrax_search_memory(const retrax_layout *layout, retrax_index max_iterations);
 
-/* Makes a search in memory of that size, aligned to 64 bytes. The layout has to last as long as the search. */
+/* Makes a search in memory of that size and of any content, aligned to 64 bytes. The layout has to last as long as the
+ * search. */
 RETRAX_API retrax_search *retrax_search_make(const retrax_layout *layout, const retrax_options *options,
                                              retrax_instruction_set set, void *memory);
 

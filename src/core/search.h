@@ -102,8 +102,8 @@ void retrax_newton_step(retrax_search *search, double shift);
  * is used as it is; loose: positive curvature along the step is enough. */
 void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose);
 
-/* inertia.c: what a pivot that is more than rounding exceeds, in a system of so many equations of nodes. */
-double retrax_clear_pivot(retrax_index equations);
+/* inertia.c: whether the smallest pivot of a system with so many equations of nodes is more than rounding. */
+bool retrax_is_clear(double smallest, retrax_index equations);
 
 /* inertia.c: the largest entry of the step in natural sizes. */
 double retrax_step_length(const retrax_search *search);

@@ -39,10 +39,10 @@ def find_concave_directions(
     ``held``: where an inequality holds the trajectory. All that is convex is known to the search. A strict
     minimum of the discrete problem may pass from bound to bound within a step or two, at a stage that its ends hold.
     """
-    m = transcribed.traced.diagnosis.problem.controls.dimension
-    if not m:
+    suspected = success & ~(found.strict_minimum & found.convex)
+    if not suspected.any() or not transcribed.traced.diagnosis.problem.controls.dimension:
         return {}
-    suspects, points = np.flatnonzero(success & ~(found.strict_minimum & found.convex)), transcribed.traced.steps.stages
+    suspects, points = np.flatnonzero(suspected), transcribed.traced.steps.stages
     result = dict[int, ConcaveDirection]()
     for k in suspects:
         one = _along(transcribed, found, stages, None if held is None else held[k], int(k))

@@ -24,27 +24,27 @@ def adapted(conditions: Conditions, found: Found) -> DiscreteExtremals:
         place = np.array([k])
         return conditions.of(place), *taken((iterate, assembled), place)
 
-    return DiscreteExtremals.of(
+    return DiscreteExtremals(
+        assembled.nodes,
+        assembled.costates,
+        assembled.cost,
+        Residuals(*own[:5], own.largest),
+        found.missing,
+        _inequalities(conditions, iterate, assembled),
+        found.strict_minimum,
+        _convex(_own_blocks(assembled.blocks, steps.controls.dimension)),
+        found.iterations,
+        found.limited,
+        found.claimed,
+        found.solvable,
+        found.contradictory,
+        found.falling,
         at_stages,
         lambda k: linear_steps(conditions, assembled, k),
         system,
         found.stopped,
+        found.boundary,
         found.notes,
-        nodes=assembled.nodes,
-        costates=assembled.costates,
-        cost=assembled.cost,
-        residuals=Residuals(*own[:5], own.largest),
-        strict_minimum=found.strict_minimum,
-        convex=_convex(_own_blocks(assembled.blocks, steps.controls.dimension)),
-        iterations=found.iterations,
-        limited=found.limited,
-        claimed=found.claimed,
-        solvable=found.solvable,
-        missing=found.missing,
-        infeasible=found.contradictory,
-        falling=found.falling,
-        inequalities=_inequalities(conditions, iterate, assembled),
-        boundary=found.boundary,
     )
 
 

@@ -52,53 +52,39 @@ class LinearSteps(NamedTuple):
     limits: np.ndarray | None  # derivatives of the inequalities by the unknowns of their points, (N, r, c, q)
 
 
-class _Numbers(NamedTuple):
-    """The arrays of a batch, with the members along the leading axis."""
+@final
+class DiscreteExtremals(NamedTuple):
+    """The last iterates of the searches of a batch, and how the searches ended; members lie along the leading axis.
+
+    ``at_stages``: states, controls and costates at the stages, (B, N s, ...), from the covectors at the nodes;
+    ``linear``: the linearised equations of a member; ``system``: the KKT system of a member, for its derivatives.
+    """
 
     nodes: np.ndarray  # (B, N + 1, E)
     costates: np.ndarray  # (B, N + 1, E)
     cost: np.ndarray
     residuals: Residuals
+    missing: np.ndarray  # largest defect of the nodes in each coordinate, in natural sizes, (B, n)
+    inequalities: Inequalities | None
     strict_minimum: np.ndarray  # positive definite Hessian of the Lagrangian on the null space of the constraints
     convex: np.ndarray  # whether the cost of an extremal is strictly convex in the controls at each point
     iterations: np.ndarray  # of the search that led here, and of those before it
     limited: np.ndarray  # that search has made as many as one may
     claimed: np.ndarray  # the first-order conditions hold
     solvable: np.ndarray
-    missing: np.ndarray  # largest defect of the nodes in each coordinate, in natural sizes, (B, n)
     infeasible: np.ndarray  # the inequalities contradict each other, or the ends
     falling: np.ndarray  # without success: the cost, as if it had no lower bound
-    inequalities: Inequalities | None = None
-    boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
-
-
-@final
-class DiscreteExtremals(NamedTuple):
-    """The last iterates of the searches of a batch, and how the searches ended.
-
-    ``at_stages``: states, controls and costates at the stages, (B, N s, ...), from the covectors at the nodes;
-    ``linear``: the linearised equations of a member; ``system``: the KKT system of a member, for its derivatives.
-    """
-
-    numbers: _Numbers
     at_stages: Callable[[np.ndarray], AtStages]
     linear: Callable[[int], LinearSteps]
     system: Callable[[int], Any]
     stopped: bool
+    boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
     notes: Sequence[str] | None = None  # to be said of each member beside its result
-
-    @classmethod
-    def of(cls, *own: Any, **fields: Any) -> "DiscreteExtremals":
-        """The extremals with these arrays; ``own``: the functions, and whether the search was stopped."""
-        return cls(_Numbers(**fields), *own)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.numbers, name)
 
     def joined(self, other: "DiscreteExtremals", order: np.ndarray) -> "DiscreteExtremals":
         """The members of both in an order: places in these, then in the other ones."""
         count, parts = len(self.cost), (self, other)
-        numbers = taken(joined([self.numbers, other.numbers]), order)
+        arrays = [own[: self._fields.index("at_stages")] for own in parts]
 
         def of(name: str) -> Callable[[int], Any]:
             def member(k: int) -> Any:
@@ -112,4 +98,5 @@ class DiscreteExtremals(NamedTuple):
             first, second = self.at_stages(back[:count]), other.at_stages(back[count:])
             return taken(joined([first, second]), order)
 
-        return DiscreteExtremals(numbers, at_stages, of("linear"), of("system"), self.stopped or other.stopped)
+        stopped = self.stopped or other.stopped
+        return DiscreteExtremals(*taken(joined(arrays), order), at_stages, of("linear"), of("system"), stopped)

@@ -1,5 +1,6 @@
 """Searches of the compiled core: one for each member of a batch, side by side."""
 
+from collections.abc import Sequence
 from functools import partial
 from threading import local
 from typing import Any, NamedTuple, final
@@ -140,7 +141,7 @@ def put(to: Trajectory, conditions: Conditions, iterate: Iterate, k: int) -> Non
             known = iterate.slacks.multipliers[k]
             given["LIMIT_MULTIPLIERS"] = flat_limits(conditions.transcription, known)
     for name, array in given.items():
-        to[name][...] = np.ravel(array)
+        to[name] = array.ravel()
 
 
 class SearchOptions(NamedTuple):
@@ -156,16 +157,19 @@ class SearchOptions(NamedTuple):
 class Member(NamedTuple):
     """The result of the search of a member, in arrays of its own; ``retrax_core.h`` explains them."""
 
-    perturbed: bool  # whether the guess was degenerate and was moved aside
-    result: SearchResult  # without its trajectories
-    iterate: IterateNumbers
-    first: IterateNumbers | None  # the guess with first multipliers and slacks, where no minimum was found
     nodes: np.ndarray
     costates: np.ndarray
     residuals: np.ndarray
-    cost: float
-    missing: np.ndarray
+    totals: np.ndarray
+    missing: np.ndarray  # largest defects of the nodes, in natural sizes
     limits: np.ndarray
+    iterate: IterateNumbers
+    first: IterateNumbers | None  # the guess with first multipliers and slacks, where no minimum was found
+    perturbed: bool  # whether the guess was degenerate and was moved aside
+    result: SearchResult  # without its trajectories
+
+
+ARRAYS, FLAGS = slice(5), slice(SearchResult._fields.index("iterations"), None)
 
 
 @final
@@ -218,13 +222,11 @@ def search(conditions: Conditions, guess: Iterate, k: int, options: SearchOption
     found = own.read()
     if status is SearchStatus.STOPPED or found.stopped:
         watch.stop()
-    at, scales = found.trajectory, (found.judging, found.steps)
-    judging, steps = (scale._replace(unknowns=scale.unknowns.copy(), nodes=scale.nodes.copy()) for scale in scales)
-    numbers = at["NODES"].copy(), at["NODE_COSTATES"].copy(), at["RESIDUALS"].copy(), float(at["TOTALS"][0])
-    missing, limits = at["LACKING"] / judging.nodes, at["LIMITS"].copy()
+    at, judging, steps = found.trajectory, found.judging.copy, found.steps.copy
+    arrays = (at[name].copy() for name in ("NODES", "NODE_COSTATES", "RESIDUALS", "TOTALS"))
+    kept: Any = SearchResult(None, None, judging, steps, found.limits.copy(), *found[5:])  # pyright: ignore[reportArgumentType]
     first = None if found.claimed and found.strict else found.first.iterate
-    kept: Any = found._replace(trajectory=None, first=None, judging=judging, steps=steps, limits=found.limits.copy())
-    return Member(perturbed, kept, at.iterate, first, *numbers, missing, limits)
+    return Member(*arrays, at["LACKING"] / judging.nodes, at["LIMITS"].copy(), at.iterate, first, perturbed, kept)
 
 
 def perturbed(conditions: Conditions, guess: Iterate, firsts: list[IterateNumbers]) -> tuple[Iterate, np.ndarray]:
@@ -267,10 +269,6 @@ def extremals_of(conditions: Conditions, guess: Iterate, members: list[Member], 
     """The results of the members of a batch together."""
     steps, shape = conditions.transcription, guess.costates.shape
     iterate = joined([iterate_of(member.iterate, guess, steps) for member in members])
-    residuals = np.stack([member.residuals for member in members], axis=1)
-
-    def told(name: str) -> np.ndarray:
-        return np.array([getattr(member.result, name) for member in members])
 
     def at_stages(costates: np.ndarray) -> AtStages:
         return steps.at_stages(iterate.unknowns, costates, conditions.data, iterate.slacks)
@@ -286,26 +284,34 @@ def extremals_of(conditions: Conditions, guess: Iterate, members: list[Member], 
         own, _, assembled = system(k)
         return linear_steps(own, assembled, 0)
 
-    return DiscreteExtremals.of(
+    flags = [np.array(own) for own in zip(*(member.result[FLAGS] for member in members), strict=True)]
+    iterations, limited, claimed, strict, convex, solvable, infeasible, falling, _ = flags
+    nodes, costates, residuals, totals, missing = map(_rows, zip(*(member[ARRAYS] for member in members), strict=True))
+    return DiscreteExtremals(
+        nodes.reshape(shape),
+        costates.reshape(shape),
+        totals[:, 0],
+        Residuals(*residuals[:, :5].T, residuals[:, LARGEST]),
+        missing,
+        _inequalities(conditions, iterate.slacks, members),
+        strict,
+        convex,
+        iterations,
+        limited,
+        claimed,
+        solvable,
+        infeasible,
+        falling,
         at_stages,
         linear,
         system,
         stopped,
-        nodes=np.stack([member.nodes for member in members]).reshape(shape),
-        costates=np.stack([member.costates for member in members]).reshape(shape),
-        cost=np.array([member.cost for member in members]),
-        residuals=Residuals(*residuals[:5], residuals[LARGEST]),
-        strict_minimum=told("strict"),
-        convex=told("convex"),
-        iterations=told("iterations"),
-        limited=told("limited"),
-        claimed=told("claimed"),
-        solvable=told("solvable"),
-        missing=np.stack([member.missing for member in members]),
-        infeasible=told("infeasible"),
-        falling=told("falls"),
-        inequalities=_inequalities(conditions, iterate.slacks, members),
     )
+
+
+def _rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Arrays of the same shape along a new leading axis."""
+    return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
 def _inequalities(conditions: Conditions, slacks: Slacks | None, members: list[Member]) -> Inequalities | None:
@@ -323,14 +329,16 @@ def find_on_core(conditions: Conditions, guess: Iterate, options: Any) -> Discre
     """The extremals of a batch; from where a search found no minimum, other searches follow."""
     watch = Watch(options.callback)
     members = search_all(conditions, guess, SearchOptions(options.tolerance, options.max_iterations), watch)
-    controlled = conditions.transcription.controls.dimension > 0
-    settled = np.array(
-        [own.result.claimed and (controlled or own.result.strict) and not own.perturbed for own in members]
-    )
-    if settled.all():
+    if all(own.result.strict and not own.perturbed for own in members):
         return extremals_of(conditions, guess, members, watch.stopped)
     from ..engine.core_restarts import restarted
 
+    # Without controls there is one feasible trajectory, and only a minimum fits best.
+    controlled = conditions.transcription.controls.dimension > 0
+    settled = np.array([own.result.claimed if controlled else own.result.strict for own in members])
+    settled &= [not own.perturbed for own in members]  # a degenerate guess is tried as it is too
+    if settled.all():
+        return extremals_of(conditions, guess, members, watch.stopped)
     ready, rest = np.flatnonzero(settled), np.flatnonzero(~settled)
     found = restarted(conditions.of(rest), taken(guess, rest), [members[k] for k in rest], rest, options, watch)
     if not ready.size:

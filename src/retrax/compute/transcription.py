@@ -31,6 +31,9 @@ Function = MachineProgram | CallbackFunction  # of a problem
 _OPTIONAL = FunctionName.START_COST, FunctionName.END_COST
 
 
+KEPT = 2**22  # numbers, 32 MiB: more are made anew, which takes no time beside their use
+
+
 @final
 class Sizes(NamedTuple):
     """The sizes of a problem. A discretization map has one point in each step."""
@@ -58,6 +61,11 @@ class Scale(NamedTuple):
     unknowns: np.ndarray
     nodes: np.ndarray
     cost: float
+
+    @property
+    def copy(self) -> "Scale":
+        """The same sizes in arrays of their own."""
+        return Scale(self.unknowns.copy(), self.nodes.copy(), self.cost)
 
 
 @final
@@ -139,7 +147,9 @@ class Transcription:
         return address_of(self._workspace, FLOAT, self._workspace.shape, "workspace")
 
     def search_room(self, size: int) -> np.ndarray:
-        """Numbers for the memory of a search, which the next search in this thread takes too."""
+        """Numbers for the memory of a search, which the next search in this thread takes too, unless they are many."""
+        if size > KEPT:
+            return aligned(size)
         if len(self._room) < size:
             self._room = aligned(size)
         return self._room
@@ -195,6 +205,9 @@ class Trajectory:
     def __getitem__(self, name: str) -> np.ndarray:
         """The entries of an array, a view of shape ``(count,)``."""
         return self._numbers[self._of.parts[name]]
+
+    def __setitem__(self, name: str, entries: np.ndarray) -> None:
+        self._numbers[self._of.parts[name]] = entries
 
     @property
     def iterate(self) -> "IterateNumbers":
