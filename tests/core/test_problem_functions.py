@@ -222,6 +222,25 @@ def test_no_error_is_lost(counted):
     assert (again.cost, again.statistics.iterations) == (expected.cost, expected.statistics.iterations)
 
 
+def test_an_error_in_a_batch_is_raised(counted):
+    """Swept through the calls of all members, which are searched side by side."""
+    solver, _, evaluator, calls = counted
+    starts, ends, horizons = np.zeros((4, 2)), np.array([[0.5 * k, 0.0] for k in range(4)]), np.ones(4)
+    solver.solve_many(starts, ends, horizons)
+    first, last = min(begin for begin, _ in calls), max(end for _, end in calls)
+
+    def fail():
+        raise Own("of a member")
+
+    evaluator.instead = fail
+    for at in range(first + 1, last + 1, 9):
+        evaluator.calls, evaluator.at = 0, at
+        with pytest.raises(Own, match="of a member"):
+            solver.solve_many(starts, ends, horizons)
+    evaluator.at = -1
+    assert solver.solve_many(starts, ends, horizons).success.all()
+
+
 def test_an_interrupt_in_a_function_stops_the_search(counted):
     """Swept through the calls of a search: what is returned is the best iterate so far, of finite numbers."""
     solver, way, evaluator, calls = counted

@@ -1,4 +1,4 @@
-"""Functions of a transcribed problem: their names, and those that have no tape, for which the core calls Python."""
+"""Functions of a transcribed problem: their names, and callbacks to Python for functions that have no tape."""
 
 from collections.abc import Callable, Sequence
 from ctypes import CFUNCTYPE, POINTER, c_double, c_ssize_t, c_void_p, cast
@@ -67,7 +67,10 @@ class CallbackFunction:
         return sum(self._arguments), sum(self._values)
 
     def as_function(self, failure: Failure) -> FunctionStruct:
-        """The function as C has it, which lasts as long as this object; ``failure``: of the problem."""
+        """The function as C has it, as long as this object lasts.
+
+        ``failure``: of the problem.
+        """
         self._failure, self._places = failure, None
         return FunctionStruct(cast(self._callback, c_void_p), None)
 
@@ -98,7 +101,7 @@ def _evaluate(function: Any, _context: int | None, data: Any, points: int) -> No
 
 
 def _columns(places: int | None, widths: Sequence[int]) -> list[Columns]:
-    """Where the numbers of each array stand: those of a point follow one another.
+    """The places of the numbers of each array; the numbers of a point follow one another.
 
     ``places``: the address of a table of the place of each number at point 0, and its distance to the next point.
     """
