@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
-from ..solution.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, LinearSteps, Residuals
+from ..transcription.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, LinearSteps, Residuals
 from .conditions import Conditions
 from .found import Found
 from .kkt_system import Assembled, Iterate

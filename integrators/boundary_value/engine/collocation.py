@@ -14,8 +14,8 @@ from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Gauss, default_retraction
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
+from ..transcription.chart import Chart
 from .arrays import plain
-from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope, slopes
 from .extent import OF_POINTS
 from .inequalities import Held, Slacks, raised

@@ -8,14 +8,15 @@ import numpy as np
 
 from ....compute.search import SearchStatus
 from ....manifolds.numerics.ambient import joined, taken
-from ..solution.discrete_extremals import DiscreteExtremals
 from ..transcription.core_search import Member, SearchOptions, Watch, iterate_of, search, search_all
+from ..transcription.discrete_extremals import DiscreteExtremals
+from ..transcription.iteration import Iteration
 from .acceptance import WIDE
 from .adaptor import adapted
 from .aside import aside
 from .barrier import Barrier
 from .conditions import Conditions
-from .found import Found, Iteration
+from .found import Found
 from .kkt_system import Assembled, Iterate
 from .scaling import Units
 

@@ -17,8 +17,8 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import entry_words
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...stages import ControlStage
+from ..transcription.rollout import RollOut
 from .inequalities import Held, Slacks, raised
-from .rollout import RollOut
 from .scaling import Units
 
 ASIDE = 1e-3  # of the chord

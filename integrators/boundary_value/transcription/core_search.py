@@ -16,11 +16,11 @@ from ....manifolds.numerics.ambient import joined, taken
 from ...problem.point_layout import PointLayout
 from ..engine.collocation import Collocation, GaussUnknowns
 from ..engine.conditions import Conditions
-from ..engine.found import Iteration, stops
 from ..engine.inequalities import Slacks
 from ..engine.kkt_system import Iterate
 from ..engine.transcription import Unknowns
-from ..solution.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
+from .discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
+from .iteration import Iteration, stops
 
 LARGEST = 8  # place of the largest residual
 KEPT = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
