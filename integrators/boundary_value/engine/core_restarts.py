@@ -10,6 +10,7 @@ from ....compute.search import SearchStatus
 from ....manifolds.numerics.ambient import joined, taken
 from ..transcription.core_search import Member, SearchOptions, Watch, iterate_of, search, search_all
 from ..transcription.discrete_extremals import DiscreteExtremals
+from ..transcription.iterate import Iterate
 from ..transcription.iteration import Iteration
 from .acceptance import WIDE
 from .adaptor import adapted
@@ -17,7 +18,7 @@ from .aside import aside
 from .barrier import Barrier
 from .conditions import Conditions
 from .found import Found
-from .kkt_system import Assembled, Iterate
+from .kkt_system import Assembled
 from .scaling import Units
 
 

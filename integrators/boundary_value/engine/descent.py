@@ -20,6 +20,7 @@ import numpy as np
 from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
+from ..transcription.iterate import Iterate, Slacks
 from ..transcription.iteration import Iteration, stops
 from .acceptance import SHORTEST, WIDE, Funnel, Judgement, State
 from .aside import aside, is_lost
@@ -29,8 +30,7 @@ from .extent import ends_meet
 from .falling import Fall
 from .first_multipliers import has_flat_controls, with_first_multipliers
 from .found import Found
-from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate, Residuals, Step
+from .kkt_system import Assembled, Residuals, Step
 from .own_units import renewed
 from .pursuit import EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
 from .regularising import regularised, solvable

@@ -4,7 +4,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from .kkt_system import Assembled, Iterate, Residuals
+from ..transcription.iterate import Iterate
+from .kkt_system import Assembled, Residuals
 
 
 @final

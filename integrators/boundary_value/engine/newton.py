@@ -8,6 +8,7 @@ import numpy as np
 
 from ....compute.core import PARTS_ON_CORE
 from ....manifolds.numerics.ambient import taken
+from ..transcription.iterate import Iterate
 from ..transcription.iteration import Iteration
 from ..transcription.rollout import rolled_out
 from .acceptance import WIDE
@@ -16,7 +17,6 @@ from .batches import put
 from .conditions import Conditions
 from .descent import Descent
 from .found import Found
-from .kkt_system import Iterate
 from .own_units import adopted
 from .restoration import NARROW, Restoration
 

@@ -14,12 +14,10 @@ from ....compute.threads import each_in_threads
 from ....compute.transcription import FunctionName, IterateNumbers, Sizes, Trajectory, Transcription
 from ....manifolds.numerics.ambient import joined, taken
 from ...problem.point_layout import PointLayout
-from ..engine.collocation import Collocation, GaussUnknowns
+from ..engine.collocation import Collocation
 from ..engine.conditions import Conditions
-from ..engine.inequalities import Slacks
-from ..engine.kkt_system import Iterate
-from ..engine.transcription import Unknowns
 from .discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
+from .iterate import GaussUnknowns, Iterate, Slacks, Unknowns
 from .iteration import Iteration, stops
 
 LARGEST = 8  # place of the largest residual
@@ -213,10 +211,19 @@ def search(conditions: Conditions, guess: Iterate, k: int, options: SearchOption
     if status is SearchStatus.STOPPED or found.stopped:
         watch.stop()
     at, judging, steps = found.trajectory, found.judging.copy, found.steps.copy
-    arrays = (at[name].copy() for name in ("NODES", "NODE_COSTATES", "RESIDUALS", "TOTALS"))
     kept: Any = SearchResult(None, None, judging, steps, found.limits.copy(), *found[5:])  # pyright: ignore[reportArgumentType]
-    first = None if found.claimed and found.strict else found.first.iterate
-    return Member(*arrays, at["LACKING"] / judging.nodes, at["LIMITS"].copy(), at.iterate, first, status, kept)
+    return Member(
+        at["NODES"].copy(),
+        at["NODE_COSTATES"].copy(),
+        at["RESIDUALS"].copy(),
+        at["TOTALS"].copy(),
+        at["LACKING"] / judging.nodes,
+        at["LIMITS"].copy(),
+        at.iterate,
+        None if found.claimed and found.strict else found.first.iterate,
+        status,
+        kept,
+    )
 
 
 def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
@@ -269,7 +276,7 @@ def extremals_of(conditions: Conditions, guess: Iterate, members: list[Member], 
         nodes.reshape(shape),
         costates.reshape(shape),
         totals[:, 0],
-        Residuals(*residuals[:, :5].T, residuals[:, LARGEST]),
+        Residuals(*residuals.T[[*range(5), LARGEST]]),
         missing,
         _inequalities(conditions, iterate.slacks, members),
         strict,
