@@ -16,10 +16,10 @@ from ..problem.point_layout import PointLayout
 from ..problem_checks.requirements import require_treated
 from ..reporting.records import shapes
 from ..reporting.text import brief
-from .engine.rollout import RollOut, spans
-from .engine.start import Start
 from .inputs.arguments import ALONG, BETWEEN, Method, check_problem, step_fractions
 from .inputs.boundary_data import BoundaryDataReader
+from .transcription.rollout import RollOut, spans
+from .transcription.start import Start
 
 
 class Guess(NamedTuple):

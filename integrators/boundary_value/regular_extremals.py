@@ -11,8 +11,8 @@ from .engine.joint import JointConditions
 from .engine.newton import newton
 from .engine.parallel import newton_of_all
 from .inputs.arguments import Options
-from .solution.discrete_extremals import DiscreteExtremals
 from .transcription.core_search import find_on_core, is_on_core
+from .transcription.discrete_extremals import DiscreteExtremals
 from .transcription.linkages import PhaseProblem
 
 

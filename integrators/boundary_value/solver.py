@@ -11,6 +11,7 @@ import numpy as np
 
 from ...compute.automatic import choose_evaluator
 from ...compute.closure_guard import ClosureGuard
+from ...compute.compile_time import Stopwatch
 from ...manifolds import InvalidInputError
 from ...tracing import is_tracing, one_tracing, reads_once
 from ..problem.argument_errors import require_known_options
@@ -23,8 +24,6 @@ from ..singular import Classification, SingularIntegrator
 from .audit.audit import Audit
 from .audit.termination_status import add_compile_time, explain_failure
 from .engine.derivatives import Sensitivities
-from .engine.found import Iteration
-from .engine.stopwatch import Stopwatch
 from .guess import Guess
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
 from .inputs.inputs import InputReader, Inputs
@@ -36,11 +35,12 @@ from .shooting import solve_on_final_manifold
 from .solution.batch import Solutions
 from .solution.builder import SolutionBuilder
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
-from .solution.discrete_extremals import DiscreteExtremals
 from .solution.interpolation import Interpolant
 from .solution.record import Solution
 from .solution.resampling import Mesh
 from .solution.sensitivity import Sensitivity, require_isolated
+from .transcription.discrete_extremals import DiscreteExtremals
+from .transcription.iteration import Iteration
 from .transcription.transcribed_problem import TranscribedProblem, Transcription
 
 HELD_WORDS = ", or give what changes as parameters"

@@ -13,8 +13,8 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import imprecise
 from ...problem_checks.smoothness.kinks import find_kinks
 from ...reporting.results import sentence
-from ..solution.discrete_extremals import DiscreteExtremals
 from ..solution.record import Solution
+from ..transcription.discrete_extremals import DiscreteExtremals
 
 NEARLY_SOLVED = (
     0.1  # relative: the cost of what lacks more, or violates inequalities by more, tells nothing of a minimum

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
-from ..solution.discrete_extremals import LinearSteps
+from ..transcription.discrete_extremals import LinearSteps
 from .independence_of_boundary_conditions import independent_rows
 
 COORDINATE_ROUNDING = EPS**HALF  # of the coordinate that is moved farthest, in units: less is rounding

@@ -20,10 +20,10 @@ from ..reformulations.free_quantities import Reformulation
 from ..reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationSolver
 from ..reformulations.vanishing_horizons import VanishingHorizon
 from ..solution.builder import SolutionBuilder
-from ..solution.discrete_extremals import DiscreteExtremals
 from ..solution.interpolation import Interpolant
 from ..solution.record import Solution
 from ..solution.resampling import Mesh
+from ..transcription.discrete_extremals import DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem, Transcription
 
 PHASE_ERRORS = InvalidInputError, NotOnManifoldError, DomainError  # errors that are said to be of a phase

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, final
 import jax.numpy as jnp
 import numpy as np
 
+from ....compute.compile_time import Stopwatch
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.ambient import is_finite_number
 from ....tracing import reads_once
@@ -21,15 +22,14 @@ from ...reporting.text import brief, counted
 from ..audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
 from ..audit.termination_status import add_compile_time
 from ..engine.coupling import Link
-from ..engine.found import Iteration
 from ..engine.joint import JointConditions
 from ..engine.newton import newton
-from ..engine.stopwatch import Stopwatch
 from ..inputs.arguments import Method, Options, check_problem
 from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
 from ..reformulations.vanishing_horizons import TENDS, VANISHED_WORDS
 from ..regular_extremals import phase_of
 from ..solution.multiphase_solution import PhasedSolution
+from ..transcription.iteration import Iteration
 from ..transcription.linkages import PhaseProblem, linkages_of
 from .phase_guess import guess_phases
 from .phase_transcription import PhaseEnds, PhaseTranscription, TranscribedPhase, transcribe_phase

@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
-from ..solution.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, LinearSteps, Residuals
+from ..transcription.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, LinearSteps, Residuals
+from ..transcription.iterate import Iterate
 from .conditions import Conditions
 from .found import Found
-from .kkt_system import Assembled, Iterate
+from .kkt_system import Assembled
 from .transcription import Blocks
 
 

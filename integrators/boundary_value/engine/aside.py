@@ -9,13 +9,13 @@ that are random but always the same, and by the states to which they lead to fir
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
+from ..transcription.iterate import Iterate, Slacks
 from .arrays import plain
 from .batches import merged
 from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
 from .extent import alone
-from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate, Step
+from .kkt_system import Assembled, Step
 from .scaling import SHARE, Units
 
 FAR = 30.0  # times its spread: a trajectory is not asked to move by more

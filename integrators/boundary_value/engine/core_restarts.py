@@ -7,15 +7,17 @@ from typing import Any, final
 import numpy as np
 
 from ....manifolds.numerics.ambient import joined
-from ..solution.discrete_extremals import DiscreteExtremals
 from ..transcription.core_search import Member, SearchOptions, Watch, iterate_of, perturbed, search_all
+from ..transcription.discrete_extremals import DiscreteExtremals
+from ..transcription.iterate import Iterate
+from ..transcription.iteration import Iteration
 from .acceptance import WIDE
 from .adaptor import adapted
 from .aside import violates
 from .barrier import Barrier
 from .conditions import Conditions
-from .found import Found, Iteration
-from .kkt_system import Assembled, Iterate
+from .found import Found
+from .kkt_system import Assembled
 from .scaling import Units
 
 

@@ -20,6 +20,8 @@ import numpy as np
 from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
+from ..transcription.iterate import Iterate, Slacks
+from ..transcription.iteration import Iteration, stops
 from .acceptance import SHORTEST, WIDE, Funnel, Judgement, State
 from .aside import aside, is_lost, violates
 from .batches import merged
@@ -27,9 +29,8 @@ from .conditions import Conditions
 from .extent import ends_meet
 from .falling import Fall
 from .first_multipliers import has_flat_controls, with_first_multipliers
-from .found import Found, Iteration, stops
-from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate, Residuals, Step
+from .found import Found
+from .kkt_system import Assembled, Residuals, Step
 from .own_units import renewed
 from .pursuit import EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
 from .regularising import regularised, solvable

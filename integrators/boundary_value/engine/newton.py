@@ -8,15 +8,16 @@ import numpy as np
 
 from ....compute.core import PARTS_ON_CORE
 from ....manifolds.numerics.ambient import taken
+from ..transcription.iterate import Iterate
+from ..transcription.iteration import Iteration
+from ..transcription.rollout import rolled_out
 from .acceptance import WIDE
 from .batches import put
 from .conditions import Conditions
 from .descent import Descent
-from .found import Found, Iteration
-from .kkt_system import Iterate
+from .found import Found
 from .own_units import adopted
 from .restoration import NARROW, Restoration
-from .rollout import rolled_out
 
 FIRM = 1e2  # times the usual price of an excess
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal

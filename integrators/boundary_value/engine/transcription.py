@@ -16,39 +16,13 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import entry_words
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...stages import ControlStage
-from .inequalities import Held, Slacks, raised
-from .rollout import RollOut
+from ..transcription.iterate import Data, Known, Slacks, Unknowns
+from ..transcription.rollout import RollOut
+from .inequalities import Held, raised
 from .scaling import Units
 
 ASIDE = 1e-3  # of the chord
 QUARTER = np.pi / 2 - 1e-2  # a turn: opposite points still have a direction
-
-
-class Data(NamedTuple):
-    """What a trajectory is computed for, with a leading axis for the members of a batch."""
-
-    steps: np.ndarray  # lengths, shape (B, N)
-    parameters: np.ndarray  # shape (B, P)
-    asked: np.ndarray | None = None  # 1 where an inequality is to hold, else 0, shape (B, N, r, c); None: everywhere
-
-    def held(self, inequalities: int, places: int) -> np.ndarray:
-        """``asked`` with all its axes, or with length 1 along them."""
-        return np.ones((1, 1, places, inequalities)) if self.asked is None else self.asked
-
-
-class Known(NamedTuple):
-    """What a guess may know beside states, controls and costates: states at the nodes, covectors at the stages."""
-
-    nodes: np.ndarray  # (B, N + 1, E)
-    stage_costates: np.ndarray  # (B, N, s, E)
-
-
-class Unknowns(NamedTuple):
-    """States at the centres of the steps and controls at their stages, as flat points; of shapes (B, N, E) and (B, N,
-    s, U)."""
-
-    centres: np.ndarray
-    controls: np.ndarray
 
 
 class Blocks(NamedTuple):

@@ -14,11 +14,11 @@ from ...reporting.results import reasons, sentence
 from ..audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
 from ..audit.termination_status import termination_statuses
 from ..audit.unmoved_entries import unmoved_words
-from ..engine.diagnosis import Diagnostics
 from ..inputs.arguments import Options, require_tangent_dynamics
+from ..transcription.diagnosis import Diagnostics
+from ..transcription.discrete_extremals import AtStages, DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem
 from .diagnostics import RegularChecks
-from .discrete_extremals import AtStages, DiscreteExtremals
 from .interpolation import Interpolant
 from .record import Solution, Statistics
 

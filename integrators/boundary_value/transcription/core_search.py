@@ -15,13 +15,11 @@ from ....compute.threads import each_in_threads
 from ....compute.transcription import FunctionName, IterateNumbers, Sizes, Trajectory, Transcription
 from ....manifolds.numerics.ambient import joined, taken
 from ...problem.point_layout import PointLayout
-from ..engine.collocation import Collocation, GaussUnknowns
+from ..engine.collocation import Collocation
 from ..engine.conditions import Conditions
-from ..engine.found import Iteration, stops
-from ..engine.inequalities import Slacks
-from ..engine.kkt_system import Iterate
-from ..engine.transcription import Unknowns
-from ..solution.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
+from .discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
+from .iterate import GaussUnknowns, Iterate, Slacks, Unknowns
+from .iteration import Iteration, stops
 
 LARGEST = 8  # place of the largest residual
 KEPT = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
@@ -223,10 +221,19 @@ def search(conditions: Conditions, guess: Iterate, k: int, options: SearchOption
     if status is SearchStatus.STOPPED or found.stopped:
         watch.stop()
     at, judging, steps = found.trajectory, found.judging.copy, found.steps.copy
-    arrays = (at[name].copy() for name in ("NODES", "NODE_COSTATES", "RESIDUALS", "TOTALS"))
     kept: Any = SearchResult(None, None, judging, steps, found.limits.copy(), *found[5:])  # pyright: ignore[reportArgumentType]
-    first = None if found.claimed and found.strict else found.first.iterate
-    return Member(*arrays, at["LACKING"] / judging.nodes, at["LIMITS"].copy(), at.iterate, first, perturbed, kept)
+    return Member(
+        at["NODES"].copy(),
+        at["NODE_COSTATES"].copy(),
+        at["RESIDUALS"].copy(),
+        at["TOTALS"].copy(),
+        at["LACKING"] / judging.nodes,
+        at["LIMITS"].copy(),
+        at.iterate,
+        None if found.claimed and found.strict else found.first.iterate,
+        perturbed,
+        kept,
+    )
 
 
 def perturbed(conditions: Conditions, guess: Iterate, firsts: list[IterateNumbers]) -> tuple[Iterate, np.ndarray]:
@@ -291,7 +298,7 @@ def extremals_of(conditions: Conditions, guess: Iterate, members: list[Member], 
         nodes.reshape(shape),
         costates.reshape(shape),
         totals[:, 0],
-        Residuals(*residuals[:, :5].T, residuals[:, LARGEST]),
+        Residuals(*residuals.T[[*range(5), LARGEST]]),
         missing,
         _inequalities(conditions, iterate.slacks, members),
         strict,

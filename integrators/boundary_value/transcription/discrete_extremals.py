@@ -98,5 +98,6 @@ class DiscreteExtremals(NamedTuple):
             first, second = self.at_stages(back[:count]), other.at_stages(back[count:])
             return taken(joined([first, second]), order)
 
-        stopped = self.stopped or other.stopped
-        return DiscreteExtremals(*taken(joined(arrays), order), at_stages, of("linear"), of("system"), stopped)
+        own: dict[str, Any] = dict(zip(self._fields, taken(joined(arrays), order), strict=False))
+        own |= {"at_stages": at_stages, "linear": of("linear"), "system": of("system")}
+        return DiscreteExtremals(**own, stopped=self.stopped or other.stopped)
