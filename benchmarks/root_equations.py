@@ -13,8 +13,8 @@ import numpy as np
 from retrax.compute.automatic import AutomaticEvaluator
 from retrax.integrators import SymplecticIntegrator, classify, solve
 from retrax.integrators.boundary_value.audit.discretization_error import Propagator, _AtOnce, _tableau
-from retrax.integrators.boundary_value.engine.chart import Chart
 from retrax.integrators.boundary_value.shooting.least_squares import least_squares
+from retrax.integrators.boundary_value.transcription.chart import Chart
 from retrax.integrators.initial_value.step import StepEquations
 from retrax.integrators.singular.integrability.derivative_array import DerivativeArray
 from retrax.integrators.singular.integrability.random_points import random_starts

@@ -16,9 +16,9 @@ from ..problem_checks.requirements import require_treated
 from ..reporting.records import shapes
 from ..reporting.text import brief
 from ..stages.explicit_runge_kutta import RK4, ExplicitRungeKutta, control_spans
-from .engine.start import Start
 from .inputs.arguments import ALONG, BETWEEN, Method, check_problem, step_fractions
 from .inputs.boundary_data import BoundaryDataReader
+from .transcription.start import Start
 
 
 class Guess(NamedTuple):

@@ -5,7 +5,7 @@ from typing import Any, final
 
 import numpy as np
 
-from .engine.found import Iteration
+from .transcription.iteration import Iteration
 
 ITERATION_TITLES = f"{'iteration':>9} {'cost':>16} {'defect':>9} {'stationarity':>12} {'shift':>8} {'step':>6}"
 LIMITED_TITLES = f" {'violation':>9} {'barrier':>8}"  # with inequalities

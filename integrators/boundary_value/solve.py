@@ -11,13 +11,13 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.user_functions import require_concrete
 from ..singular import Classification, SingularIntegrator
 from .drivers.mesh_refinement import MeshRefinement
-from .engine.found import Iteration
 from .guess import Guess
 from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem
 from .inputs.inputs import Inputs
 from .solution.differentiable_solution import INSTEAD
 from .solution.record import Solution
 from .solver import Solver
+from .transcription.iteration import Iteration
 
 DEFAULT_ACCURACY = 1e-6  # relative error of the steps, where no steps are given
 DEFAULT_STEPS = 20  # of the first mesh, which is refined to an accuracy

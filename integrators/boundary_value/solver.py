@@ -11,8 +11,8 @@ import numpy as np
 
 from ...compute.automatic import choose_evaluator
 from ...compute.closure_guard import ClosureGuard
+from ...compute.compile_time import Stopwatch
 from ...manifolds import InvalidInputError
-from ...manifolds.numerics.ambient import taken
 from ...tracing import is_tracing, one_tracing, reads_once
 from ..problem.argument_errors import require_known_options
 from ..problem.free_quantities import Free, is_free
@@ -24,8 +24,6 @@ from ..singular import Classification, SingularIntegrator
 from .audit.audit import Audit
 from .audit.status import explain_failure
 from .engine.derivatives import Sensitivities
-from .engine.found import Found, Iteration
-from .engine.stopwatch import Stopwatch
 from .export.c_export import export_c
 from .guess import Guess
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
@@ -43,6 +41,8 @@ from .solution.interpolation import Interpolant
 from .solution.record import Solution
 from .solution.resampling import Mesh
 from .solution.sensitivity import Sensitivity, require_isolated
+from .transcription.discrete_extremals import DiscreteExtremals
+from .transcription.iteration import Iteration
 from .transcription.transcribed_problem import TranscribedProblem, Transcription
 
 HELD_WORDS = ", or give what changes as parameters"
@@ -52,7 +52,7 @@ class _LastSolution(NamedTuple):
     """The KKT system of a solution, which is one place of a batch."""
 
     transcribed: TranscribedProblem
-    found: Found
+    found: DiscreteExtremals
     place: int
     parameters: Any
 
@@ -325,13 +325,12 @@ class Solver:
                 f"{brief(solution)}; try solver.sensitivity(solver.solve(...)) with one and the same solver"
             )
         kept = self._kept[solution]
-        key, place = structure_of(kept.parameters), np.array([kept.place])
+        key = structure_of(kept.parameters)
         with self._required(kept.parameters), np.errstate(all="ignore"):
             if key not in self._derivatives:
                 traced = kept.transcribed.traced
                 self._derivatives[key] = Sensitivities(traced.steps, traced.nodes, self._evaluator)
-            system = taken((kept.found.iterate, kept.found.assembled), place)
-            columns = self._derivatives[key](kept.transcribed.conditions.of(place), *system)
+            columns = self._derivatives[key](*kept.found.system(kept.place))
         require_isolated(columns, solution)
         layouts = self._transcription.state, self._transcription.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)

@@ -313,6 +313,7 @@ retrax_search_status retrax_search_run(retrax_search *search) {
         }
         search->stopped = status != RETRAX_DEGENERATE && report(search);
         if (status != RETRAX_GOING_ON || search->stopped) {
+            retrax_conclude(search);
             return status == RETRAX_GOING_ON ? RETRAX_STOPPED : status;
         }
         iterate(search);

@@ -19,34 +19,49 @@
 #define MET 1e-8
 
 /* Whether two entries belong to one piece of a state: an array, but for entries that have a coordinate of their own. */
-static bool are_together(const retrax_problem *problem, const bool *alone, retrax_index e, retrax_index f) {
-    return e == f || (!alone[e] && !alone[f] && problem->arrays[e] == problem->arrays[f]);
+static bool are_together(const retrax_search *search, retrax_index e, retrax_index f) {
+    const retrax_index *const arrays = search->phases->layout->problem->arrays;
+    const bool *const alone = search->phases->steady;
+    return e == f || (!alone[e] && !alone[f] && arrays[e] == arrays[f]);
 }
 
-/* Whether every piece of the states that is spread along the trajectory is moved by many times that. */
-static bool is_far(const retrax_search *search) {
+void retrax_find_pieces(retrax_search *search) {
+    const retrax_layout *const layout = search->phases->layout;
+    const double *const trajectory = search->at;
+    const retrax_index E = layout->problem->state_numbers;
+    for (retrax_index e = 0; e < E; e++) {
+        search->phases->steady[e] = retrax_is_alone(ARRAY(SUPPORT), layout->problem->state_size, E, e);
+    }
+}
+
+retrax_piece retrax_piece_of(const retrax_search *search, retrax_index e) {
     const retrax_layout *const layout = search->phases->layout;
     const double *const trajectory = search->at;
     const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    retrax_piece piece = {0.0, 0.0, e};
+    for (retrax_index f = E; f-- > 0;) {
+        if (are_together(search, e, f)) {
+            piece.first = f;
+            piece.spread = retrax_larger(piece.spread, ARRAY(HIGHEST)[f] + ARRAY(LOWEST)[f]);
+            for (retrax_index a = 0; a < n; a++) {
+                piece.far = retrax_larger(piece.far, search->phases->largest[a] * ARRAY(SUPPORT)[a * E + f]);
+            }
+        }
+    }
+    return piece;
+}
+
+/* Whether every piece of the states that is spread along the trajectory is moved by many times that. */
+static bool is_far(retrax_search *search) {
     bool spreads = false;
     if (!search->direction.finite) {
         return true;
     }
-    for (retrax_index e = 0; e < E; e++) {
-        search->phases->steady[e] = retrax_is_alone(ARRAY(SUPPORT), n, E, e);
-    }
-    for (retrax_index e = 0; e < E; e++) {
-        double far = 0.0, spread = 0.0;
-        for (retrax_index f = 0; f < E; f++) {
-            if (are_together(layout->problem, search->phases->steady, e, f)) {
-                spread = retrax_larger(spread, ARRAY(HIGHEST)[f] + ARRAY(LOWEST)[f]);
-                for (retrax_index a = 0; a < n; a++) {
-                    far = retrax_larger(far, search->phases->largest[a] * ARRAY(SUPPORT)[a * E + f]);
-                }
-            }
-        }
-        spreads = spreads || spread > 0.0;
-        if (spread > 0.0 && !(far > FAR * spread)) {
+    retrax_find_pieces(search);
+    for (retrax_index e = 0; e < search->phases->layout->problem->state_numbers; e++) {
+        const retrax_piece piece = retrax_piece_of(search, e);
+        spreads = spreads || piece.spread > 0.0;
+        if (piece.spread > 0.0 && !(piece.far > FAR * piece.spread)) {
             return false;
         }
     }

@@ -39,10 +39,9 @@ static bool is_elastic(const inequalities *own, retrax_index i) { return own->pe
 /* zeta = rho - nu */
 static double rest(const inequalities *own, retrax_index i) { return own->penalties[i] - own->multipliers[i]; }
 
-/* D = 1 / (s / nu + t / zeta) */
-static double stiffness(const inequalities *own, retrax_index i) {
-    const double nu = own->multipliers[i];
-    return nu / (own->slacks[i] + (is_elastic(own, i) ? nu * own->excesses[i] / rest(own, i) : 0.0));
+double retrax_stiffness(const retrax_layout *layout, const double *trajectory, retrax_index i) {
+    const double nu = ARRAY(LIMIT_MULTIPLIERS)[i], penalty = ARRAY(PENALTIES)[i];
+    return nu / (ARRAY(SLACKS)[i] + (penalty < INFINITY ? nu * ARRAY(EXCESSES)[i] / (penalty - nu) : 0.0));
 }
 
 /* 1 / nu - 1 / zeta */
@@ -77,7 +76,7 @@ void retrax_add_inequalities(const retrax_layout *layout, double *trajectory) {
         const retrax_limit of = retrax_limit_of(layout->problem, i);
         const retrax_index width = of.width;
         const double *const row = ARRAY(LIMIT_JACOBIANS) + of.first;
-        const double stiff = own.weights[i] * stiffness(&own, i);
+        const double stiff = own.weights[i] * retrax_stiffness(layout, trajectory, i);
         const double first = stiff * own.values[i], second = stiff * barrier_slope(&own, i);
         double *const hessian = hessians[of.at_ends] + of.block * width * width;
         for (retrax_index a = 0; a < width; a++) {
@@ -220,7 +219,7 @@ void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, d
             for (retrax_index a = 0; a < of.width; a++) {
                 value += row[a] * step[a];
             }
-            dnu = stiffness(&own, i) * (value + own.barrier * barrier_slope(&own, i));
+            dnu = retrax_stiffness(layout, trajectory, i) * (value + own.barrier * barrier_slope(&own, i));
             ds = (own.barrier - s * dnu) / nu - s;
             double slope = -own.barrier * ds / s;
             if (is_elastic(&own, i)) {

@@ -41,6 +41,9 @@ typedef struct {
 
 retrax_limit retrax_limit_of(const retrax_problem *problem, retrax_index i);
 
+/* The stiffness D of an inequality. */
+double retrax_stiffness(const retrax_layout *layout, const double *trajectory, retrax_index i);
+
 /* Whether the method of a problem is a collocation method, and not a discretization map. */
 bool retrax_collocates(const retrax_problem *problem);
 

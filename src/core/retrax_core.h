@@ -44,7 +44,7 @@ extern "C" {
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Version of the interface below; it changes whenever a struct or a function does. */
-#define RETRAX_CORE_VERSION 4
+#define RETRAX_CORE_VERSION 5
 
 /* Counts and places in arrays; signed, as wide as a pointer. */
 typedef ptrdiff_t retrax_index;
@@ -366,7 +366,9 @@ typedef enum {
 } retrax_function_name;
 
 /* A function of the problem. `evaluate` reads and writes at `points` places, as retrax_tape_run does with a tape;
- * numbers that it cannot compute are NaN. It is NULL where a problem does not have the function. */
+ * numbers that it cannot compute are NaN. It is NULL where a problem does not have the function. A function that fails
+ * notes that in its context, and writes NaN from then on: no trial with NaN is accepted, and the report of the search,
+ * which follows each trial, ends it. */
 typedef struct {
     void (*evaluate)(void *context, const retrax_tape_data *data, retrax_index points);
     void *context;
@@ -734,7 +736,8 @@ typedef struct retrax_search retrax_search;
 /* Returns the bytes of memory of a search with at most so many iterations, 1 to 2^20; 0 if that does not fit. */
 RETRAX_API size_t retrax_search_memory(const retrax_multiphase *problem, retrax_index max_iterations);
 
-/* Makes a search in memory of that size, aligned to 64 bytes. The problem has to last as long as the search. */
+/* Makes a search in memory of that size and of any content, aligned to 64 bytes. The problem has to last as long as the
+ * search. */
 RETRAX_API retrax_search *retrax_search_make(const retrax_multiphase *problem, const retrax_options *options,
                                              retrax_instruction_set set, void *memory);
 
@@ -745,6 +748,12 @@ RETRAX_API double *retrax_search_trajectory(retrax_search *search, retrax_index 
 /* Returns the multipliers [M] of what couples the ends, of the iterate or of the guess with its first multipliers; to be
  * written and read as the iterate is. */
 RETRAX_API double *retrax_search_multipliers(retrax_search *search, bool first);
+
+/* Moves the guess aside, where a run has ended as RETRAX_DEGENERATE or found nothing: by waves of the controls, and by the
+ * states to which these lead to first order. draws: [3][s m] amplitudes of size one, such as normal random numbers.
+ * Returns whether that hardly moves something that changes along the guess: then a guess is worth moving that is not
+ * degenerate. No later run calls a guess degenerate. Phases whose ends are coupled are not moved. */
+RETRAX_API bool retrax_search_perturb(retrax_search *search, const double *draws);
 
 /* Searches an extremal from the guess. */
 RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
@@ -759,12 +768,14 @@ typedef struct {
     double rate;                /* unit of the barrier */
     const double *equations;    /* [r] natural sizes of the equations between the ends */
     retrax_index iterations;
-    bool claimed;               /* whether the iterate counts as an extremal */
-    bool isolated;              /* whether Newton's next step was small there */
-    bool strict;                /* whether without inequalities the second-order condition of a strict minimum holds */
+    bool limited;               /* whether it has made as many iterations as it may */
+    bool claimed;               /* whether the iterate is an extremal */
+    bool strict;                /* whether it is a strict minimum: Newton's next step was small, and the Hessian of the
+                                 * Lagrangian is positive definite on the null space of the constraints */
+    bool convex;                /* whether its cost is strictly convex in the controls, at each point by itself */
     bool solvable;              /* whether the last step is finite, with a shift that is not too large */
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
-    bool falls;                 /* whether the cost falls as if it had no lower bound */
+    bool falls;                 /* whether it is no extremal and the cost falls as if it had no lower bound */
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
 } retrax_search_result;
 

@@ -7,6 +7,28 @@
 /* Bound of the iterations of a search, whose costs are kept. */
 #define MOST_ITERATIONS ((retrax_index)1 << 20)
 
+/* Takes the arrays of the linear system with the multipliers of the inequalities from a block. */
+static void take_augmented(const retrax_problem *problem, retrax_block *block, retrax_augmented *to) {
+    const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, z = n + s * problem->control_size;
+    const retrax_index limits = s * problem->inequalities + problem->node_inequalities, y = z + limits;
+    to->size = y;
+    if (limits == 0) {
+        return;
+    }
+    to->rows = retrax_take(block, N * limits, z, sizeof(double));
+    to->gives = retrax_take(block, N, limits, sizeof(double));
+    to->sizes = retrax_take(block, y, 1, sizeof(double));
+    to->hessian = retrax_take(block, N * y, y, sizeof(double));
+    to->left = retrax_take(block, N * n, y, sizeof(double));
+    to->right = retrax_take(block, N * n, y, sizeof(double));
+    to->zeros = retrax_take(block, N + 1, y + n, sizeof(double));
+    to->step = retrax_take(block, N, y, sizeof(double));
+    to->multipliers = retrax_take(block, N + 1, n, sizeof(double));
+    to->largest = retrax_take(block, y, 1, sizeof(double));
+    const size_t size = retrax_block_workspace(N, n, y, 1);
+    to->workspace = retrax_take(block, 1, 1, size == 0 ? SIZE_MAX / 2 : size);
+}
+
 /* Takes the arrays of a phase from a block. */
 static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *block, retrax_phase *to) {
     const retrax_problem *const problem = layout->problem;
@@ -29,6 +51,7 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
     to->control_work = retrax_take(block, points + 1, m, sizeof(double));
     to->square = retrax_take(block, z, z, sizeof(double));
     to->steady = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
+    take_augmented(problem, block, &to->augmented);
     if (coupled) {
         retrax_take_response(layout, block, &to->response);
     }
@@ -130,6 +153,7 @@ double *retrax_search_multipliers(retrax_search *search, bool first) {
 retrax_search_result retrax_search_read(const retrax_search *search, retrax_index phase) {
     const retrax_direction *const step = &search->direction;
     const retrax_phase *const own = &search->phases[phase];
+    const bool extremal = retrax_is_extremal(search);
     return (retrax_search_result){
         .trajectory = search->at + own->place,
         .first = search->first + own->place,
@@ -139,12 +163,13 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
         .rate = own->limits.rate,
         .equations = retrax_is_coupled(search) ? search->coupling.sizes : NULL,
         .iterations = search->trials - 1,
-        .claimed = search->claimed && RESIDUAL(search->at, FINAL) <= search->options.tolerance,
-        .isolated = search->isolated,
-        .strict = step->strict && step->shift == 0.0,
+        .limited = search->trials > search->options.max_iterations,
+        .claimed = extremal,
+        .strict = search->strict,
+        .convex = search->convex,
         .solvable = step->finite && step->shift < RETRAX_LARGEST_SHIFT,
         .infeasible = retrax_is_infeasible(search),
-        .falls = retrax_cost_falls(search),
+        .falls = !extremal && retrax_cost_falls(search),
         .stopped = search->stopped,
     };
 }

@@ -34,6 +34,20 @@ typedef struct {
     double infeasibility, cost, held;
 } retrax_merit;
 
+/* The linear system of the Lagrangian alone, with the multipliers of the inequalities among the unknowns of a step. */
+typedef struct {
+    retrax_index size;          /* y: unknowns of a step, its inequalities last */
+    double *rows;               /* [N][y - z][z] derivatives of the inequalities */
+    double *gives;              /* [N][y - z] one over stiffness and weight */
+    double *sizes;              /* [y] natural sizes of the unknowns */
+    double *hessian;            /* [N][y][y] */
+    double *left, *right;       /* [N][n][y] */
+    double *zeros;              /* [N + 1][y + n] right-hand sides */
+    double *step, *multipliers; /* [N][y], [N + 1][n] */
+    double *largest;            /* [y] */
+    void *workspace;
+} retrax_augmented;
+
 /* What a search knows of one of its trajectories; arrays stand in the memory of the search. */
 typedef struct {
     const retrax_layout *layout;
@@ -55,6 +69,7 @@ typedef struct {
     double dual;                 /* the fraction of the steps of the multipliers of its inequalities that stays inside */
     bool knows;                  /* whether the guess knows multipliers of its inequalities */
     retrax_response response;    /* where ends are coupled */
+    retrax_augmented augmented;  /* without inequalities its arrays are missing */
 } retrax_phase;
 
 /* A search; arrays stand in its memory. An iterate is the numbers of all trajectories, then those of the coupling. */
@@ -82,6 +97,8 @@ struct retrax_search {
     double firm;       /* times the usual first penalty; its root times the usual first barrier */
     bool isolated;     /* whether Newton's next step is small where the residuals meet the tolerance */
     bool claimed;      /* whether the iterate counts as an extremal */
+    bool strict;       /* whether the extremal that was found is a strict minimum of the discrete problem */
+    bool convex;       /* whether the cost is strictly convex in the controls there, at each point by itself */
     bool done;
     bool accepted;     /* whether the last trial was */
     bool stopped;      /* whether the report has asked to stop, be it in the last iteration */
@@ -124,6 +141,19 @@ bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
 /* funnel.c: the merit of an iterate that was measured. */
 retrax_merit retrax_merit_of(const retrax_search *search, const double *iterate);
 
+/* A piece of the states: an array, but for entries that have a coordinate of their own, which are pieces. */
+typedef struct {
+    double far;         /* the most that an entry of it is moved by the step, to first order */
+    double spread;      /* the most that an entry of it changes along the trajectory */
+    retrax_index first; /* its first entry */
+} retrax_piece;
+
+/* degenerate.c: finds out which entries of the iterate of one trajectory, which was surveyed, are pieces by themselves. */
+void retrax_find_pieces(retrax_search *search);
+
+/* degenerate.c: the piece that an entry belongs to, after retrax_find_pieces. */
+retrax_piece retrax_piece_of(const retrax_search *search, retrax_index e);
+
 /* degenerate.c: whether Newton's method cannot set out from the guess. */
 bool retrax_is_degenerate(retrax_search *search);
 
@@ -137,6 +167,12 @@ bool retrax_renew_scale(retrax_search *search);
 /* rescaling.c: whether the cost has fallen by far, and in the second half of the trials by no less than in the first:
  * one with a lower bound falls by less and less on the way to it. */
 bool retrax_cost_falls(const retrax_search *search);
+
+/* conclusion.c: whether the iterate is an extremal: one that counts, meets the tolerance and has ends that meet. */
+bool retrax_is_extremal(const retrax_search *search);
+
+/* conclusion.c: finds out whether the conditions of second order hold at the extremal, if it is one. */
+void retrax_conclude(retrax_search *search);
 
 /* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);

@@ -182,8 +182,18 @@ static int try_search(generator *g) {
         }
     }
 
-    const retrax_search_status status = retrax_search_run(search);
-    int broken = status <= RETRAX_GOING_ON || status > RETRAX_STOPPED ? 1 : 0;
+    int broken = 0;
+    retrax_search_status status = retrax_search_run(search);
+    if (!coupled && (status == RETRAX_DEGENERATE || below(g, 4) == 0)) {
+        double draws[3 * 3 * 2]; /* [waves][s m] */
+        for (size_t i = 0; i < sizeof draws / sizeof *draws; i++) {
+            draws[i] = number(g);
+        }
+        retrax_search_perturb(search, draws);
+        status = retrax_search_run(search);
+        broken = status == RETRAX_DEGENERATE ? 4 : 0;
+    }
+    broken = status <= RETRAX_GOING_ON || status > RETRAX_STOPPED ? 1 : broken;
     for (retrax_index k = 0; k < count; k++) {
         const retrax_search_result found = retrax_search_read(search, k);
         const double final = found.trajectory[layouts[k]->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_FINAL];

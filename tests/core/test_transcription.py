@@ -5,27 +5,34 @@ from typing import Any
 import numpy as np
 import pytest
 from retrax.compute.core import best_instruction_set
-from retrax.compute.transcription import (
-    FunctionName,
-    LimitScale,
-    Scale,
-    Search,
-    SearchStatus,
-    Trajectory,
-    Transcription,
-)
-from retrax.integrators.boundary_value.engine import beginning, core_search
+from retrax.compute.search import Search, SearchStatus
+from retrax.compute.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
+from retrax.integrators.boundary_value import regular_extremals
+from retrax.integrators.boundary_value.engine import beginning, newton
 from retrax.integrators.boundary_value.engine import first_units as engine_units
 from retrax.integrators.boundary_value.engine.barrier import PRICES
 from retrax.integrators.boundary_value.engine.conditions import Conditions
 from retrax.integrators.boundary_value.engine.inequalities import BOUNDARY
 from retrax.integrators.boundary_value.engine.transcription import Moves
+from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import InvalidInputError
 
 from ..integrators.engine.test_trial import CASES, SLEWS
 
 SETS = range(best_instruction_set() + 1)
 NAMES = list(CASES)
+
+
+def run_on_core(monkeypatch: Any, *parts: str) -> None:
+    """Run these parts on the core, and all others by the engine."""
+    for module in (newton, regular_extremals):
+        monkeypatch.setattr(module, "PARTS_ON_CORE", frozenset(parts))
+
+
+@pytest.fixture(autouse=True)
+def engine(monkeypatch):
+    """Solves by the engine, which these tests compare with, whatever runs on the core."""
+    run_on_core(monkeypatch)
 
 
 def transcription(conditions: Conditions, own: int) -> Transcription:
@@ -254,3 +261,20 @@ def test_searches_end_where_those_of_the_engine_do(name, monkeypatch):
     found = search.read()
     assert found.claimed
     assert found.iterations == expected.statistics.iterations
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_the_memory_of_a_search_held_before_changes_no_bit(name, monkeypatch):
+    solver, way, options = CASES[name]()
+    conditions, guess = posed(solver, way, monkeypatch, **options)
+    own, ends = transcription(conditions, SETS[-1]), []
+    for held in (0.0, np.nan, 1e300):
+        Search(own, 1e-10, 100)
+        own.search_room(1)[...] = held
+        search = Search(own, 1e-10, 100)
+        put(search.trajectory, conditions, guess._replace(slacks=None))
+        status, found = search.run(), search.read()
+        told = [status, found.iterations, found.claimed, found.strict, found.convex, found.limits.tobytes()]
+        names = "CENTRES", "CONTROLS", "COSTATES", "LIMIT_MULTIPLIERS", "RESIDUALS", "STEPS", "TOTALS"
+        ends.append(told + [found.trajectory[array].tobytes() for array in names])
+    assert ends[0] == ends[1] == ends[2]

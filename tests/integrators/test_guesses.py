@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, default_guess, solve
-from retrax.integrators.boundary_value.engine import start as start_module
-from retrax.integrators.boundary_value.engine.start import Start
+from retrax.integrators.boundary_value.transcription import start as start_module
+from retrax.integrators.boundary_value.transcription.start import Start
 from retrax.manifolds import SE, SO, DomainError, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Projection, Retraction, default_retraction

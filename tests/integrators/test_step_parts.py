@@ -26,8 +26,8 @@ from retrax.integrators import (
     switching_structure,
 )
 from retrax.integrators.boundary_value.engine.collocation import Collocation
-from retrax.integrators.boundary_value.engine.transcription import Data
 from retrax.integrators.boundary_value.reformulations.switching_arcs import SwitchingArcs
+from retrax.integrators.boundary_value.transcription.iterate import Data
 from retrax.integrators.initial_value.step import StepEquations, StepResult, restore
 from retrax.integrators.problem_checks.control_probing import flat_directions
 from retrax.integrators.stages import ControlStage, GaussStage, HamiltonianStage

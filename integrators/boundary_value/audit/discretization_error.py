@@ -20,10 +20,10 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...problem_checks.requirements import require_treated
 from ...stages.explicit_runge_kutta import ExplicitRungeKutta, dop853
-from ..engine.chart import lagrange
 from ..inputs.arguments import ALONG, BETWEEN, check_parameters
 from ..solution.factor_distances import factor_distances
 from ..solution.record import Solution
+from ..transcription.chart import lagrange
 
 RELATIVE_ACCURACY = 0.01  # of the error: what the integrator may add to it
 RESOLUTION = ROUNDING * EPS  # relative to the states: errors below it

@@ -13,8 +13,7 @@ from ....manifolds.numerics.rank import null_space
 from ....manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
-from ..engine.found import Found
-from ..engine.transcription import AtStages, Blocks
+from ..transcription.discrete_extremals import AtStages, DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem
 
 SWITCH = 2  # steps: as long as a control may take from bound to bound, where its ends determine it
@@ -29,59 +28,47 @@ class ConcaveDirection(NamedTuple):
 
 
 def find_concave_directions(
-    transcribed: TranscribedProblem, found: Found, stages: AtStages, held: np.ndarray | None, success: np.ndarray
+    transcribed: TranscribedProblem,
+    found: DiscreteExtremals,
+    stages: AtStages,
+    held: np.ndarray | None,
+    success: np.ndarray,
 ) -> dict[int, ConcaveDirection]:
     """The members with success that are no minimum because the cost is concave in the controls.
 
-    ``held``: where an inequality holds the trajectory. The blocks of the system tell of all that is convex. A strict
+    ``held``: where an inequality holds the trajectory. All that is convex is known to the search. A strict
     minimum of the discrete problem may pass from bound to bound within a step or two, at a stage that its ends hold.
     """
-    m = transcribed.traced.diagnosis.problem.controls.dimension
-    if not m:
+    suspected = success & ~(found.strict_minimum & found.convex)
+    if not suspected.any() or not transcribed.traced.diagnosis.problem.controls.dimension:
         return {}
-    own = _own_blocks(found.assembled.blocks, m)
-    suspects = np.flatnonzero(success & ~(found.strict_minimum & _convex(own)))
+    suspects, points = np.flatnonzero(suspected), transcribed.traced.steps.stages
     result = dict[int, ConcaveDirection]()
     for k in suspects:
         one = _along(transcribed, found, stages, None if held is None else held[k], int(k))
         begin, end = longest_arc(one.stages)
         switches = found.strict_minimum[k] and held is not None and bool(held[k].any())
-        if end - begin > (SWITCH * own.shape[2] if switches else 0):
+        if end - begin > (SWITCH * points if switches else 0):
             result[int(k)] = one
     return result
 
 
-def _own_blocks(blocks: Blocks, m: int) -> np.ndarray:
-    """The Hessians by the controls of each point with the share of the inequalities, shape (B, N, s, m, m)."""
-    whole = blocks.hessian[:, :, None] if blocks.inner is None else blocks.inner.points.hessian
-    first = whole.shape[-1] - m
-    return whole[..., first:, first:]
-
-
-def _convex(own: np.ndarray) -> np.ndarray:
-    """Whether each member has positive definite Hessians at all its points, shape (B,)."""
-    try:
-        np.linalg.cholesky(own)
-    except np.linalg.LinAlgError:
-        return np.zeros(1, bool) if len(own) == 1 else np.concatenate([_convex(part[None]) for part in own])
-    return np.ones(len(own), bool)
-
-
 def _along(
-    transcribed: TranscribedProblem, found: Found, stages: AtStages, held: np.ndarray | None, k: int
+    transcribed: TranscribedProblem, found: DiscreteExtremals, stages: AtStages, held: np.ndarray | None, k: int
 ) -> ConcaveDirection:
     """The stages of a member at which the cost is concave in the controls."""
     diagnosis, at = transcribed.traced.diagnosis, [part[k : k + 1] for part in stages]
     given, m = transcribed.conditions.data.parameters[k : k + 1], diagnosis.problem.controls.dimension
     slopes, curvatures = (part[0] for part in diagnosis.in_controls(tuple(at), given))
     limits, rows = np.zeros((len(slopes), m, m)), np.zeros((len(slopes), 0, m))
-    active, slacks = np.zeros((len(slopes), 0), bool), found.iterate.slacks
-    if held is not None and slacks is not None:
+    active, limited = np.zeros((len(slopes), 0), bool), found.inequalities
+    if held is not None and limited is not None:
         count = transcribed.traced.steps.own
         inside = np.s_[:, : transcribed.traced.steps.stages, :count]
-        pull, active = (part[inside].reshape(len(slopes), count) for part in (slacks.multipliers[k], held))
+        pull, active = (part[inside].reshape(len(slopes), count) for part in (limited.multipliers[k], held))
         limits = diagnosis.of_limits((*at[:2], pull[None]), given)[0]
-        jacobian = found.assembled.blocks.inequalities.jacobian[k][inside]
+        jacobian: Any = found.linear(k).limits
+        jacobian = jacobian[inside]
         rows = jacobian[..., jacobian.shape[-1] - m :].reshape(len(slopes), count, m)
     flat = transcribed.traced.diagnosis.control.size == m
     sizes = np.abs(at[1][0]) if flat else np.ones((len(slopes), m))

@@ -11,10 +11,10 @@ import numpy as np
 
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...reporting.results import Result, reasons, sentence
-from ..engine.found import Found
 from ..solution.diagnostics import RegularChecks, Statistics
 from ..solution.multiphase_solution import PhasedSolution
 from ..solution.record import Solution
+from ..transcription.discrete_extremals import DiscreteExtremals
 from .failure_reasons import find_reason, find_undefined
 
 Record = TypeVar("Record", Solution, PhasedSolution)
@@ -47,23 +47,23 @@ class Status(NamedTuple):
 # ---------------------------------------------------------------------------------------------- of an iteration
 
 
-def termination_statuses(found: Found, tolerance: float) -> list[Status]:
+def termination_statuses(found: DiscreteExtremals, tolerance: float) -> list[Status]:
     """The status of each finished iteration."""
     largest = found.residuals.largest
-    finite = np.isfinite(largest) & np.isfinite(found.assembled.cost)
+    finite = np.isfinite(largest) & np.isfinite(found.cost)
     success = found.claimed & finite
     if (success & found.strict_minimum).all():
         return [Status(True, sentence("successful"))] * len(success)
     meets = np.max(np.abs(found.missing), axis=1) <= tolerance
-    apart = (found.residuals.stationarity <= tolerance) & meets & (found.residuals.gap > np.sqrt(tolerance))
+    apart = (found.residuals.stationarity <= tolerance) & meets & (found.residuals.defect > np.sqrt(tolerance))
     residuals = found.residuals
-    trespass = np.maximum(residuals.gap, np.maximum(residuals.violation, residuals.excess))
+    trespass = np.maximum(residuals.defect, np.maximum(residuals.violation, residuals.excess))
     undetermined = (largest <= tolerance) & (not found.stopped)
     ways = {
         "not_finite": ~finite,
         "stationary": found.claimed & ~found.strict_minimum,
         "successful": found.claimed,
-        "infeasible": found.contradictory,
+        "infeasible": found.infeasible,
         "wrong_point": apart,
         "falling": found.falling & (trespass <= NEARLY_SOLVED) & (not found.stopped),
         "singular": (~found.solvable & ~meets) | undetermined,

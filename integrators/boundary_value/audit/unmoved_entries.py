@@ -3,27 +3,26 @@
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
-from ..engine.conditions import Conditions
-from ..engine.kkt_system import Assembled
+from ..transcription.discrete_extremals import LinearSteps
 from .independence_of_boundary_conditions import independent_rows
 
 COORDINATE_ROUNDING = EPS**HALF  # of the coordinate that is moved farthest, in units: less is rounding
 
 
-def unmoved_words(conditions: Conditions, assembled: Assembled, k: int, names: list[str]) -> str:
-    """Words on member ``k`` where entries of its end depend on the other entries; else nothing."""
-    moved = _end_derivatives(conditions, assembled, k)
+def unmoved_words(linear: LinearSteps, names: list[str]) -> str:
+    """Words on an extremal where entries of its end depend on the other entries; else nothing."""
+    moved = _end_derivatives(linear)
     if not moved.size or not np.all(np.isfinite(moved)):
         return ""
     sizes = np.linalg.norm(moved, axis=1)
     if sizes.max() <= COORDINATE_ROUNDING:  # units of a search that has run away: rounding decides what depends on what
         return ""
     moved[sizes <= COORDINATE_ROUNDING * sizes.max()] = 0.0
-    prescribed = np.flatnonzero(conditions.fixed[k, -1])
+    prescribed = np.flatnonzero(linear.fixed[1])
     left = np.setdiff1d(np.arange(len(prescribed)), independent_rows(moved))
     if not left.size:
         return ""
-    entries = np.abs(assembled.frames[k, -1][prescribed[left]]).argmax(axis=1)
+    entries = np.abs(linear.frame[prescribed[left]]).argmax(axis=1)
     named = ", ".join(dict.fromkeys(names[e] for e in entries))
     return (
         f" To first order no control moves {named} of the end without the others: expected an end whose "
@@ -32,12 +31,11 @@ def unmoved_words(conditions: Conditions, assembled: Assembled, k: int, names: l
     )
 
 
-def _end_derivatives(conditions: Conditions, assembled: Assembled, k: int) -> np.ndarray:
+def _end_derivatives(linear: LinearSteps) -> np.ndarray:
     """The derivatives of the prescribed coordinates of an end by the controls and the free start, in units, by rows."""
-    blocks, units, n = assembled.blocks, conditions.measured, assembled.gap.shape[2]
-    own = units.unknowns[k] / units.nodes[k][:, None]
-    moved = np.diag(1.0 - conditions.fixed[k, 0])
-    for left, right in zip(blocks.left[k] * own, blocks.right[k] * own, strict=True):
+    own, n = linear.unknowns / linear.nodes[:, None], len(linear.nodes)
+    moved = np.diag(1.0 - linear.fixed[0])
+    for left, right in zip(linear.left * own, linear.right * own, strict=True):
         try:
             back = np.linalg.solve(left[:, :n], np.hstack([moved, -left[:, n:]]))
         except np.linalg.LinAlgError:
@@ -45,4 +43,4 @@ def _end_derivatives(conditions: Conditions, assembled: Assembled, k: int) -> np
         columns = right[:, :n] @ back
         columns[:, moved.shape[1] :] += right[:, n:]
         moved = np.linalg.qr(columns.T)[1].T  # as far as before, in no more than n directions
-    return moved[conditions.fixed[k, -1] > 0]
+    return moved[linear.fixed[1] > 0]

@@ -18,13 +18,13 @@ from ...problem.free_quantities import guess_of, is_free
 from ...problem.point_layout import PointLayout
 from ...reporting.results import Result
 from ...reporting.text import brief
-from ..engine.found import stops
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData
 from ..solution.batch import Solutions
 from ..solution.differentiable_solution import push_forward
 from ..solution.record import Solution
 from ..solver import Solver
+from ..transcription.iteration import stops
 
 FIRST_STEP = 0.1  # of the path
 STEP_GROWTH, STEP_SHRINKING = 2.0, 0.3

@@ -14,7 +14,6 @@ from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER
 from ..audit import status
 from ..audit.step_errors import StepErrorEstimator, StepErrors
 from ..audit.switching_structure import SwitchingStructure, switching_structure
-from ..engine.found import Iteration, stops
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import Inputs
@@ -23,6 +22,7 @@ from ..solution.diagnostics import RegularChecks
 from ..solution.record import Solution, Statistics
 from ..solution.resampling import Mesh
 from ..solver import Solver
+from ..transcription.iteration import Iteration, stops
 
 REFINEMENT_ROUNDS = 25  # at most
 MOST_REFINED_STEPS, MOST_STAGES = 5000, 6

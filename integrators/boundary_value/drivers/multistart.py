@@ -13,11 +13,11 @@ from ...problem.free_quantities import Free, is_free
 from ...problem.point_layout import PointLayout
 from ...problem.user_functions import require_concrete
 from ...reporting.text import brief
-from ..engine.start import Start
 from ..guess import Guess, guess_through
 from ..inputs.boundary_data import BoundaryDataReader
 from ..solution.batch import Solutions
 from ..solver import Solver
+from ..transcription.start import Start
 
 WAYPOINTS = 3  # at most
 

@@ -11,10 +11,10 @@ from ....manifolds import InvalidInputError
 from ...problem.free_quantities import guess_of
 from ...problem.point_layout import PointLayout
 from ...reporting.text import brief
-from ..engine.start import Start
 from ..guess import Guess, default_guess
 from ..inputs.boundary_data import BoundaryDataReader
 from ..solution.record import Solution
+from ..transcription.start import Start
 from .phase_transcription import PHASE_ERRORS
 
 

@@ -14,7 +14,6 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.inspection import inspect_problem
 from ..audit.audit import Audit
 from ..audit.status import explain_failure
-from ..engine.found import Found
 from ..inputs.arguments import BoundaryData, Method, Options, step_fractions
 from ..inputs.inputs import InputReader, Inputs
 from ..reformulations.free_quantities import Reformulation
@@ -24,6 +23,7 @@ from ..solution.builder import SolutionBuilder
 from ..solution.interpolation import Interpolant
 from ..solution.record import Solution
 from ..solution.resampling import Mesh
+from ..transcription.discrete_extremals import DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem, Transcription
 
 PHASE_ERRORS = InvalidInputError, NotOnManifoldError, DomainError  # errors that are said to be of a phase
@@ -97,7 +97,7 @@ class TranscribedPhase(NamedTuple):
         """The time at which the phase begins."""
         return jnp.zeros(()) if self.formulation is None else self.formulation.rate(first) * first[-1][0]
 
-    def recorded(self, found: Found, seconds: tuple[float, float]) -> Solution:
+    def recorded(self, found: DiscreteExtremals, seconds: tuple[float, float]) -> Solution:
         """The solution of the phase."""
         _, member = self.inner.builder.of(self.transcribed, self.own.parameters(), found, self.own.options, seconds)
         solution = member(0)

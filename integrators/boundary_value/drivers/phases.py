@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, final
 import jax.numpy as jnp
 import numpy as np
 
+from ....compute.compile_time import Stopwatch
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.ambient import is_finite_number
 from ....tracing import reads_once
@@ -20,15 +21,14 @@ from ...reporting.text import brief, counted
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
 from ..engine.coupling import Link
-from ..engine.found import Iteration
 from ..engine.joint import JointConditions
 from ..engine.newton import newton
-from ..engine.stopwatch import Stopwatch
 from ..inputs.arguments import Method, Options, check_problem
 from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
 from ..regular_extremals import phase_of
 from ..solution.diagnostics import add_compile_time
 from ..solution.multiphase_solution import PhasedSolution
+from ..transcription.iteration import Iteration
 from ..transcription.linkages import PhaseProblem, linkages_of
 from .phase_guess import guess_phases
 from .phase_transcription import PhaseEnds, PhaseTranscription, TranscribedPhase, transcribe_phase
@@ -223,7 +223,7 @@ class _Task:
             found = check_independence(joint, newton(joint, first, *self.options), names)  # pyright: ignore[reportArgumentType]
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
-            solutions = [part.recorded(phase_of(found, k, owns), seconds) for k, part in enumerate(parts)]
+            solutions = [part.recorded(phase_of(joint, found, k, owns), seconds) for k, part in enumerate(parts)]
             free = any(is_free(phase.duration) for phase in phases)
             solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]
             solutions = [add_compile_time(solution, watch.seconds()[0] - compiling) for solution in solutions]

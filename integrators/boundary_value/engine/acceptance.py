@@ -5,8 +5,9 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS
+from ..transcription.iterate import Iterate
 from .conditions import Conditions
-from .kkt_system import Assembled, Iterate, Residuals, Step
+from .kkt_system import Assembled, Residuals, Step
 
 ARMIJO = 1e-4
 WIDE = 1.0  # infeasibility, in units, that the funnel of a guess lets pass

@@ -9,12 +9,13 @@ that are random but always the same, and by the states to which they lead to fir
 import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
+from ..transcription.iterate import Iterate, Slacks
 from .arrays import plain
 from .batches import merged
 from .conditions import Conditions
 from .elimination import BlockSystem, eliminate
 from .extent import alone
-from .kkt_system import Assembled, Iterate, Step
+from .kkt_system import Assembled, Step
 from .scaling import SHARE, Units
 
 FAR = 30.0  # times its spread: a trajectory is not asked to move by more
@@ -68,6 +69,11 @@ def aside(
         return moved, held
     again, _ = aside(conditions, moved, conditions.assemble(moved), rounds - 1)
     return merged(still, again, moved), held | still
+
+
+def violates(slacks: Slacks | None, held: np.ndarray) -> np.ndarray:
+    """Which guesses violate inequalities, by their first slacks, shape (B,)."""
+    return np.zeros(len(held), bool) if slacks is None else slacks.elastic.any(axis=(1, 2, 3))
 
 
 def _at_random(conditions: Conditions, assembled: Assembled) -> tuple[Step, np.ndarray]:

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
+from ..transcription.iterate import Iterate, Slacks
 from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
-from .inequalities import Held, Slacks, stiffness
-from .kkt_system import Assembled, Iterate
+from .inequalities import Held, stiffness
+from .kkt_system import Assembled
 from .scaling import Units
 from .transcription import Blocks
 

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ....manifolds.numerics.tolerances import EPS
+from ..transcription.iterate import Slacks
 from .arrays import plain
-from .inequalities import VALUE, Held, Slacks, Surveyed, central, surveyed
+from .inequalities import VALUE, Held, Surveyed, central, surveyed
 
 INSIDE = 1e-2  # of its unit: an inequality that holds by less to begin with is elastic
 FIRST = 0.3  # the first barrier, relative to the unit of the cost rate

@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..transcription.iterate import Iterate, Slacks
 from .barrier import FITS, FOLLOWED, LEVELS, Barrier
 from .batches import merged
 from .first_units import first_units
-from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate
+from .kkt_system import Assembled
 from .transcription import Paid
 
 if TYPE_CHECKING:

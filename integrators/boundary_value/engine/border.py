@@ -17,11 +17,12 @@ from typing import NamedTuple, final
 
 import numpy as np
 
+from ..transcription.iterate import Iterate
 from .augmented import augmented, of_lagrangian
 from .conditions import Conditions
 from .coupling import Coupled
 from .elimination import WEIGHT, BlockSystem, eliminate
-from .kkt_system import Assembled, Iterate
+from .kkt_system import Assembled
 from .transcription import Blocks
 
 ROUNDS = 3  # of scaling rows and columns to one size

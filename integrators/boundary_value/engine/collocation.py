@@ -14,23 +14,14 @@ from ....manifolds.numerics.ambient import Ambient
 from ....retractions import CollocationMethod, default_retraction
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
+from ..transcription.chart import Chart
+from ..transcription.iterate import Data, GaussUnknowns, Known, Slacks
 from .arrays import plain
-from .chart import Chart
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope, slopes
 from .extent import OF_POINTS
-from .inequalities import Held, Slacks, raised
+from .inequalities import Held, raised
 from .scaling import Units
-from .transcription import AtStages, Blocks, Data, Known, Moves, Nodes, inequalities_of, is_kept, kept_of
-
-
-class GaussUnknowns(NamedTuple):
-    """Centres (B, N, E); at the points of steps velocities in frames at the centres (B, N, s, n), controls,
-    costates."""
-
-    centres: np.ndarray
-    velocities: np.ndarray
-    controls: np.ndarray
-    costates: np.ndarray
+from .transcription import AtStages, Blocks, Moves, Nodes, inequalities_of, is_kept, kept_of
 
 
 class Inner(NamedTuple):

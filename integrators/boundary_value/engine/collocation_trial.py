@@ -7,12 +7,13 @@ from typing import Any, final
 import numpy as np
 
 from ....compute.base import ProgramPlacement
+from ..transcription.iterate import GaussUnknowns, Iterate
 from .arrays import whole
-from .collocation import Collocation, GaussUnknowns, Inner
+from .collocation import Collocation, Inner
 from .condensing import Ends, Points
 from .fields import Fields, Shapes
 from .inequalities import Held
-from .kkt_system import Assembled, Iterate, Step
+from .kkt_system import Assembled, Step
 from .transcription import Blocks, Nodes
 from .trial import Called, Trial
 from .trial_shapes import common_rows

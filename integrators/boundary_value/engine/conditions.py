@@ -7,19 +7,20 @@ from typing import Any, ClassVar, final
 import numpy as np
 
 from ....manifolds.numerics.ambient import joined, taken
+from ..transcription.iterate import Data, Ends, Iterate, Slacks
 from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier
 from .batches import merged
 from .beginning import forgotten, in_units, started, warmed
 from .elimination import BlockSystem, clear_pivot, eliminate, is_strict_minimum
 from .extent import extent
-from .inequalities import Held, Slacks, Surveyed, fitted, moved, turned
-from .kkt_system import Assembled, Ends, Iterate, Residuals, Step, pay, promised, steps_of_covectors, turned_by
+from .inequalities import Held, Surveyed, fitted, moved, turned
+from .kkt_system import Assembled, Residuals, Step, pay, promised, steps_of_covectors, turned_by
 from .meeting import meeting
 from .residuals import Appraisal, appraisal
 from .scaling import SHARE, Units, typical_curvatures
 from .share import followed
-from .transcription import Blocks, Data, Moves, Nodes, Paid
+from .transcription import Blocks, Moves, Nodes, Paid
 from .trial import Setting, Tried
 
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for

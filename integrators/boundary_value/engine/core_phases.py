@@ -9,14 +9,17 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ....compute.multiphase import CoupledEnds, Multiphase
+from ....compute.search import Search, SearchResult, SearchStatus
 from ....compute.tape_machine import MachineProgram
-from ....compute.transcription import Search, SearchResult, SearchStatus, Transcription
+from ....compute.transcription import Transcription
 from ....manifolds.numerics.ambient import joined
+from ..transcription.core_search import iterate_of, made, put
+from ..transcription.iteration import Iteration, stops
 from .acceptance import WIDE
 from .barrier import Barrier
-from .core_search import _functions, _units, iterate_of, made, put
+from .core_restarts import _units
 from .coupling import Coupling
-from .found import Found, Iteration, stops
+from .found import Found
 from .joint import JointConditions
 from .joint_system import JointAssembled, JointIterate, JointUnits
 
@@ -33,8 +36,7 @@ _known = _ThreadTranscriptions()
 
 def is_on_core(conditions: JointConditions) -> bool:
     """Whether the core has all that a search asks for."""
-    functions = [own for phase in conditions.phases for own in _functions(phase).values()]
-    return all(hasattr(own, "tape") for own in (*functions, conditions.coupling._function))
+    return hasattr(conditions.coupling._function, "tape")
 
 
 def _transcription_of(phase: Any) -> Transcription:
@@ -103,13 +105,13 @@ class CorePhases:
         for name in ("trajectory", "first"):
             arrays = [getattr(own, name) for own in results]
             own = zip(arrays, guess.parts, self.conditions.phases, strict=True)
-            parts = tuple(iterate_of(at, part, phase.transcription) for at, part, phase in own)
+            parts = tuple(iterate_of(at.iterate, part, phase.transcription) for at, part, phase in own)
             both.append(JointIterate(parts, search.multipliers(name == "first")[None].copy()))
         results = [
             own._replace(trajectory=None, first=None, limits=own.limits.copy(), equations=own.equations.copy())
             for own in results
         ]
-        scales = [(_copied(own.judging), _copied(own.steps)) for own in results]
+        scales = [(own.judging.copy, own.steps.copy) for own in results]
         results = [own._replace(judging=a, steps=b) for own, (a, b) in zip(results, scales, strict=True)]
         return results, *both
 
@@ -147,18 +149,12 @@ class CorePhases:
         conditions: Any = self.conditions
         assembled = conditions.assemble(iterate)
         residuals = conditions.residuals(iterate, assembled)
-        names = "claimed", "isolated", "strict", "solvable", "infeasible", "falls", "iterations"
+        names = "claimed", "strict", "solvable", "infeasible", "falls", "iterations", "limited"
         own = {name: np.array([getattr(one, name) for one in told]) for name in names}
         strict, claimed = own["strict"], own["claimed"]
         if iterate.slacks is not None:
             strict = conditions.is_isolated_minimum(iterate, assembled)
         missing = assembled.extent.lacking / conditions.judging.nodes
-        limited = own["iterations"] >= self.max_iterations
-        ended = strict & own["isolated"], own["iterations"], limited, claimed, own["solvable"]
-        falling, unit = own["falls"] & ~claimed, conditions.judging.cost
-        return Found(iterate, assembled, residuals, *ended, self.stopped, missing, own["infeasible"], unit, falling)
-
-
-def _copied(scale: Any) -> Any:
-    """Natural sizes in memory of their own."""
-    return scale._replace(unknowns=scale.unknowns.copy(), nodes=scale.nodes.copy())
+        ended = strict, own["iterations"], own["limited"], claimed, own["solvable"]
+        facts = self.stopped, missing, own["infeasible"], conditions.judging.cost, own["falls"]
+        return Found(iterate, assembled, residuals, *ended, *facts)

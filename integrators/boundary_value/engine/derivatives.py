@@ -17,12 +17,13 @@ from ....compute.base import Evaluator
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
+from ..transcription.iterate import Data, Iterate
 from .augmented import of_lagrangian, solved
 from .collocation import Collocation
 from .condensing import Condensed, condense
 from .conditions import Conditions
-from .kkt_system import Assembled, Iterate
-from .transcription import Data, Nodes, OneStage
+from .kkt_system import Assembled
+from .transcription import Nodes, OneStage
 
 CHANGED = 1e-9  # relative: more than rounding
 

@@ -20,16 +20,17 @@ import numpy as np
 from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
+from ..transcription.iterate import Iterate, Slacks
+from ..transcription.iteration import Iteration, stops
 from .acceptance import SHORTEST, WIDE, Funnel, Judgement, State
-from .aside import aside, is_lost
+from .aside import aside, is_lost, violates
 from .batches import merged
 from .conditions import Conditions
 from .extent import ends_meet
 from .falling import Fall
 from .first_multipliers import has_flat_controls, with_first_multipliers
-from .found import Found, Iteration, stops
-from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate, Residuals, Step
+from .found import Found
+from .kkt_system import Assembled, Residuals, Step
 from .own_units import renewed
 from .pursuit import EXACT, JAMMED, SHRINKS, STIFF, pursued, set_out
 from .regularising import regularised, solvable
@@ -83,6 +84,12 @@ class Descent:
     def failed(self, found: Found) -> np.ndarray:
         """Which members have ended without success from guesses that nothing moved aside."""
         return ~(found.claimed | found.contradictory | self.lost | self.stopped | self.conditions.joint)
+
+    def moved_aside(self) -> tuple[Iterate, np.ndarray]:
+        """The guesses moved aside; and which members are worth a search from there, shape (B,)."""
+        first = self.first()
+        moved, held = aside(self.conditions, *first)
+        return moved, held | violates(first[0].slacks, held)
 
     def run(self, guess: Iterate) -> None:
         """Iterate until all members have left, or are stopped."""

@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .kkt_system import Assembled, Iterate
+from ..transcription.iterate import Iterate
+from .kkt_system import Assembled
 from .room import room
 from .scaling import Units, natural_units
 

@@ -12,12 +12,13 @@ violates it the way in is not cut short, and where there is none the excess is l
 leaves at each point the Hessian ``w J' D J`` and the slope ``w J' D (g + mu (1 / nu - 1 / zeta))``, affine in ``mu``.
 """
 
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
 from ....compute.threads import in_threads
 from ....manifolds.numerics.tolerances import EPS, HALF
+from ..transcription.iterate import Slacks
 from .arrays import plain
 
 BOUNDARY = 0.99  # share of the way to the boundary that a step may go
@@ -26,49 +27,6 @@ ROUNDED = EPS**HALF  # of a slack: what it misses of its inequality is rounding
 KEPT = 1e10  # a multiplier stays within this factor of mu / s
 # Of its value, which is rounded, an inequality or an entry of a node is measured by where it changes by less.
 VALUE = 1e-2
-
-
-@final
-class Slacks(NamedTuple):
-    """Slacks, multipliers, excesses and their prices, shape (B, N, r, c), and the barrier of each member, shape (B,).
-
-    The price is infinite, and the excess zero, where an inequality is not elastic.
-    """
-
-    slacks: np.ndarray
-    multipliers: np.ndarray
-    excess: np.ndarray
-    price: np.ndarray
-    barrier: np.ndarray
-
-    @property
-    def rest(self) -> np.ndarray:
-        """``zeta = rho - nu``."""
-        return self.price - self.multipliers
-
-    @classmethod
-    def none(cls, shape: tuple[int, ...]) -> "Slacks":
-        """Those of inequalities that do not pull."""
-        zero = np.zeros(shape)
-        return cls(np.ones(shape), zero, zero, np.full(shape, np.inf), np.zeros(shape[0]))
-
-    def at(self, places: Any) -> "Slacks":
-        """Those at some places."""
-        return Slacks(*(a[places] for a in self[:4]), barrier=self.barrier)
-
-    def scaled(self, factor: np.ndarray) -> "Slacks":
-        """All multipliers and prices times factors, shape (B,).
-
-        The barrier is as it was: if it rose with the price it would hold the trajectory far from its inequalities,
-        where the cost, which counts less and less, no longer leads it back.
-        """
-        times = factor[:, None, None, None]
-        return self._replace(multipliers=times * self.multipliers, price=times * self.price)
-
-    @property
-    def elastic(self) -> np.ndarray:
-        """Where there is an excess."""
-        return np.isfinite(self.price)
 
 
 @final

@@ -8,6 +8,7 @@ import numpy as np
 
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS, REGULAR
+from ..transcription.iterate import Iterate
 from .barrier import DEARER
 from .batches import merged
 from .beginning import forgotten, in_units, started, warmed
@@ -18,7 +19,7 @@ from .elimination import MANY
 from .first_units import first_units, reached
 from .inequalities import VALUE
 from .joint_system import JointAssembled, JointIterate, JointStep, JointUnits
-from .kkt_system import Assembled, Iterate, Residuals, Step
+from .kkt_system import Assembled, Residuals, Step
 
 FARTHEST = 1e60  # times as far as a trajectory of size one: of more squares overflow, and a derivative is next to zero
 

@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..transcription.iterate import Iterate, Slacks
 from .coupling import Coupled
-from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate, Step
+from .kkt_system import Assembled, Step
 
 
 class JointIterate(NamedTuple):

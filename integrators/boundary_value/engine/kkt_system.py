@@ -5,21 +5,8 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from .extent import Extent
-from .inequalities import Slacks, Turn
+from .inequalities import Turn
 from .transcription import Blocks, Paid, Terminal
-
-
-class Iterate(NamedTuple):
-    """Unknowns of the steps, and covectors at the nodes, shape (B, N + 1, E)."""
-
-    unknowns: Any
-    costates: np.ndarray
-    slacks: Slacks | None = None  # of the inequalities, if there are any; of a guess, with multipliers that are known
-
-    @property
-    def bare(self) -> "Iterate":
-        """Without what is known of the inequalities."""
-        return self._replace(slacks=None)
 
 
 class Assembled(NamedTuple):
@@ -100,17 +87,6 @@ class Residuals(NamedTuple):
         final = np.maximum(steady, np.maximum(excess, complementarity))
         own = gap, stationarity, violation, excess, complementarity, centring
         return cls(*own, steady, final, np.maximum(steady, centring))
-
-
-class Ends(NamedTuple):
-    """Flat points at the ends, shape (B, E), and which of their entries and coordinates are prescribed."""
-
-    start: np.ndarray
-    end: np.ndarray
-    start_entries: np.ndarray
-    end_entries: np.ndarray
-    start_coordinates: np.ndarray
-    end_coordinates: np.ndarray
 
 
 def turned_by(costates: np.ndarray, paid: Paid, sign: int) -> np.ndarray:

@@ -8,16 +8,16 @@ import numpy as np
 
 from ....compute.core import PARTS_ON_CORE
 from ....manifolds.numerics.ambient import taken
+from ..transcription.iterate import Iterate
+from ..transcription.iteration import Iteration
+from ..transcription.rollout import rolled_out
 from .acceptance import WIDE
-from .aside import aside
 from .batches import put
 from .conditions import Conditions
 from .descent import Descent
-from .found import Found, Iteration
-from .kkt_system import Iterate
+from .found import Found
 from .own_units import adopted
 from .restoration import NARROW, Restoration
-from .rollout import rolled_out
 
 FIRM = 1e2  # times the usual price of an excess
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
@@ -33,8 +33,9 @@ def newton(
     tolerance: float,
     max_iterations: int,
     callback: Callable[[Iteration], Any] | None = None,
+    first: Any = None,
 ) -> Found:
-    """Solve the KKT systems of a batch of trajectories from guesses.
+    """Solve the KKT systems of a batch of trajectories from guesses; ``first``: the search from these.
 
     Converged where both the gap and the stationarity are at most ``tolerance``, and Newton's next step at most its
     square root: where the system is singular to rounding, residuals say nothing about the distance to a solution, and
@@ -47,16 +48,13 @@ def newton(
     minimum was found. After it come the states to which the controls of the guess lead from its start, then the guess
     with dear excesses and a high barrier.
     """
-    search = _search(conditions, tolerance, max_iterations, callback)
+    search = _search(conditions, tolerance, max_iterations, callback) if first is None else first
     found = search.ended(guess)
     if search.lost.any():
         found = _again(search, found, guess, np.flatnonzero(search.lost))
     if (failed := search.failed(found)).any():
-        first = search.first()
-        moved, held = aside(conditions, *first)
-        slacks = first[0].slacks
-        violated = np.zeros(len(held), bool) if slacks is None else slacks.elastic.any(axis=(1, 2, 3))
-        found = _again(search, found, moved, np.flatnonzero(failed & (held | violated)))
+        moved, worth = search.moved_aside()
+        found = _again(search, found, moved, np.flatnonzero(failed & worth))
     if (jammed := found.contradictory & ~found.claimed).any():
         found = _again(search, found, found.iterate.bare, np.flatnonzero(jammed))
     found = _restored(search, _crawled(search, found), guess)
@@ -66,8 +64,9 @@ def newton(
 def _search(conditions: Any, tolerance: float, most: int, callback: Any, **options: Any) -> Any:
     """The search of the engine, or of the core where that is asked for and has all that it needs."""
     if "search" in PARTS_ON_CORE:
+        from ..transcription.core_search import is_on_core
         from . import core_phases
-        from .core_search import CoreSearch, is_on_core
+        from .core_restarts import CoreSearch
 
         if conditions.joint and core_phases.is_on_core(conditions):
             return core_phases.CorePhases(conditions, tolerance, most, callback, **options)

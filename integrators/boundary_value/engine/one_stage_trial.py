@@ -5,10 +5,11 @@ from typing import Any, final
 
 import numpy as np
 
+from ..transcription.iterate import Iterate, Unknowns
 from .fields import Fields, Shapes
 from .inequalities import Held
-from .kkt_system import Assembled, Iterate, Step
-from .transcription import Blocks, Nodes, OneStage, Unknowns
+from .kkt_system import Assembled, Step
+from .transcription import Blocks, Nodes, OneStage
 from .trial import Called, Trial
 from .trial_shapes import common_rows
 

@@ -7,10 +7,10 @@ import numpy as np
 
 from ....manifolds.numerics.ambient import taken
 from ....manifolds.numerics.tolerances import EPS
+from ..transcription.iterate import Iterate
 from .acceptance import RULES, SHIFTS, Merit, State
 from .aside import FAR, MET, UNMET
 from .extent import ends_meet
-from .kkt_system import Iterate
 from .scaling import SOFTEST
 from .share import DIAMETER, UNCHANGED
 from .standing import Standing

@@ -3,10 +3,11 @@
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
+from ..transcription.iterate import Iterate
 from .acceptance import FIRST_SHIFT, RAISE, State
 from .batches import put
 from .conditions import Conditions
-from .kkt_system import Assembled, Iterate, Step
+from .kkt_system import Assembled, Step
 from .pursuit import CURVATURE
 
 LARGEST_SHIFT = 1e10

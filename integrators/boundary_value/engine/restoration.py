@@ -11,9 +11,9 @@ from typing import Any, final
 
 import numpy as np
 
+from ..transcription.iteration import Iteration, stops
 from .batches import merged
 from .conditions import LEAST
-from .found import Iteration, stops
 
 DECREASE = 1e-2  # of the infeasibility, times the share of a step that is made: less is no progress
 SHORTEST = 1e-3  # a share of a step

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .inequalities import Slacks
-from .kkt_system import Assembled, Iterate
+from ..transcription.iterate import Iterate, Slacks
+from .kkt_system import Assembled
 
 if TYPE_CHECKING:
     from .conditions import Conditions

@@ -10,9 +10,10 @@ import numpy as np
 
 from ....manifolds.numerics.tolerances import EPS, HALF
 from ...problem.point_layout import PointLayout
+from ..transcription.iterate import Data, Iterate
 from .extent import Extent
-from .kkt_system import Assembled, Iterate, Step
-from .transcription import Data, Moves, Nodes
+from .kkt_system import Assembled, Step
+from .transcription import Moves, Nodes
 
 DIAMETER = 2.0  # times the size of a point, which is the radius of the sphere that it stays on
 UNCHANGED = EPS**HALF  # relative: sizes that differ by less are the same, and entries that move by less do not

@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....compute.automatic import AutomaticEvaluator
 from ....compute.base import Arrays, Evaluator, PointwiseFunction
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
@@ -18,38 +17,12 @@ from ...problem.path_constraints import entry_words
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...stages import ControlStage
 from ...stages.explicit_runge_kutta import RK4, ExplicitRungeKutta
-from .inequalities import Held, Slacks, raised
+from ..transcription.iterate import Data, Known, Slacks, Unknowns
+from .inequalities import Held, raised
 from .scaling import Units
 
 ASIDE = 1e-3  # of the chord
 QUARTER = np.pi / 2 - 1e-2  # a turn: opposite points still have a direction
-
-
-class Data(NamedTuple):
-    """What a trajectory is computed for, with a leading axis for the members of a batch."""
-
-    steps: np.ndarray  # lengths, shape (B, N)
-    parameters: np.ndarray  # shape (B, P)
-    asked: np.ndarray | None = None  # 1 where an inequality is to hold, else 0, shape (B, N, r, c); None: everywhere
-
-    def held(self, inequalities: int, places: int) -> np.ndarray:
-        """``asked`` with all its axes, or with length 1 along them."""
-        return np.ones((1, 1, places, inequalities)) if self.asked is None else self.asked
-
-
-class Known(NamedTuple):
-    """What a guess may know beside states, controls and costates: states at the nodes, covectors at the stages."""
-
-    nodes: np.ndarray  # (B, N + 1, E)
-    stage_costates: np.ndarray  # (B, N, s, E)
-
-
-class Unknowns(NamedTuple):
-    """States at the centres of the steps and controls at their stages, as flat points; of shapes (B, N, E) and (B, N,
-    s, U)."""
-
-    centres: np.ndarray
-    controls: np.ndarray
 
 
 class Blocks(NamedTuple):
@@ -273,7 +246,7 @@ class Nodes:
             PointLayout.of(problem.manifold),
             parameter_layout(parameters),
         )
-        self.control = PointLayout.of(problem.controls)
+        self.control, self._evaluator = PointLayout.of(problem.controls), evaluator
         self.dimension, e = problem.manifold.dimension, self.layout.size
         self._in_frame = evaluator.values(self._in_frame_of, e, self.dimension, e, e)
         costs = {"first_cost": problem.initial_cost, "final_cost": problem.terminal_cost}
@@ -329,7 +302,7 @@ class Nodes:
         Each column of a point is taken to run along a circle: with the half chord s and the sagitta c between its ends,
         tan(angle / 4) = c / s. A tangent vector at the middle moves the chord by the cosine of angle / 2.
         """
-        middle, columns = self._middle.at(1, first, second)[0], self.layout.in_columns
+        middle, columns = self._middle.of_any(1, first, second)[0], self.layout.in_columns
         found = np.where(np.all(np.isfinite(middle), axis=1, keepdims=True), middle, first)
         sagitta, half = (np.sqrt(a**2 @ columns.T) for a in ((first + second) / 2 - found, (second - first) / 2))
         angle = np.where(half > 0, 2 * np.arctan2(sagitta, np.where(half > 0, half, 1.0)), 0.0)  # of half the arc
@@ -340,7 +313,7 @@ class Nodes:
     @cached_property
     def _middle(self) -> PointwiseFunction:
         """Traced where ends are far apart for the first time; it reads nothing but the manifold."""
-        return AutomaticEvaluator().values(self._middle_of, self.layout.size, self.layout.size)
+        return self._evaluator.values(self._middle_of, self.layout.size, self.layout.size)
 
     @cached_property
     def roll_out(self) -> ExplicitRungeKutta:

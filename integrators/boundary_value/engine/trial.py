@@ -15,12 +15,13 @@ import numpy as np
 
 from ....aligned import scratch
 from ....compute.base import PointwiseFunction, ProgramPlacement
+from ..transcription.iterate import Iterate, Slacks
 from .barrier import LAST, LOWERING, PRICES
 from .elimination import WEIGHT, clear_pivot, positive_definite
 from .extent import Extent
 from .fields import Fields, OfEach, Place, Shapes
-from .inequalities import BOUNDARY, KEPT, VALUE, Held, Slacks, Turn
-from .kkt_system import Assembled, Iterate, Step
+from .inequalities import BOUNDARY, KEPT, VALUE, Held, Turn
+from .kkt_system import Assembled, Step
 from .meeting import FAR
 from .programs import joined
 from .residuals import SHARES, Appraisal

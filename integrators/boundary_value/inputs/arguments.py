@@ -18,8 +18,8 @@ from ...problem_checks.requirements import require_same_manifold, require_treate
 from ...reporting.results import warn_about_precision
 from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
-from ..engine.found import Iteration
 from ..iteration_table import IterationTable
+from ..transcription.iteration import Iteration
 
 DEFAULT_TOLERANCE_POWER = 0.7
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends

@@ -16,10 +16,10 @@ from ...problem.free_quantities import Free, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import LOWER, PARAMETERS_LOWER, PARAMETERS_UPPER, UPPER, Inequalities
 from ...problem.point_layout import PointLayout, parameter_layout
-from ..engine.chart import lagrange
 from ..guess import Guess
 from ..inputs.arguments import structure_of
 from ..solution.record import Solution
+from ..transcription.chart import lagrange
 
 REFINED_ARC = 4  # for each stage: where the signs of switching functions are looked at
 OWN_PARAMETERS, DURATIONS, LAST = "own", "durations", "duration of the last arc"

@@ -24,13 +24,13 @@ from ...singular import Classification, SingularIntegrator, singular_integrator
 from ...singular.integrability import FinalEquations
 from ...stages import ControlStage
 from ..audit.status import Status, shooting_status
-from ..engine.diagnosis import Diagnosis
 from ..guess import default_guess
 from ..inputs.arguments import copy_parameters
 from ..inputs.inputs import Inputs
 from ..iteration_table import say
 from ..solution.diagnostics import SingularChecks
 from ..solution.record import SingularArc, Solution, Statistics
+from ..transcription.diagnosis import Diagnosis
 from .end_conditions import EndConditions, points_at_ends
 from .gauss_newton import ShootingResult, meet_conditions
 from .least_squares import least_squares

@@ -14,10 +14,9 @@ from ...reporting.results import sentence
 from ..audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
 from ..audit.status import Status, concave_status, termination_statuses
 from ..audit.unmoved_entries import unmoved_words
-from ..engine.diagnosis import Diagnostics
-from ..engine.found import Found
-from ..engine.transcription import AtStages
 from ..inputs.arguments import Options, require_tangent_dynamics
+from ..transcription.diagnosis import Diagnostics
+from ..transcription.discrete_extremals import AtStages, DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem
 from .diagnostics import RegularChecks
 from .interpolation import Interpolant
@@ -43,7 +42,7 @@ class SolutionBuilder:
         self,
         transcribed: TranscribedProblem,
         parameters: Any,
-        found: Found,
+        found: DiscreteExtremals,
         options: Options,
         seconds: tuple[float, float],
     ) -> tuple[dict[str, Any], Callable[[int], Solution]]:
@@ -51,13 +50,14 @@ class SolutionBuilder:
 
         ``parameters``: with the members along the leading axis; ``seconds`` to trace and to run.
         """
-        nodes, data, traced = found.assembled.nodes, transcribed.conditions.data, transcribed.traced
-        at_nodes = traced.diagnosis.at_nodes(nodes, found.assembled.costates)
+        nodes, data, traced = found.nodes, transcribed.conditions.data, transcribed.traced
+        at_nodes = traced.diagnosis.at_nodes(nodes, found.costates)
         costates = at_nodes.costates
-        stages = traced.steps.at_stages(found.iterate.unknowns, costates, data, found.iterate.slacks)
+        stages = found.at_stages(costates)
         diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
         require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
-        trajectories, held = self._trajectories(nodes, costates, stages, data.steps), _active_rows(transcribed, found)
+        trajectories = self._trajectories(nodes, costates, stages, data.steps)
+        held = None if found.inequalities is None else found.inequalities.active
         statuses = self._statuses(transcribed, found, stages, held, trajectories, options.tolerance)
         success, results = np.array([own.success for own in statuses]), [own.result for own in statuses]
         statistics = [Statistics(int(count), *seconds, found.stopped) for count in found.iterations]
@@ -79,7 +79,7 @@ class SolutionBuilder:
             return Solution(
                 **arrays,
                 **statuses[k]._asdict(),
-                cost=found.assembled.cost[k].item(),
+                cost=found.cost[k].item(),
                 checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
                 statistics=statistics[k],
                 quantities=self.quantities,
@@ -87,13 +87,13 @@ class SolutionBuilder:
                 parameters=None if parameters is None else jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
             )
 
-        numbers = {"cost": found.assembled.cost, "success": success, "result": results}
+        numbers = {"cost": found.cost, "success": success, "result": results}
         return {**fields, **numbers, "parameters": parameters, "statistics": statistics}, member
 
     def _statuses(
         self,
         transcribed: TranscribedProblem,
-        found: Found,
+        found: DiscreteExtremals,
         stages: AtStages,
         held: np.ndarray | None,
         trajectories: dict[str, Any],
@@ -111,13 +111,13 @@ class SolutionBuilder:
             statuses[k] = own.because(more, found.notes[k] if found.notes else "")
         return statuses
 
-    def _unmoved(self, transcribed: TranscribedProblem, found: Found, k: int) -> str:
+    def _unmoved(self, transcribed: TranscribedProblem, found: DiscreteExtremals, k: int) -> str:
         """Words on a part of the end that follows from the rest, by the names of the user."""
         if transcribed.conditions.joint:
             return ""
         own = self.quantities if self.formulation is None else self.formulation.own.quantities
         names = [name for quantity in own.states for name in quantity.columns]
-        return unmoved_words(transcribed.conditions, found.assembled, k, names)
+        return unmoved_words(found.linear(k), names)
 
     def _where(self, one: ConcaveDirection, k: int, fields: dict[str, Any], stages: AtStages) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""
@@ -153,25 +153,17 @@ def _without_symmetries(diagnostics: Diagnostics, active: list[dict[str, int]]) 
     return diagnostics._replace(brackets={name: rates + free for name, rates in diagnostics.brackets.items()})
 
 
-def _known_checks(found: Found, success: np.ndarray) -> dict[str, list[Any]]:
+def _known_checks(found: DiscreteExtremals, success: np.ndarray) -> dict[str, list[Any]]:
     """The checks of each member that the iteration computes."""
     residuals = found.residuals
     values = {
-        "defect": residuals.gap,
+        "defect": residuals.defect,
         "stationarity": residuals.stationarity,
         "strict_minimum": found.strict_minimum & success,
         "violation": np.maximum(residuals.violation, residuals.excess),
         "complementarity": residuals.complementarity,
     }
     return {name: array.tolist() for name, array in values.items()}
-
-
-def _active_rows(transcribed: TranscribedProblem, found: Found) -> np.ndarray | None:
-    """Where inequalities hold each trajectory: where a multiplier exceeds the slack, in their units."""
-    slacks, barrier = found.iterate.slacks, transcribed.conditions.barrier
-    if slacks is None or barrier is None:
-        return None
-    return slacks.multipliers / barrier.multiplier > slacks.slacks / barrier.unit
 
 
 def _active(transcribed: TranscribedProblem, held: np.ndarray | None) -> list[dict[str, int]]:
@@ -183,30 +175,28 @@ def _active(transcribed: TranscribedProblem, held: np.ndarray | None) -> list[di
     return [{name: int(np.sum(np.any(own[k], axis=1))) for name, own in named.items()} for k in range(len(held))]
 
 
-def _multipliers(transcribed: TranscribedProblem, found: Found) -> dict[str, dict[str, np.ndarray]]:
+def _multipliers(transcribed: TranscribedProblem, found: DiscreteExtremals) -> dict[str, dict[str, np.ndarray]]:
     """Multipliers by their names: of the inequalities at the stages and of what ends are bound by, and of the
     inequalities at the nodes."""
-    slacks, rows, ends = found.iterate.slacks, transcribed.traced.rows, found.boundary or {}
-    if slacks is None:
+    limits, rows, ends = found.inequalities, transcribed.traced.rows, found.boundary or {}
+    if limits is None:
         return {"multipliers": ends, "node_multipliers": {}}
-    jumps = transcribed.conditions.data.steps[:, :, None, None] * slacks.multipliers
+    jumps = transcribed.conditions.data.steps[:, :, None, None] * limits.multipliers
     return {
-        "multipliers": {**rows.at_stages(slacks.multipliers), **ends},
+        "multipliers": {**rows.at_stages(limits.multipliers), **ends},
         "node_multipliers": rows.at_nodes(jumps),
     }
 
 
-def _violation_words(transcribed: TranscribedProblem, found: Found, k: int, tolerance: float) -> str:
+def _violation_words(transcribed: TranscribedProblem, found: DiscreteExtremals, k: int, tolerance: float) -> str:
     """By how much a member without success violates which inequalities, if it does."""
-    slacks, barrier, rows = found.iterate.slacks, transcribed.conditions.barrier, transcribed.traced.rows
-    if slacks is None or barrier is None or found.claimed[k]:
+    limits, rows = found.inequalities, transcribed.traced.rows
+    if limits is None or found.claimed[k]:
         return ""
-    held, own = found.assembled.blocks.inequalities, slice(k, k + 1)
-    excess = np.where(held.weights[own] > 0, np.maximum(held.values[own], 0.0), 0.0)
-    if not np.max(excess / barrier.unit[own], initial=0.0) > (tolerance if found.contradictory[k] else VIOLATED):
+    own = slice(k, k + 1)
+    excess = np.where(limits.weights[own] > 0, np.maximum(limits.values[own], 0.0), 0.0)
+    if not np.max(excess / limits.sizes[own], initial=0.0) > (tolerance if found.infeasible[k] else VIOLATED):
         return ""
     worst = {name: np.max(own) for name, own in {**rows.at_stages(excess), **rows.at_nodes(excess)}.items() if own.size}
     named = [f"{name} by up to {most:.3g}" for name, most in worst.items() if most > SMALL * np.max(excess)]
-    return (
-        f" {'It' if found.contradictory[k] else 'Where this ended, it'} violates {', '.join(named)}." if named else ""
-    )
+    return f" {'It' if found.infeasible[k] else 'Where this ended, it'} violates {', '.join(named)}." if named else ""

@@ -8,7 +8,7 @@ import numpy as np
 
 from ....former_names import former_field
 from ....manifolds.numerics.precision import default_tolerance
-from ..engine.diagnosis import Diagnostics
+from ..transcription.diagnosis import Diagnostics
 
 Record = TypeVar("Record", bound=Any)
 

@@ -18,8 +18,8 @@ from ....tracing import one_tracing
 from ...problem.point_layout import PointLayout
 from ...reporting.geometry_text import as_text, from_text
 from ...reporting.text import brief
-from ..engine.chart import Chart, lagrange
 from ..guess import Guess
+from ..transcription.chart import Chart, lagrange
 
 if TYPE_CHECKING:
     from .record import Solution

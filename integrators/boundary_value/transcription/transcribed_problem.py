@@ -16,16 +16,15 @@ from ..engine import first_use
 from ..engine.collocation import Collocation
 from ..engine.conditions import Conditions
 from ..engine.coupling import Coupling
-from ..engine.diagnosis import Diagnosis
-from ..engine.inequalities import Slacks
-from ..engine.kkt_system import Ends, Iterate
-from ..engine.start import Start
-from ..engine.transcription import Data, Known, Nodes, OneStage
+from ..engine.transcription import Nodes, OneStage
 from ..inputs.arguments import Method, structure_of
 from ..inputs.guess_arrays import FlatGuess
 from ..inputs.inputs import Inputs, repeat_for_all
+from .diagnosis import Diagnosis
 from .inequality_rows import InequalityRows
+from .iterate import Data, Ends, Iterate, Known, Slacks
 from .linkages import PhaseProblem, linkages_of
+from .start import Start
 
 
 class TracedFunctions(NamedTuple):

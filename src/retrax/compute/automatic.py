@@ -57,6 +57,8 @@ class _XlaFunction(PointwiseFunction):
 
     def __init__(self, program: ClosedJaxpr) -> None:
         self._function = of_rows(program)
+        arguments, values = ([math.prod(a.shape) for a in found] for found in (program.in_avals, program.out_avals))
+        self.sizes = arguments, values  # numbers of each argument, and of each value
 
     @property
     def precision(self) -> np.dtype[Any]:

@@ -25,7 +25,7 @@ from ..errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-HEADER_VERSION = 4  # of the header that the structs below repeat
+HEADER_VERSION = 5  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -325,13 +325,10 @@ class SearchResultStruct(Structure):
         ("rate", c_double),
         ("equations", c_void_p),
         ("iterations", c_ssize_t),
-        ("claimed", c_bool),
-        ("isolated", c_bool),
-        ("strict", c_bool),
-        ("solvable", c_bool),
-        ("infeasible", c_bool),
-        ("falls", c_bool),
-        ("stopped", c_bool),
+        *(
+            (fact, c_bool)
+            for fact in ("limited", "claimed", "strict", "convex", "solvable", "infeasible", "falls", "stopped")
+        ),
     )
 
 
@@ -433,6 +430,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_search_make": (c_void_p, [POINTER(MultiphaseStruct), POINTER(OptionsStruct), c_int, c_void_p]),
     "retrax_search_trajectory": (c_void_p, [c_void_p, c_ssize_t]),
     "retrax_search_multipliers": (c_void_p, [c_void_p, c_bool]),
+    "retrax_search_perturb": (c_bool, [c_void_p, c_void_p]),
     "retrax_search_run": (c_int, [c_void_p]),
     "retrax_search_read": (SearchResultStruct, [c_void_p, c_ssize_t]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),

@@ -38,7 +38,7 @@ class Multiphase:
 
     def __init__(self, transcriptions: Sequence[Any], coupled: CoupledEnds | None = None) -> None:
         self.transcriptions, self._coupled, count = tuple(transcriptions), coupled, len(transcriptions)
-        pointers = (POINTER(LayoutStruct) * count)(*(pointer(own._layout) for own in transcriptions))
+        pointers = (POINTER(LayoutStruct) * count)(*(pointer(own.layout) for own in transcriptions))
         self._struct, self._kept = (
             MultiphaseStruct(count, pointers, 0, 0, None, FunctionStruct()),
             list[object]([pointers]),
@@ -65,7 +65,8 @@ class Multiphase:
             )
         registers = aligned(program.sizes[2] * program.lanes(1))
         place = address_of(registers, FLOAT, registers.shape, "registers")
-        context = TapeFunctionStruct(pointer(program.tape), place, program.lanes(1), self.transcriptions[0]._set)
+        best = self.transcriptions[0].instruction_set
+        context = TapeFunctionStruct(pointer(program.tape), place, program.lanes(1), best)
         self._struct.equations, self._struct.links, self._struct.link = coupled.equations, len(links), links
         self._struct.function = FunctionStruct(
             cast(library().retrax_evaluate_tape, c_void_p), c_void_p(addressof(context))

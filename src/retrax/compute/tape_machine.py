@@ -1,6 +1,6 @@
 """Programs of tapes on the compiled core."""
 
-from ctypes import byref
+from ctypes import addressof, byref, c_void_p, cast, pointer
 from typing import final
 
 import numpy as np
@@ -13,7 +13,9 @@ from .core import (
     OPERANDS,
     PLACE,
     REGISTER,
+    FunctionStruct,
     TapeDataStruct,
+    TapeFunctionStruct,
     TapeStruct,
     address_of,
     best_instruction_set,
@@ -66,14 +68,21 @@ class MachineProgram:
         """Numbers of inputs, outputs and registers."""
         return self._tape.inputs, self._tape.outputs, self._tape.registers
 
-    @property
-    def tape(self) -> TapeStruct:
-        """The tape as C has it; it lasts as long as the program."""
-        return self._tape
-
     def lanes(self, points: int) -> int:
         """Points that an instruction acts on at once where there are so many."""
         return self._library.retrax_tape_lanes(byref(self._tape), points)
+
+    def as_function(
+        self, registers: np.ndarray, points: int, instruction_set: int
+    ) -> tuple[FunctionStruct, TapeFunctionStruct]:
+        """The program as a function of a problem at so many points, and the context of that, which C reads.
+
+        ``registers``: as many numbers as those of the lanes of the program; one thread uses them at a time.
+        """
+        place = address_of(registers, FLOAT, registers.shape, "registers")
+        context = TapeFunctionStruct(pointer(self._tape), place, self.lanes(points), instruction_set)
+        evaluate = cast(self._library.retrax_evaluate_tape, c_void_p)
+        return FunctionStruct(evaluate, c_void_p(addressof(context))), context
 
     def run(self, points: range, ends: Ends, lanes: int | None = None) -> None:
         """Write the values at the points of a range.

@@ -4,7 +4,7 @@ import itertools
 import math
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cache
@@ -83,6 +83,35 @@ def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
             return run(part)
 
     return _pool("parts").submit(copy_context().run, alone)
+
+
+def each_in_threads(run: Callable[[int], R], count: int, stop: Callable[[], None]) -> list[R]:
+    """The results of a function for the numbers below ``count``, in threads that take one number after the other.
+
+    ``stop`` is called where somebody interrupts, or a call raises an error, which is raised when all have ended.
+    """
+    threads = 1 if _alone.get() else min(os.cpu_count() or 1, count)
+    if threads == 1:
+        return [run(k) for k in range(count)]
+    numbers, found = iter(range(count)), dict[int, R]()
+
+    def work(_: range) -> None:
+        for k in numbers:
+            found[k] = run(k)
+
+    going = list["Future[None]"]()
+    try:
+        going += [on_its_own(work, range(1)) for _ in range(threads)]
+        wait(going, return_when=FIRST_EXCEPTION)
+    except KeyboardInterrupt:
+        stop()  # each call ends with what it has
+    if any(own.done() and own.exception() for own in going):
+        stop()
+    for own in going:
+        own.exception()  # until it has ended
+    for own in going:
+        own.result()
+    return [found[k] for k in range(count)]
 
 
 def later(run: Callable[[], None]) -> None:

@@ -1,14 +1,8 @@
 """Trajectories of a transcribed problem: their arrays, their linear systems, and steps from one to the next."""
 
-import signal
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from ctypes import addressof, byref, c_void_p, cast, pointer
-from enum import IntEnum
-from functools import partial
-from threading import current_thread, main_thread
-from typing import Any, NamedTuple, final
-from weakref import ref
+from collections.abc import Mapping
+from ctypes import byref
+from typing import NamedTuple, final
 
 import numpy as np
 
@@ -19,43 +13,25 @@ from .core import (
     BYTES,
     FLOAT,
     PLACE,
-    REPORT,
-    FunctionStruct,
-    IterationStruct,
     LayoutStruct,
     LimitScaleStruct,
-    OptionsStruct,
     ProblemStruct,
     ResidualScaleStruct,
     ScaleDataStruct,
     ScaleStruct,
-    TapeFunctionStruct,
     address_of,
     best_instruction_set,
     library,
 )
-from .multiphase import Multiphase
+from .problem_functions import CallbackFunction, Failure, FunctionName
 from .tape_machine import MachineProgram
 
-MOST_ITERATIONS = 1 << 20  # as in search.c
-
-
-class FunctionName(IntEnum):
-    """The functions of a problem; ``retrax_core.h`` says what each reads and writes."""
-
-    ENDS = 0
-    MIDDLE = 1
-    FRAMES = 2
-    POINTS = 3
-    BOTH_ENDS = 4
-    MOVE = 5
-    MOVE_CONTROLS = 6
-    START_COST = 7
-    END_COST = 8
-    CONTROL_FRAMES = 9
-
+Function = MachineProgram | CallbackFunction  # of a problem
 
 _OPTIONAL = FunctionName.START_COST, FunctionName.END_COST
+
+
+KEPT = 2**22  # numbers, 32 MiB: more are made anew, which takes no time beside their use
 
 
 @final
@@ -86,6 +62,11 @@ class Scale(NamedTuple):
     nodes: np.ndarray
     cost: float
 
+    @property
+    def copy(self) -> "Scale":
+        """The same sizes in arrays of their own."""
+        return Scale(self.unknowns.copy(), self.nodes.copy(), self.cost)
+
 
 @final
 class LimitScale(NamedTuple):
@@ -102,6 +83,8 @@ class LimitScale(NamedTuple):
 class Transcription:
     """A transcribed problem as the core has it, for one thread: its functions share registers.
 
+    ``parts``: where the arrays of a trajectory stand; the first ``iterate_numbers`` determine all others.
+
     ``matrix``, ``weights``: the tableau about the middle of a step, shapes ``(s, s)`` and ``(s,)``; ``groups``: the
     column of a matrix, and the array, that each entry of a state belongs to, shape ``(E,)``; ``control_groups``: the
     same of the controls, shape ``(U,)``, where these lie on a manifold that is not flat, else None; ``kept``: 1 for the
@@ -117,11 +100,12 @@ class Transcription:
         control_groups: tuple[np.ndarray, np.ndarray] | None,
         kept: np.ndarray,
         bounds: int,
-        functions: Mapping[FunctionName, MachineProgram],
+        functions: Mapping[FunctionName, Function],
         instruction_set: int | None = None,
     ) -> None:
         self.sizes, self.programs, self._library = sizes, dict(functions), library()
-        self._set = best_instruction_set() if instruction_set is None else instruction_set
+        self.failure = Failure()
+        self.instruction_set = best_instruction_set() if instruction_set is None else instruction_set
         self.tableau, self.groups, self.control_groups = tableau, groups, control_groups
         self.kept, self.bounds = kept, bounds
         (matrix, weights), s = tableau, sizes.points
@@ -144,48 +128,74 @@ class Transcription:
         if not size or not room:
             raise InvalidInputError(f"a problem of these sizes does not fit, or is larger than the core takes: {sizes}")
         points = (sizes.steps + 1) * s
-        most = max((own.sizes[2] * own.lanes(points) for own in functions.values()), default=0)
+        tapes = [own for own in functions.values() if isinstance(own, MachineProgram)]
+        most = max((own.sizes[2] * own.lanes(points) for own in tapes), default=0)
         self._registers = aligned(max(most, 1))
         for name in FunctionName:
             if name is not FunctionName.CONTROL_FRAMES or control_groups is not None:
                 self._set_function(name, functions.get(name), points)
         self._workspace = aligned(-(-room // BYTES))
-        self._memory, self._layout = aligned(-(-size // BYTES)), LayoutStruct()
+        self._memory, self.layout = aligned(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
-        self._library.retrax_layout_make(byref(self._problem), place, byref(self._layout))
+        self._library.retrax_layout_make(byref(self._problem), place, byref(self.layout))
+        firsts, counts = self.layout.first[:], self.layout.count[:]
+        self.parts = {name: slice(firsts[k], firsts[k] + counts[k]) for name, k in PLACES.items()}
+        self.iterate_numbers = firsts[PLACES["POINT_CENTRES"]]
+        self._room = aligned(1)
 
     @property
     def workspace(self) -> int:
         """The address of the workspace; one thread uses it at a time."""
         return address_of(self._workspace, FLOAT, self._workspace.shape, "workspace")
 
-    def memory(self, max_iterations: int) -> tuple[int, int]:
-        """Return the bytes of memory of a layout, and of a search with so many iterations."""
-        own, layout = self._library, byref(self._layout)
-        return own.retrax_layout_memory(byref(self._problem)), own.retrax_search_memory(layout, max_iterations)
+    @property
+    def layout_memory(self) -> int:
+        """The bytes of memory of a layout."""
+        return self._library.retrax_layout_memory(byref(self._problem))
+
+    def search_room(self, size: int) -> np.ndarray:
+        """Numbers for the memory of a search, which the next search in this thread takes too, unless they are many."""
+        if size > KEPT:
+            return aligned(size)
+        if len(self._room) < size:
+            self._room = aligned(size)
+        return self._room
 
     def trajectory(self) -> "Trajectory":
         """Return a trajectory, all of whose numbers are zero."""
         return Trajectory(self)
 
-    def _set_function(self, name: FunctionName, program: MachineProgram | None, points: int) -> None:
+    def _set_function(
+        self, name: FunctionName, function: MachineProgram | CallbackFunction | None, points: int
+    ) -> None:
         problem, own = byref(self._problem), self._library
         sizes = own.retrax_function_inputs(problem, name), own.retrax_function_outputs(problem, name)
-        if program is None:
+        if function is None:
             if any(sizes) and name not in _OPTIONAL:
                 raise InvalidInputError(f"a problem with {self.sizes} needs the function {name.name}")
             return
-        if program.sizes[:2] != sizes:
+        if function.sizes[:2] != sizes:
             raise InvalidInputError(
-                f"function {name.name}: got {program.sizes[0]} inputs and {program.sizes[1]} outputs, expected "
+                f"function {name.name}: got {function.sizes[0]} inputs and {function.sizes[1]} outputs, expected "
                 f"{sizes[0]} and {sizes[1]} for {self.sizes}"
             )
-        registers = address_of(self._registers, FLOAT, self._registers.shape, "registers")
-        context = TapeFunctionStruct(pointer(program.tape), registers, program.lanes(points), self._set)
+        if isinstance(function, CallbackFunction):
+            self._problem.functions[name] = function.as_function(self.failure)
+            return
+        self._problem.functions[name], context = function.as_function(self._registers, points, self.instruction_set)
         self._kept.append(context)
-        self._problem.functions[name] = FunctionStruct(
-            cast(own.retrax_evaluate_tape, c_void_p), c_void_p(addressof(context))
-        )
+
+
+@final
+class IterateNumbers(NamedTuple):
+    """The given arrays and the unknowns of a trajectory: all from which the rest is evaluated."""
+
+    numbers: np.ndarray
+    parts: Mapping[str, slice]
+
+    def array(self, name: str) -> np.ndarray:
+        """The entries of an array, a view of shape ``(count,)``."""
+        return self.numbers[self.parts[name]]
 
 
 @final
@@ -193,7 +203,7 @@ class Trajectory:
     """The arrays of a trajectory; ``retrax_core.h`` names them."""
 
     def __init__(self, transcription: Transcription, numbers: np.ndarray | None = None) -> None:
-        self._of, self._layout = transcription, transcription._layout
+        self._of, self._layout = transcription, transcription.layout
         if numbers is None:
             numbers = aligned(self._layout.numbers)
             numbers[...] = 0.0
@@ -201,9 +211,19 @@ class Trajectory:
 
     def __getitem__(self, name: str) -> np.ndarray:
         """The entries of an array, a view of shape ``(count,)``."""
-        place = _PLACES[name]
-        first = self._layout.first[place]
-        return self._numbers[first : first + self._layout.count[place]]
+        return self._numbers[self._of.parts[name]]
+
+    def __setitem__(self, name: str, entries: np.ndarray) -> None:
+        self._numbers[self._of.parts[name]] = entries
+
+    @property
+    def iterate(self) -> "IterateNumbers":
+        """A copy of all that is given and of the unknowns, which come first."""
+        return IterateNumbers(self._numbers[: self._of.iterate_numbers].copy(), self._of.parts)
+
+    def set_iterate(self, iterate: "IterateNumbers") -> None:
+        """Take all that is given and the unknowns from an iterate."""
+        self._numbers[: self._of.iterate_numbers] = iterate.numbers
 
     def copy_from(self, other: "Trajectory") -> None:
         """Copy all numbers of another trajectory of the same transcription."""
@@ -215,9 +235,10 @@ class Trajectory:
         own.retrax_evaluate_trajectory(*here)
         if self._of.sizes.limits:
             own.retrax_add_inequalities(*here)
-        own.retrax_assemble_system(*here, self._of.workspace, self._of._set)
+        own.retrax_assemble_system(*here, self._of.workspace, self._of.instruction_set)
         own.retrax_write_right_sides(*here)
         own.retrax_survey_trajectory(*here)
+        self._of.failure.check()
 
     def measure(self, judging: Scale, steps: Scale, limits: LimitScale | None, least_part: float) -> None:
         """Measure how far the trajectory is from its conditions, and survey its inequalities.
@@ -279,156 +300,11 @@ class Trajectory:
     def move(self, before: "Trajectory", part: float) -> None:
         """Move the unknowns from another trajectory by a part of the step from there."""
         self._of._library.retrax_move_trajectory(byref(self._layout), before._address, part, self._address)
+        self._of.failure.check()
 
     @property
     def _address(self) -> int:
         return address_of(self._numbers, FLOAT, self._numbers.shape, "numbers of a trajectory")
 
 
-class SearchStatus(IntEnum):
-    """How a search has ended; ``retrax_core.h`` explains these."""
-
-    GOING_ON = 0
-    CONVERGED = 1
-    SINGULAR = 2
-    INFEASIBLE = 3
-    ELSEWHERE = 4
-    DEGENERATE = 5
-    ITERATION_LIMIT = 6
-    STOPPED = 7
-
-
-@final
-class SearchResult(NamedTuple):
-    """The result of a search; ``retrax_core.h`` explains the fields."""
-
-    trajectory: "Trajectory"
-    first: "Trajectory"
-    judging: Scale
-    steps: Scale
-    limits: np.ndarray
-    rate: float
-    equations: np.ndarray
-    iterations: int
-    claimed: bool
-    isolated: bool
-    strict: bool
-    solvable: bool
-    infeasible: bool
-    falls: bool
-    stopped: bool
-
-
-@final
-class Search:
-    """Newton's method on the conditions of one trajectory, or of phases whose ends are coupled.
-
-    ``width``: the infeasibility that the funnel lets pass first; ``firm``: times the usual first penalty of excesses;
-    ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
-    """
-
-    def __init__(
-        self,
-        problem: Transcription | Multiphase,
-        tolerance: float,
-        max_iterations: int,
-        width: float = 1.0,
-        firm: float = 1.0,
-        looks: bool = True,
-        report: Callable[[IterationStruct], bool] | None = None,
-    ) -> None:
-        own = self._library = library()
-        self._phases = problem if isinstance(problem, Multiphase) else Multiphase((problem,))
-        self._of = self._phases.transcriptions
-        size = own.retrax_search_memory(self._phases.address, max_iterations)
-        if not size:
-            raise InvalidInputError(f"a search has 1 to {MOST_ITERATIONS} iterations, got {max_iterations}")
-        self._memory = aligned(-(-size // BYTES))
-        self._memory[...] = 0.0
-        place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
-        self._report, self._interrupted = report, False
-        self._error: BaseException | None = None
-        self._callback = REPORT(partial(_told, ref(self)))  # C calls it
-        options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
-        self._search = own.retrax_search_make(self._phases.address, byref(options), self._of[0]._set, place)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """The iterate of the first phase: the guess before a run, the solution behind it."""
-        return self.phase(0)
-
-    def phase(self, k: int) -> Trajectory:
-        """The iterate of a phase."""
-        place = self._library.retrax_search_trajectory(self._search, k)
-        return Trajectory(self._of[k], self._part(place, self._of[k]._layout.numbers))
-
-    def multipliers(self, first: bool = False) -> np.ndarray:
-        """The multipliers of what couples the ends, of the iterate, or of the ``first`` one, a view."""
-        place = self._library.retrax_search_multipliers(self._search, first)
-        return self._part(place, self._phases.multipliers)
-
-    def run(self) -> SearchStatus:
-        """Search an extremal from the guess; an error of the report, or an interrupt, is raised when the search has
-        ended."""
-        self._error, self._interrupted = None, False
-        with self._interrupts():
-            status = SearchStatus(self._library.retrax_search_run(self._search))
-        if self._error is not None:
-            raise self._error
-        if self._interrupted:
-            raise KeyboardInterrupt
-        return status
-
-    @contextmanager
-    def _interrupts(self) -> Iterator[None]:
-        """A time in which an interrupt asks the search to stop: where C calls Python, nobody could catch it."""
-        usual = signal.default_int_handler
-        if current_thread() is not main_thread() or signal.getsignal(signal.SIGINT) is not usual:
-            yield
-            return
-
-        def note(*_: Any) -> None:
-            self._interrupted = True
-
-        signal.signal(signal.SIGINT, note)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, usual)
-
-    def _reports(self, iteration: IterationStruct) -> bool:
-        """Whether the report, an error of that, or an interrupt asks to stop."""
-        try:
-            return self._interrupted or (self._report is not None and self._report(iteration))
-        except BaseException as error:  # C knows no exceptions
-            self._error = error
-            return True
-
-    def read(self, phase: int = 0) -> SearchResult:
-        """Return the result of the last run, with the arrays of a phase; the next run overwrites these."""
-        of = self._of[phase]
-        found, layout = self._library.retrax_search_read(self._search, phase), of._layout
-        sizes, z = of.sizes, layout.count[_PLACES["PARTS"]]
-        at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
-        judging, steps = (
-            Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
-            for own in (found.judging, found.steps)
-        )
-        limits = self._part(found.limits, sizes.limits)
-        equations = self._part(found.equations, self._phases.equations) if found.equations else np.zeros(0)
-        told = (getattr(found, name) for name in SearchResult._fields[7:])
-        return SearchResult(at, first, judging, steps, limits, found.rate, equations, *told)
-
-    def _part(self, place: int, count: int) -> np.ndarray:
-        """Numbers of the memory of the search from an address on."""
-        first = (place - self._memory.ctypes.data) // BYTES
-        return self._memory[first : first + count]
-
-
-def _told(search: Any, _context: int | None, iteration: Any) -> bool:
-    """The report that C calls after each evaluation."""
-    own = search()
-    return own is None or own._reports(iteration.contents)
-
-
-_PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
+PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}

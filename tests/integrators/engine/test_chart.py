@@ -5,7 +5,7 @@ import pytest
 import scipy.linalg
 from numpy.polynomial import Polynomial
 from retrax.compute.automatic import AutomaticEvaluator
-from retrax.integrators.boundary_value.engine.chart import Chart, lagrange
+from retrax.integrators.boundary_value.transcription.chart import Chart, lagrange
 from retrax.manifolds import SO, Euclidean, hat
 from retrax.retractions import Addition, Cayley, Exponential, Gauss
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.engine.start import PIECES, UNEVEN, Start
+from retrax.integrators.boundary_value.transcription.start import PIECES, UNEVEN, Start
 from retrax.manifolds import SO, Euclidean, Product, Sphere
 from retrax.retractions import Cayley, Projection, default_retraction
 

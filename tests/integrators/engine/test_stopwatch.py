@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numba
 import numpy as np
 import pytest
-from retrax.compute.compile_time import report_compile_time
+from retrax.compute.compile_time import Stopwatch, report_compile_time
 from retrax.integrators import OptimalControlProblem, Phase, Solver, solve_phases
-from retrax.integrators.boundary_value.engine.stopwatch import Stopwatch
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Exponential, Midpoint
 

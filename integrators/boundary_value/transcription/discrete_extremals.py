@@ -1,0 +1,103 @@
+"""Discrete extremals: the result of a search, for records, audits and derivatives alike."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ....manifolds.numerics.ambient import joined, taken
+
+AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and costates
+
+
+@final
+class Residuals(NamedTuple):
+    """Relative residuals of the first-order conditions, shape (B,); ``retrax_core.h`` explains them."""
+
+    defect: np.ndarray
+    stationarity: np.ndarray
+    violation: np.ndarray
+    excess: np.ndarray
+    complementarity: np.ndarray
+    largest: np.ndarray  # of the problem with its barrier
+
+
+@final
+class Inequalities(NamedTuple):
+    """Inequalities ``g <= 0`` along trajectories, shape (B, N, r, c), in rows of points and then of ends of a step."""
+
+    values: np.ndarray
+    weights: np.ndarray  # zero where nothing is asked for
+    slacks: np.ndarray
+    multipliers: np.ndarray
+    sizes: np.ndarray  # natural ones, shape (B, 1, 1, c)
+    rate: np.ndarray  # natural size of the cost rate, shape (B,)
+
+    @property
+    def active(self) -> np.ndarray:
+        """Whether a multiplier exceeds the slack, in natural sizes."""
+        return self.multipliers / (self.rate[:, None, None, None] / self.sizes) > self.slacks / self.sizes
+
+
+@final
+class LinearSteps(NamedTuple):
+    """The linearised equations of the nodes along one extremal, and derivatives of its inequalities."""
+
+    left: np.ndarray  # (N, n, z): derivative of the beginning of a step in the frame of the node there
+    right: np.ndarray  # (N, n, z): of its end
+    fixed: tuple[np.ndarray, np.ndarray]  # 1 for the coordinates of the ends that are prescribed, each (n,)
+    unknowns: np.ndarray  # natural sizes of the unknowns of a step, (z,)
+    nodes: np.ndarray  # natural sizes of the coordinates of the nodes, (n,)
+    frame: np.ndarray  # of the last node, (n, E)
+    limits: np.ndarray | None  # derivatives of the inequalities by the unknowns of their points, (N, r, c, q)
+
+
+@final
+class DiscreteExtremals(NamedTuple):
+    """The last iterates of the searches of a batch, and how the searches ended; members lie along the leading axis.
+
+    ``at_stages``: states, controls and costates at the stages, (B, N s, ...), from the covectors at the nodes;
+    ``linear``: the linearised equations of a member; ``system``: the KKT system of a member, for its derivatives.
+    """
+
+    nodes: np.ndarray  # (B, N + 1, E)
+    costates: np.ndarray  # (B, N + 1, E)
+    cost: np.ndarray
+    residuals: Residuals
+    missing: np.ndarray  # largest defect of the nodes in each coordinate, in natural sizes, (B, n)
+    inequalities: Inequalities | None
+    strict_minimum: np.ndarray  # positive definite Hessian of the Lagrangian on the null space of the constraints
+    convex: np.ndarray  # whether the cost of an extremal is strictly convex in the controls at each point
+    iterations: np.ndarray  # of the search that led here, and of those before it
+    limited: np.ndarray  # that search has made as many as one may
+    claimed: np.ndarray  # the first-order conditions hold
+    solvable: np.ndarray
+    infeasible: np.ndarray  # the inequalities contradict each other, or the ends
+    falling: np.ndarray  # without success: the cost, as if it had no lower bound
+    at_stages: Callable[[np.ndarray], AtStages]
+    linear: Callable[[int], LinearSteps]
+    system: Callable[[int], Any]
+    stopped: bool
+    boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
+    notes: Sequence[str] | None = None  # to be said of each member beside its result
+
+    def joined(self, other: "DiscreteExtremals", order: np.ndarray) -> "DiscreteExtremals":
+        """The members of both in an order: places in these, then in the other ones."""
+        count, parts = len(self.cost), (self, other)
+        arrays = [own[: self._fields.index("at_stages")] for own in parts]
+
+        def of(name: str) -> Callable[[int], Any]:
+            def member(k: int) -> Any:
+                place = int(order[k])
+                return getattr(parts[place >= count], name)(place - count if place >= count else place)
+
+            return member
+
+        def at_stages(costates: np.ndarray) -> AtStages:
+            back = costates[np.argsort(order)]
+            first, second = self.at_stages(back[:count]), other.at_stages(back[count:])
+            return taken(joined([first, second]), order)
+
+        own: dict[str, Any] = dict(zip(self._fields, taken(joined(arrays), order), strict=False))
+        own |= {"at_stages": at_stages, "linear": of("linear"), "system": of("system")}
+        return DiscreteExtremals(**own, stopped=self.stopped or other.stopped)

@@ -1,0 +1,109 @@
+"""Iterates of a transcribed problem, and the data that trajectories are computed for."""
+
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+
+class Data(NamedTuple):
+    """What a trajectory is computed for, with a leading axis for the members of a batch."""
+
+    steps: np.ndarray  # lengths, shape (B, N)
+    parameters: np.ndarray  # shape (B, P)
+    asked: np.ndarray | None = None  # 1 where an inequality is to hold, else 0, shape (B, N, r, c); None: everywhere
+
+    def held(self, inequalities: int, places: int) -> np.ndarray:
+        """``asked`` with all its axes, or with length 1 along them."""
+        return np.ones((1, 1, places, inequalities)) if self.asked is None else self.asked
+
+
+class Known(NamedTuple):
+    """What a guess may know beside states, controls and costates: states at the nodes, covectors at the stages."""
+
+    nodes: np.ndarray  # (B, N + 1, E)
+    stage_costates: np.ndarray  # (B, N, s, E)
+
+
+class Unknowns(NamedTuple):
+    """States at the centres of the steps and controls at their stages, as flat points; of shapes (B, N, E) and (B, N,
+    s, U)."""
+
+    centres: np.ndarray
+    controls: np.ndarray
+
+
+class GaussUnknowns(NamedTuple):
+    """Centres (B, N, E); at the points of steps velocities in frames at the centres (B, N, s, n), controls,
+    costates."""
+
+    centres: np.ndarray
+    velocities: np.ndarray
+    controls: np.ndarray
+    costates: np.ndarray
+
+
+@final
+class Slacks(NamedTuple):
+    """Slacks, multipliers, excesses and their prices, shape (B, N, r, c), and the barrier of each member, shape (B,).
+
+    The price is infinite, and the excess zero, where an inequality is not elastic.
+    """
+
+    slacks: np.ndarray
+    multipliers: np.ndarray
+    excess: np.ndarray
+    price: np.ndarray
+    barrier: np.ndarray
+
+    @property
+    def rest(self) -> np.ndarray:
+        """``zeta = rho - nu``."""
+        return self.price - self.multipliers
+
+    @classmethod
+    def none(cls, shape: tuple[int, ...]) -> "Slacks":
+        """Those of inequalities that do not pull."""
+        zero = np.zeros(shape)
+        return cls(np.ones(shape), zero, zero, np.full(shape, np.inf), np.zeros(shape[0]))
+
+    def at(self, places: Any) -> "Slacks":
+        """Those at some places."""
+        return Slacks(*(a[places] for a in self[:4]), barrier=self.barrier)
+
+    def scaled(self, factor: np.ndarray) -> "Slacks":
+        """All multipliers and prices times factors, shape (B,).
+
+        The barrier is as it was: if it rose with the price it would hold the trajectory far from its inequalities,
+        where the cost, which counts less and less, no longer leads it back.
+        """
+        times = factor[:, None, None, None]
+        return self._replace(multipliers=times * self.multipliers, price=times * self.price)
+
+    @property
+    def elastic(self) -> np.ndarray:
+        """Where there is an excess."""
+        return np.isfinite(self.price)
+
+
+class Iterate(NamedTuple):
+    """Unknowns of the steps, and covectors at the nodes, shape (B, N + 1, E)."""
+
+    unknowns: Any
+    costates: np.ndarray
+    slacks: Slacks | None = None  # of the inequalities, if there are any; of a guess, with multipliers that are known
+
+    @property
+    def bare(self) -> "Iterate":
+        """Without what is known of the inequalities."""
+        return self._replace(slacks=None)
+
+
+class Ends(NamedTuple):
+    """Flat points at the ends, shape (B, E), and which of their entries and coordinates are prescribed."""
+
+    start: np.ndarray
+    end: np.ndarray
+    start_entries: np.ndarray
+    end_entries: np.ndarray
+    start_coordinates: np.ndarray
+    end_coordinates: np.ndarray

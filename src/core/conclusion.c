@@ -1,0 +1,251 @@
+/*
+ * Conclusion: whether what a search has found is an extremal, and whether the conditions of second order hold there.
+ *
+ * Where an inequality is active its stiffness D grows without bound as the barrier vanishes: H + w J' D J then has a
+ * curvature beside it that is small relative to its entries, and lost in their rounding. Newton's steps bear that, the
+ * inertia does not. With e = w dnu as unknowns the system
+ *
+ *     [H  J'        ]
+ *     [J  -1 / (w D)]
+ *
+ * has no large entries, and the inertia of the other one with one negative eigenvalue more for each inequality. So an
+ * inequality counts by its stiffness: as a constraint where it is active, not at all elsewhere.
+ */
+#include "search.h"
+
+#include <math.h>
+#include <string.h>
+
+/* Share of the largest entry of the states: ends that are no farther apart meet. */
+#define MET 1e-6
+/* Share of the largest entry of an array: ends that are farther apart do not meet. */
+#define APART 1e-3
+/* In units of the cost and of the inequality: the largest stiffness that is not rounding, and one over the least. */
+#define STIFFEST 1e6
+#define IDLE 1e6
+
+/* Whether ends of steps are not as far apart as the arrays of the states are large, whatever gaps are measured by.
+ *
+ * Where natural sizes have lost their meaning, as where controls reach next to nothing or next to everything, a gap in
+ * these sizes says nothing. */
+static bool do_ends_meet(const retrax_search *search) {
+    const retrax_layout *const layout = search->phases->layout;
+    const double *const trajectory = search->at;
+    const retrax_index E = layout->problem->state_numbers, *const arrays = layout->problem->arrays;
+    const double share = fmax(APART, 10.0 * search->options.tolerance);
+    double size = 0.0;
+    for (retrax_index e = 0; e < E; e++) {
+        size = retrax_larger(size, retrax_larger(ARRAY(HIGHEST)[e], ARRAY(LOWEST)[e]));
+    }
+    for (retrax_index e = 0; e < E; e++) {
+        double apart = 0.0, own = 0.0;
+        for (retrax_index f = 0; f < E; f++) {
+            if (arrays[f] == arrays[e]) {
+                apart = retrax_larger(apart, ARRAY(DISTANCE)[f]);
+                own = retrax_larger(own, retrax_larger(ARRAY(HIGHEST)[f], ARRAY(LOWEST)[f]));
+            }
+        }
+        if (apart > MET * size && apart > share * own) {
+            return false;
+        }
+    }
+    return true;
+}
+
+bool retrax_is_extremal(const retrax_search *search) {
+    const bool claimed = search->claimed && RESIDUAL(search->at, FINAL) <= search->options.tolerance;
+    return claimed && (retrax_is_coupled(search) || do_ends_meet(search));
+}
+
+/* Whether a symmetric matrix a[m][m] with rows `stride` apart is positive definite; factors: [m][m] workspace. */
+static bool is_positive_definite(const double *a, retrax_index m, retrax_index stride, double *factors) {
+    for (retrax_index i = 0; i < m; i++) {
+        for (retrax_index j = 0; j <= i; j++) {
+            double value = a[i * stride + j];
+            for (retrax_index k = 0; k < j; k++) {
+                value -= factors[i * m + k] * factors[j * m + k];
+            }
+            if (i == j && !(value > 0.0)) {
+                return false;
+            }
+            factors[i * m + j] = i == j ? sqrt(value) : value / factors[j * m + j];
+        }
+    }
+    return true;
+}
+
+/* Whether the Hessians by the controls of all points are positive definite, with the share of the inequalities. */
+static bool is_convex(const retrax_phase *phase, const double *trajectory) {
+    const retrax_layout *const layout = phase->layout;
+    const retrax_problem *const problem = layout->problem;
+    const double *const hessians = retrax_collocates(problem) ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS);
+    const retrax_index m = problem->control_size, q = retrax_point_unknowns(problem);
+    for (retrax_index point = 0; point < problem->steps * problem->points; point++) {
+        if (!is_positive_definite(hessians + (point * q + q - m) * q + q - m, m, q, phase->square)) {
+            return false;
+        }
+    }
+    return true;
+}
+
+/* Writes the derivatives of an inequality of step k by the unknowns of the step. */
+static void write_row(const retrax_layout *layout, const double *trajectory, retrax_index k, retrax_index i, double *row) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_limit of = retrax_limit_of(problem, i);
+    const retrax_index s = problem->points, n = problem->state_size, m = problem->control_size, z = n + s * m;
+    const double *const own = ARRAY(LIMIT_JACOBIANS) + of.first, h = ARRAY(STEP_SIZE)[k];
+    if (!retrax_collocates(problem)) {
+        retrax_copy(row, own, z);
+        return;
+    }
+    const retrax_index point = of.at_ends ? 0 : of.block - k * s;
+    memset(row, 0, sizeof(double) * (size_t)z);
+    retrax_copy(row, own, n);
+    if (!of.at_ends) {
+        retrax_copy(row + n + point * m, own + 3 * n, m);
+    }
+    for (retrax_index j = 0; j < s; j++) {
+        const double share = h * (of.at_ends ? problem->weights[j] : problem->matrix[point * s + j]);
+        for (retrax_index a = 0; a < n; a++) {
+            const double slope = share * own[n + a] + (!of.at_ends && j == point ? own[2 * n + a] : 0.0);
+            const double *const map = ARRAY(VELOCITY_MAPS) + ((k * s + j) * n + a) * (z + 1);
+            for (retrax_index b = 0; b < z && slope != 0.0; b++) {
+                row[b] += slope * map[b];
+            }
+        }
+    }
+}
+
+/* The place of inequality r of step k among all of the trajectory. */
+static retrax_index limit_place(const retrax_problem *problem, retrax_index k, retrax_index r) {
+    const retrax_index own = problem->points * problem->inequalities, d = problem->node_inequalities;
+    return r < own ? k * own + r : problem->steps * own + k * d + r - own;
+}
+
+/* Writes natural sizes of the unknowns of the augmented system, and 1 / (w D); infinite where nothing is asked for. */
+static void write_sizes(const retrax_search *search, const retrax_scale *units, bool softly) {
+    const retrax_layout *const layout = search->phases->layout;
+    const double *const trajectory = search->spare;
+    const retrax_problem *const problem = layout->problem;
+    const retrax_augmented *const own = &search->phases->augmented;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], limits = own->size - z;
+    retrax_copy(own->sizes, units->unknowns, z);
+    memset(own->sizes + z, 0, sizeof(double) * (size_t)limits);
+    for (retrax_index i = 0; i < problem->steps * limits; i++) {
+        double reach = 0.0;
+        const retrax_index place = limit_place(problem, i / limits, i % limits);
+        own->gives[i] = 1.0 / (ARRAY(LIMIT_WEIGHTS)[place] * retrax_stiffness(layout, trajectory, place));
+        for (retrax_index b = 0; b < z; b++) {
+            reach += fabs(own->rows[i * z + b]) * units->unknowns[b];
+        }
+        if (isfinite(own->gives[i])) {
+            own->sizes[z + i % limits] = retrax_larger(own->sizes[z + i % limits], reach);
+        }
+    }
+    for (retrax_index r = 0; r < limits; r++) {
+        const double reach = own->sizes[z + r], size = reach > 0.0 ? units->cost / reach : units->cost;
+        const double unit = units->cost / (size * size);
+        own->sizes[z + r] = size;
+        for (retrax_index k = 0; k < problem->steps && softly; k++) {
+            double *const give = own->gives + k * limits + r;
+            *give = *give < IDLE * unit ? fmax(*give, unit / STIFFEST) : INFINITY;
+        }
+    }
+}
+
+/* Writes the blocks of the augmented system. */
+static void write_blocks(const retrax_search *search, const retrax_scale *units) {
+    const retrax_layout *const layout = search->phases->layout;
+    const double *const trajectory = search->spare;
+    const retrax_augmented *const own = &search->phases->augmented;
+    const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS], y = own->size, limits = y - z;
+    for (retrax_index k = 0; k < layout->problem->steps; k++) {
+        double *const hessian = own->hessian + k * y * y;
+        memset(hessian, 0, sizeof(double) * (size_t)(y * y));
+        for (retrax_index i = 0; i < z; i++) {
+            retrax_copy(hessian + i * y, ARRAY(HESSIANS) + (k * z + i) * z, z);
+        }
+        for (retrax_index r = 0; r < limits; r++) {
+            const double give = own->gives[k * limits + r], size = own->sizes[z + r];
+            hessian[(z + r) * y + z + r] = -(isfinite(give) ? give : units->cost / (size * size));
+            for (retrax_index b = 0; b < z && isfinite(give); b++) {
+                hessian[(z + r) * y + b] = hessian[b * y + z + r] = own->rows[(k * limits + r) * z + b];
+            }
+        }
+        for (retrax_index a = k * n; a < (k + 1) * n; a++) {
+            memset(own->left + a * y, 0, sizeof(double) * (size_t)y);
+            memset(own->right + a * y, 0, sizeof(double) * (size_t)y);
+            retrax_copy(own->left + a * y, ARRAY(LEFT) + a * z, z);
+            retrax_copy(own->right + a * y, ARRAY(RIGHT) + a * z, z);
+        }
+    }
+}
+
+/* The inertia of the augmented system, without the eigenvalues of the inequalities.
+ *
+ * softly: no inequality is stiffer than STIFFEST, and one that is next to not stiff is not at all. What is positive
+ * definite with less stiffness is so with more, and two inequalities that hold almost the same, as at points beside
+ * the one that a trajectory touches, leave no small pivots. */
+static retrax_inertia augmented_inertia(const retrax_search *search, const retrax_scale *units, bool softly) {
+    const retrax_layout *const layout = search->phases->layout;
+    const retrax_problem *const problem = layout->problem;
+    const retrax_augmented *const own = &search->phases->augmented;
+    const retrax_index N = problem->steps, n = problem->state_size;
+    const double *const fixed = search->at + layout->first[RETRAX_ARRAY_FIXED];
+    unsigned char finite;
+    write_sizes(search, units, softly);
+    write_blocks(search, units);
+    memset(own->zeros, 0, sizeof(double) * (size_t)((N + 1) * (own->size + n)));
+    const retrax_block_system system = {
+        .stages = N,
+        .node_size = n,
+        .stage_size = own->size,
+        .columns = 1,
+        .hessian = own->hessian,
+        .left = own->left,
+        .right = own->right,
+        .slope = own->zeros,
+        .defect = own->zeros,
+        .fixed_start = fixed,
+        .fixed_end = fixed + N * n,
+        .stage_scale = own->sizes,
+        .node_scale = units->nodes,
+        .cost_scale = units->cost,
+        .regularisation = 0.0,
+        .regularised = own->zeros,
+    };
+    retrax_block_solution solution = {
+        .step = own->step, .multipliers = own->multipliers, .finite = &finite, .largest_step = own->largest};
+    retrax_block_eliminate(&system, &solution, own->workspace, search->set);
+    solution.inertia.negative -= N * (own->size - layout->count[RETRAX_ARRAY_PARTS]);
+    return solution.inertia;
+}
+
+/* Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding. */
+static bool is_strict(const retrax_search *search) {
+    const retrax_layout *const layout = search->phases->layout;
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index limits = search->phases->augmented.size - layout->count[RETRAX_ARRAY_PARTS];
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], equations = (problem->steps + 1) * problem->state_size;
+    retrax_copy_unknowns(layout, search->at, search->spare);
+    retrax_evaluate_trajectory(layout, search->spare); /* without the share of the inequalities in the Hessians */
+    retrax_assemble_system(layout, search->spare, search->workspace, search->set);
+    for (retrax_index i = 0; i < problem->steps * limits; i++) {
+        const retrax_index k = i / limits;
+        write_row(layout, search->spare, k, limit_place(problem, k, i % limits), search->phases->augmented.rows + i * z);
+    }
+    const retrax_inertia found = augmented_inertia(search, &search->phases->steps, false);
+    if (found.negative != equations || retrax_is_clear(found.smallest, equations)) {
+        return found.negative == equations;
+    }
+    const retrax_inertia softer = augmented_inertia(search, &search->phases->judging, true);
+    return softer.negative == equations && retrax_is_clear(softer.smallest, equations);
+}
+
+void retrax_conclude(retrax_search *search) {
+    const retrax_direction *const step = &search->direction;
+    const bool extremal = retrax_is_extremal(search), augments = search->limited && !retrax_is_coupled(search);
+    search->convex = extremal;
+    EACH_PHASE(phase) { search->convex = search->convex && is_convex(phase, search->at + phase->place); }
+    search->strict = extremal && search->isolated && (augments ? is_strict(search) : step->strict && step->shift == 0.0);
+}

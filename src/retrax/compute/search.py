@@ -1,0 +1,182 @@
+"""Searches of the compiled core: Newton's method on the conditions of trajectories."""
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from ctypes import byref
+from enum import IntEnum
+from functools import partial
+from threading import current_thread, main_thread
+from typing import Any, NamedTuple, final
+from weakref import ref
+
+import numpy as np
+
+from ..errors import InvalidInputError
+from .core import BYTES, FLOAT, REPORT, IterationStruct, OptionsStruct, address_of, library
+from .multiphase import Multiphase
+from .transcription import PLACES, Scale, Trajectory, Transcription
+
+MOST_ITERATIONS = 1 << 20  # as in search.c
+WAVES = 3  # as in perturbed_guess.c
+
+
+class SearchStatus(IntEnum):
+    """How a search has ended; ``retrax_core.h`` explains these."""
+
+    GOING_ON = 0
+    CONVERGED = 1
+    SINGULAR = 2
+    INFEASIBLE = 3
+    ELSEWHERE = 4
+    DEGENERATE = 5
+    ITERATION_LIMIT = 6
+    STOPPED = 7
+
+
+@final
+class SearchResult(NamedTuple):
+    """The result of a search; ``retrax_core.h`` explains the fields."""
+
+    trajectory: "Trajectory"
+    first: "Trajectory"
+    judging: Scale
+    steps: Scale
+    limits: np.ndarray
+    rate: float
+    equations: np.ndarray
+    iterations: int
+    limited: bool
+    claimed: bool
+    strict: bool
+    convex: bool
+    solvable: bool
+    infeasible: bool
+    falls: bool
+    stopped: bool
+
+
+@final
+class Search:
+    """Newton's method on the conditions of one trajectory, or of phases whose ends are coupled.
+
+    ``width``: the infeasibility that the funnel lets pass first; ``firm``: times the usual first penalty of excesses;
+    ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
+    The memory is that of the first transcription: one search at a time, and a result holds until the next one begins.
+    """
+
+    def __init__(
+        self,
+        problem: Transcription | Multiphase,
+        tolerance: float,
+        max_iterations: int,
+        width: float = 1.0,
+        firm: float = 1.0,
+        looks: bool = True,
+        report: Callable[[IterationStruct], bool] | None = None,
+    ) -> None:
+        own = self._library = library()
+        self._phases = problem if isinstance(problem, Multiphase) else Multiphase((problem,))
+        self._of = self._phases.transcriptions
+        size = own.retrax_search_memory(self._phases.address, max_iterations)
+        if not size:
+            raise InvalidInputError(f"a search has 1 to {MOST_ITERATIONS} iterations, got {max_iterations}")
+        self._memory = self._of[0].search_room(-(-size // BYTES))
+        self._place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
+        self._report, self._interrupted = report, False
+        self._callback = REPORT(partial(_told, ref(self)))  # C calls it
+        options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
+        best = self._of[0].instruction_set
+        self._search = own.retrax_search_make(self._phases.address, byref(options), best, self._place)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The iterate of the first phase: the guess before a run, the solution behind it."""
+        return self.phase(0)
+
+    def phase(self, k: int) -> Trajectory:
+        """The iterate of a phase."""
+        place = self._library.retrax_search_trajectory(self._search, k)
+        return Trajectory(self._of[k], self._part(place, self._of[k].layout.numbers))
+
+    def multipliers(self, first: bool = False) -> np.ndarray:
+        """The multipliers of what couples the ends, of the iterate, or of the ``first`` one, a view."""
+        place = self._library.retrax_search_multipliers(self._search, first)
+        return self._part(place, self._phases.multipliers)
+
+    def perturb(self) -> bool:
+        """Move the guess aside, always in the same way; whether that hardly moves something that is spread along it."""
+        sizes = self._of[0].sizes
+        draws = np.random.default_rng(0).standard_normal((WAVES, sizes.points * sizes.control_size))
+        place = address_of(draws, FLOAT, draws.shape, "amplitudes of waves")
+        held = self._library.retrax_search_perturb(self._search, place)
+        self._check()
+        return held
+
+    def run(self) -> SearchStatus:
+        """Search an extremal from the guess; an error of the report or of a function, or an interrupt, is raised when
+        the search has ended."""
+        self._interrupted = False
+        with self._interrupts():
+            status = SearchStatus(self._library.retrax_search_run(self._search))
+        self._check()
+        if self._interrupted:
+            raise KeyboardInterrupt
+        return status
+
+    @contextmanager
+    def _interrupts(self) -> Iterator[None]:
+        """A time in which an interrupt asks the search to stop: where C calls Python, nobody could catch it."""
+        usual = signal.default_int_handler
+        if current_thread() is not main_thread() or signal.getsignal(signal.SIGINT) is not usual:
+            yield
+            return
+
+        def note(*_: Any) -> None:
+            self._interrupted = True
+
+        signal.signal(signal.SIGINT, note)
+        try:
+            yield
+        finally:
+            signal.signal(signal.SIGINT, usual)
+
+    def _reports(self, iteration: IterationStruct) -> bool:
+        """Whether the report, an error of that or of a function, or an interrupt asks to stop."""
+        try:
+            ends = any(own.failure.error is not None for own in self._of) or self._interrupted
+            return ends or (self._report is not None and self._report(iteration))
+        except BaseException as error:  # C knows no exceptions
+            self._of[0].failure.error = error
+            return True
+
+    def _check(self) -> None:
+        """Raise the first error of the report or of a function of a phase."""
+        for own in self._of:
+            own.failure.check()
+
+    def read(self, phase: int = 0) -> SearchResult:
+        """Return the result of the last run, with the arrays of a phase; the next run overwrites these."""
+        of = self._of[phase]
+        found, layout = self._library.retrax_search_read(self._search, phase), of.layout
+        sizes, z = of.sizes, layout.count[PLACES["PARTS"]]
+        at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
+        judging, steps = (
+            Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
+            for own in (found.judging, found.steps)
+        )
+        limits = self._part(found.limits, sizes.limits)
+        equations = self._part(found.equations, self._phases.equations) if found.equations else np.zeros(0)
+        told = (getattr(found, name) for name in SearchResult._fields[7:])
+        return SearchResult(at, first, judging, steps, limits, found.rate, equations, *told)
+
+    def _part(self, place: int, count: int) -> np.ndarray:
+        """Numbers of the memory of the search from an address on."""
+        first = (place - self._place) // BYTES
+        return self._memory[first : first + count]
+
+
+def _told(search: Any, _context: int | None, iteration: Any) -> bool:
+    """The report that C calls after each evaluation."""
+    own = search()
+    return own is None or own._reports(iteration.contents)
