@@ -25,16 +25,17 @@ class Tableau(NamedTuple):
     matrix: np.ndarray
 
     @classmethod
-    def of(cls, x: np.ndarray) -> Self:
-        """The tableau of ``s`` nodes in [-1, 1] whose quadrature is exact for polynomials of degree ``2 s - 2``.
+    def of(cls, x: np.ndarray, factor: float) -> Self:
+        """The tableau of the ``s`` nodes in [-1, 1] where ``P_s = factor P_{s-1}``, of Legendre's polynomials.
 
+        Their quadrature is exact for polynomials of degree ``2 s - 2``.
         The Lagrange polynomials are ``l_j = b_j sum_{k<s} (2k + 1) P_k(x_j) P_k``, because the quadrature is exact for
         their products with Legendre's ``P_k``, and ``(2k + 1) P_k = P'_{k+1} - P'_{k-1}``. Nothing is inverted:
         rounding does not grow with ``s``.
         """
         stages = len(x)
-        values = legvander(x, stages)
-        own = values[:, :-1]
+        own = legvander(x, stages - 1)
+        values = np.column_stack([own, factor * own[:, -1]])
         b = 1 / (own**2 @ (2 * np.arange(stages) + 1))  # Christoffel's numbers
         # Over [0, x] for k = 0, over [-1, x] for the others.
         integrals = np.column_stack([x, values[:, 2:] - values[:, :-2]])

@@ -247,5 +247,6 @@ void retrax_conclude(retrax_search *search) {
     const bool extremal = retrax_is_extremal(search), augments = search->limited && !retrax_is_coupled(search);
     search->convex = extremal;
     EACH_PHASE(phase) { search->convex = search->convex && is_convex(phase, search->at + phase->place); }
-    search->strict = extremal && search->isolated && (augments ? is_strict(search) : step->strict && step->shift == 0.0);
+    const bool positive = search->limited || (step->strict && step->shift == 0.0);
+    search->strict = extremal && search->isolated && (augments ? is_strict(search) : positive);
 }

@@ -79,7 +79,7 @@ def on_core(monkeypatch):
 
 def kinds(search: Search) -> set[type]:
     """The kinds of functions of a search."""
-    return set(map(type, search._of.programs.values()))
+    return set(map(type, search._of[0].programs.values()))
 
 
 @pytest.mark.parametrize("name", ["a slew", "collocation with a cap at nodes", "a free end"])

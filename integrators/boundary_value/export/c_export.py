@@ -117,7 +117,7 @@ def _pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options:
     ``found``: the solver that has found the solution, its own solution, both others for a reformulation, and the
     reformulation, or None.
     """
-    from ..engine import core_search
+    from ..transcription import core_search
     from .posed_problem import PosedProblem
 
     inner, own, formulation = found
@@ -126,11 +126,11 @@ def _pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options:
     conditions = kept.transcribed.conditions.of(place)
     _require_exportable(kept.transcribed.traced)
     transcription = core_search.made(conditions, 0)
-    guess, iterate = taken((kept.transcribed.guess, kept.found.iterate), place)
+    guess = taken(kept.transcribed.guess, place)
     given = transcription.trajectory()
     core_search.put(given, conditions, guess, 0)
     if not _leads_to(transcription, given, solution.cost, options):
-        core_search.put(given, conditions, iterate, 0)
+        core_search.put(given, conditions, kept.found.system(kept.place)[1], 0)
     steps, numbers = conditions.data.steps[0], PointLayout.of(solver.problem.manifold).size
     free = formulation if formulation is not None and formulation.kind.horizon else None
     shares, limit_steps = _shares(conditions)
@@ -164,7 +164,7 @@ def _require_exportable(traced: Any) -> None:
 
 def _leads_to(transcription: Any, given: Any, cost: float, options: Options) -> bool:
     """Whether a search from the guess converges to the cost of the solution, without another guess in between."""
-    from ....compute.transcription import Search, SearchStatus
+    from ....compute.search import Search, SearchStatus
 
     search = Search(transcription, options.tolerance, options.max_iterations)
     search.trajectory.copy_from(given)
@@ -183,7 +183,7 @@ def _horizon(steps: np.ndarray, fractions: np.ndarray) -> float:
 
 def _shares(conditions: Any) -> tuple[np.ndarray, np.ndarray]:
     """Weights of the inequalities relative to their steps, and the steps, in the order of the core."""
-    from ..engine.core_search import flat_limits
+    from ..transcription.core_search import flat_limits
 
     method = conditions.transcription
     if not method.inequalities:

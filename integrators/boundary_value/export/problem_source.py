@@ -5,7 +5,8 @@ from textwrap import indent
 
 import numpy as np
 
-from ....compute.core import LayoutStruct, ProblemStruct
+from ....compute.core import LayoutStruct, MultiphaseStruct, ProblemStruct
+from ....compute.search import search_memory, wave_amplitudes
 from .c_text import braces, constant, filled, number
 from .function_source import functions_text, most_numbers, table_text
 from .posed_problem import PosedProblem
@@ -51,7 +52,7 @@ def templates(posed: PosedProblem, name: str) -> dict[str, str]:
         "write_input": _writing_text(posed, upper),
         "read_output": _reading_text(posed),
         "duration": _duration_text(posed),
-        "strict": "found.strict && found.isolated && found.claimed" if not _limits(posed) else "false",
+        "strict": "found.strict",
         "function_count": str(len(table_text(programs).split("\n"))),
         "most_inputs": str(inputs),
         "most_outputs": str(outputs),
@@ -97,8 +98,8 @@ def _lengths(shape: tuple[int, ...]) -> str:
 
 def _workspace_bytes(posed: PosedProblem) -> int:
     """Bytes of a workspace where pointers take 8 bytes; where they take fewer, it needs less."""
-    structs = sizeof(ProblemStruct) + sizeof(LayoutStruct)
-    layout, search = posed.transcription.memory(posed.max_iterations)
+    structs = sizeof(ProblemStruct) + sizeof(LayoutStruct) + sizeof(MultiphaseStruct) + POINTER
+    layout, search = posed.transcription.layout_memory, search_memory(posed.transcription, posed.max_iterations)
     functions = len(table_text(posed.transcription.programs).split("\n"))
     head = structs + functions * 3 * POINTER + 8 * sum(most_numbers(posed.transcription.programs))
     return sum(-(-part // ALIGNMENT) * ALIGNMENT for part in (head, layout, search, ALIGNMENT))
@@ -161,6 +162,7 @@ def _constants_text(posed: PosedProblem, name: str) -> str:
         constant(place, "columns", own.groups[0], "Columns of matrices that the entries of a state belong to."),
         constant(place, "arrays", own.groups[1], "Arrays that they belong to."),
         constant("double", "kept", own.kept, "1 for a bound that no iterate leaves."),
+        constant("double", "draws", wave_amplitudes(sizes).ravel(), "Waves by which a degenerate guess is perturbed."),
     ]
     if own.control_groups is not None:
         found += [

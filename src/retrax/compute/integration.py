@@ -1,7 +1,7 @@
 """Integration of trajectories by the compiled core."""
 
 import math
-from ctypes import addressof, byref, c_ssize_t, c_void_p, cast, pointer
+from ctypes import byref, c_ssize_t
 from typing import NamedTuple, final
 
 import numpy as np
@@ -13,10 +13,8 @@ from .core import (
     FLOAT,
     PLACE,
     STEP_ROWS,
-    FunctionStruct,
     IntegrationStruct,
     MethodStruct,
-    TapeFunctionStruct,
     address_of,
     best_instruction_set,
     library,
@@ -161,10 +159,8 @@ class Integration:
         if not size:
             raise InvalidInputError("the memory of a step exceeds the address space")
         rooms = scratch(((registers,), (size // BYTES,)))
-        begin, workspace = (address_of(room, FLOAT, room.shape, "memory of a step") for room in rooms)
-        evaluate, best = cast(core.retrax_evaluate_tape, c_void_p).value, best_instruction_set()
-        tapes = []  # C reads them
-        for k, (program, count) in enumerate(zip(programs, lanes, strict=True)):
-            tapes.append(TapeFunctionStruct(pointer(program.tape), begin, count, best))
-            own.functions[k] = FunctionStruct(evaluate, addressof(tapes[k]))
+        workspace, best = address_of(rooms[1], FLOAT, rooms[1].shape, "memory of a step"), best_instruction_set()
+        contexts = [program.as_function(rooms[0], count, best) for program, count in zip(programs, lanes, strict=True)]
+        for k, (function, _) in enumerate(contexts):  # C reads the contexts
+            own.functions[k] = function
         core.retrax_integrate(byref(own), byref(self._struct), blocks.start, blocks.stop, workspace)

@@ -1,20 +1,16 @@
 """Phases, and what couples their ends, as the core has them."""
 
 from collections.abc import Sequence
-from ctypes import POINTER, addressof, byref, c_void_p, cast, pointer
+from ctypes import POINTER, byref, pointer
 from typing import Any, NamedTuple, final
 
 from ..aligned import aligned
 from ..errors import InvalidInputError
 from .core import (
-    FLOAT,
     FunctionStruct,
     LayoutStruct,
     LinkStruct,
     MultiphaseStruct,
-    TapeFunctionStruct,
-    address_of,
-    library,
 )
 from .tape_machine import MachineProgram
 
@@ -64,13 +60,9 @@ class Multiphase:
                 f"{program.sizes[1]} outputs, expected {expected[0]} and {expected[1]}"
             )
         registers = aligned(program.sizes[2] * program.lanes(1))
-        place = address_of(registers, FLOAT, registers.shape, "registers")
         best = self.transcriptions[0].instruction_set
-        context = TapeFunctionStruct(pointer(program.tape), place, program.lanes(1), best)
+        self._struct.function, context = program.as_function(registers, program.lanes(1), best)
         self._struct.equations, self._struct.links, self._struct.link = coupled.equations, len(links), links
-        self._struct.function = FunctionStruct(
-            cast(library().retrax_evaluate_tape, c_void_p), c_void_p(addressof(context))
-        )
         self._kept += [links, registers, context]
 
     def _sizes(self) -> tuple[int, int]:

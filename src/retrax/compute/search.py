@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import InvalidInputError
 from .core import BYTES, FLOAT, REPORT, IterationStruct, OptionsStruct, address_of, library
 from .multiphase import Multiphase
-from .transcription import PLACES, Scale, Trajectory, Transcription
+from .transcription import PLACES, Scale, Sizes, Trajectory, Transcription
 
 MOST_ITERATIONS = 1 << 20  # as in search.c
 WAVES = 3  # as in perturbed_guess.c
@@ -106,8 +106,7 @@ class Search:
 
     def perturb(self) -> bool:
         """Move the guess aside, always in the same way; whether that hardly moves something that is spread along it."""
-        sizes = self._of[0].sizes
-        draws = np.random.default_rng(0).standard_normal((WAVES, sizes.points * sizes.control_size))
+        draws = wave_amplitudes(self._of[0].sizes)
         place = address_of(draws, FLOAT, draws.shape, "amplitudes of waves")
         held = self._library.retrax_search_perturb(self._search, place)
         self._check()
@@ -174,6 +173,16 @@ class Search:
         """Numbers of the memory of the search from an address on."""
         first = (place - self._place) // BYTES
         return self._memory[first : first + count]
+
+
+def wave_amplitudes(sizes: Sizes) -> np.ndarray:
+    """The amplitudes by which degenerate guesses are perturbed, always the same ones, shape ``(3, s m)``."""
+    return np.random.default_rng(0).standard_normal((WAVES, sizes.points * sizes.control_size))
+
+
+def search_memory(transcription: Transcription, max_iterations: int) -> int:
+    """The bytes of memory of a search of one trajectory with so many iterations."""
+    return library().retrax_search_memory(Multiphase((transcription,)).address, max_iterations)
 
 
 def _told(search: Any, _context: int | None, iteration: Any) -> bool:

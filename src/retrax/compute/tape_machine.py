@@ -73,14 +73,14 @@ class MachineProgram:
         return self._library.retrax_tape_lanes(byref(self._tape), points)
 
     def as_function(
-        self, registers: np.ndarray, points: int, instruction_set: int
+        self, registers: np.ndarray, lanes: int, instruction_set: int
     ) -> tuple[FunctionStruct, TapeFunctionStruct]:
-        """The program as a function of a problem at so many points, and the context of that, which C reads.
+        """The program as a function of the core that acts on so many lanes, and the context of that, which C reads.
 
         ``registers``: as many numbers as those of the lanes of the program; one thread uses them at a time.
         """
         place = address_of(registers, FLOAT, registers.shape, "registers")
-        context = TapeFunctionStruct(pointer(self._tape), place, self.lanes(points), instruction_set)
+        context = TapeFunctionStruct(pointer(self._tape), place, lanes, instruction_set)
         evaluate = cast(self._library.retrax_evaluate_tape, c_void_p)
         return FunctionStruct(evaluate, c_void_p(addressof(context))), context
 

@@ -182,7 +182,9 @@ class Transcription:
         if isinstance(function, CallbackFunction):
             self._problem.functions[name] = function.as_function(self.failure)
             return
-        self._problem.functions[name], context = function.as_function(self._registers, points, self.instruction_set)
+        self._problem.functions[name], context = function.as_function(
+            self._registers, function.lanes(points), self.instruction_set
+        )
         self._kept.append(context)
 
 

@@ -29,6 +29,8 @@ typedef struct {
 typedef struct {
     retrax_problem problem;
     retrax_layout layout;
+    const retrax_layout *layouts[1];
+    retrax_multiphase phases; /* one, whose ends are not coupled */
     call calls[RETRAX_FUNCTIONS];
     double in[@NAME@_MOST_INPUTS], out[@NAME@_MOST_OUTPUTS];
 } head;
@@ -63,10 +65,10 @@ static void write_problem(head *own) {
 /* Bytes of something, such that what stands behind it is aligned. */
 static size_t aligned(size_t bytes) { return (bytes + ALIGNMENT - 1) & ~(ALIGNMENT - 1); }
 
-/* Makes a search in a workspace; returns NULL if that is too small. looks: whether a guess may be called degenerate. */
-static retrax_search *make_search(@name@_workspace *workspace, bool looks, head **found) {
+/* Makes a search in a workspace; returns NULL if that is too small. */
+static retrax_search *make_search(@name@_workspace *workspace, head **found) {
     const retrax_options options = {
-        .tolerance = tolerance, .max_iterations = @NAME@_MAX_ITERATIONS, .width = 1.0, .firm = 1.0, .looks = looks};
+        .tolerance = tolerance, .max_iterations = @NAME@_MAX_ITERATIONS, .width = 1.0, .firm = 1.0, .looks = true};
     unsigned char *const base = (unsigned char *)workspace->numbers;
     size_t used = (ALIGNMENT - (size_t)((uintptr_t)base % ALIGNMENT)) % ALIGNMENT;
     memset(base, 0, sizeof(*workspace));
@@ -82,11 +84,13 @@ static retrax_search *make_search(@name@_workspace *workspace, bool looks, head 
     }
     retrax_layout_make(&own->problem, base + used, &own->layout);
     used += aligned(of_layout);
-    const size_t of_search = retrax_search_memory(&own->layout, @NAME@_MAX_ITERATIONS);
+    own->layouts[0] = &own->layout;
+    own->phases = (retrax_multiphase){.phases = 1, .layouts = own->layouts};
+    const size_t of_search = retrax_search_memory(&own->phases, @NAME@_MAX_ITERATIONS);
     if (of_search == 0 || sizeof(*workspace) < used + of_search) {
         return NULL;
     }
-    return retrax_search_make(&own->layout, &options, RETRAX_PORTABLE, base + used);
+    return retrax_search_make(&own->phases, &options, RETRAX_PORTABLE, base + used);
 }
 
 /* ------------------------------------------------------------------------------------------------- solve */
@@ -139,7 +143,7 @@ static void read_costates(const head *own, const double *trajectory, @name@_outp
 /* Writes the result of a search. */
 static void read_output(const head *own, const retrax_search *search, const @name@_input *input,
                         @name@_output *output) {
-    const retrax_search_result found = retrax_search_read(search);
+    const retrax_search_result found = retrax_search_read(search, 0);
     const double *const trajectory = found.trajectory, *const residuals = ARRAY(RESIDUALS);
     memset(output, 0, sizeof(*output));
     output->iterations = (int)found.iterations;
@@ -158,17 +162,23 @@ static void read_output(const head *own, const retrax_search *search, const @nam
     output->strict_minimum = @strict@;
 }
 
-/* Searches from the guess of an input, and writes the output with its status; whether the guess was called degenerate. */
-static bool search_from(const @name@_input *input, bool looks, @name@_output *output, @name@_workspace *workspace) {
+@name@_status @name@_solve(const @name@_input *input, @name@_output *output, @name@_workspace *workspace) {
     head *own = NULL;
-    retrax_search *const search = make_search(workspace, looks, &own);
-    if (search == NULL) {
-        output->status = @NAME@_BAD_WORKSPACE;
-        return false;
+    memset(output, 0, sizeof(*output));
+    if (!is_valid(input)) {
+        return output->status = @NAME@_BAD_INPUT;
     }
-    write_input(own, input, retrax_search_trajectory(search));
-    const retrax_search_status status = retrax_search_run(search);
-    const bool solved = status == RETRAX_CONVERGED && retrax_search_read(search).claimed;
+    retrax_search *const search = make_search(workspace, &own);
+    if (search == NULL) {
+        return output->status = @NAME@_BAD_WORKSPACE;
+    }
+    write_input(own, input, retrax_search_trajectory(search, 0));
+    retrax_search_status status = retrax_search_run(search);
+    if (status == RETRAX_DEGENERATE) {
+        retrax_search_perturb(search, draws);
+        status = retrax_search_run(search);
+    }
+    const bool solved = status == RETRAX_CONVERGED && retrax_search_read(search, 0).claimed;
     read_output(own, search, input, output);
     switch (status) {
         case RETRAX_INFEASIBLE:
@@ -183,17 +193,6 @@ static bool search_from(const @name@_input *input, bool looks, @name@_output *ou
         default:
             output->status = solved ? @NAME@_SOLVED : @NAME@_SINGULAR;
             break;
-    }
-    return status == RETRAX_DEGENERATE;
-}
-
-@name@_status @name@_solve(const @name@_input *input, @name@_output *output, @name@_workspace *workspace) {
-    memset(output, 0, sizeof(*output));
-    if (!is_valid(input)) {
-        return output->status = @NAME@_BAD_INPUT;
-    }
-    if (search_from(input, true, output, workspace)) {
-        search_from(input, false, output, workspace); /* the guess may do all the same */
     }
     return output->status;
 }
