@@ -7,7 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from retrax import manifolds, problems, retractions
+from retrax import Cayley, Euclidean, Midpoint, OptimalControlProblem, manifolds, problems, retractions, solve
+from retrax.integrators.boundary_value.solution.report import report_text
 from retrax.retractions import families
 
 from tests.support.pages import Pages
@@ -166,6 +167,23 @@ def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
         "second.html links to first.html#gone",
         "second.html links to third.html",
     ]
+
+
+def test_pages_of_the_gallery_show_no_times_of_the_computer(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    gallery = importlib.import_module("gallery")
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: u @ u / 2, 2)
+    found = solve(problem, [0.0, 0.0], [1.0, 0.0], 1.0, method=Midpoint(Cayley(plane)), steps=3)
+    report = report_text(found)
+    assert " ms to run" in report
+    for name, expected in (("examples/slew", 1), ("start", 0)):
+        source = [f"page\n\n{report}\nend"]
+        gallery.process(None, name, source)
+        assert len(f"page\n\n{report}\nend".splitlines()) - len(source[0].splitlines()) == expected
+        assert (" ms to run" in source[0]) == (not expected)
+        assert "iterations" in source[0]
+        assert "horizon" in source[0]
 
 
 def test_the_pages_that_use_a_name_are_found(monkeypatch):
