@@ -73,7 +73,7 @@ problem_pages.write(HERE / "library")
 
 
 def setup(app):
-    """Connect the events with the changes to pages of the gallery and docstrings, and the checks of the finished site."""
+    """Connect events with changes to pages and docstrings, and with the checks of the finished site."""
     app.connect("source-read", gallery.process)
     app.connect("autodoc-process-docstring", docstrings.process)
     app.connect("autodoc-process-signature", docstrings.sign)

@@ -298,7 +298,7 @@ def own_manifold(names: Names) -> Any:
     figure = plt.figure(figsize=(9, 3.4), layout="constrained")
     axis, flat = figure.add_subplot(1, 2, 1, projection="3d"), figure.add_subplot(1, 2, 2)
     first, second = np.meshgrid(np.linspace(0, 2 * np.pi, 60), np.linspace(0, 2 * np.pi, 60))
-    surface(axis, (2 + np.cos(first)) * np.cos(second), (2 + np.cos(first)) * np.sin(second), np.sin(first), zoom=1.8)
+    surface(axis, (2 + np.cos(first)) * np.cos(second), (2 + np.cos(first)) * np.sin(second), np.sin(first), zoom=1.35)
     axis.plot(*names["solution"].states.T, color="C3", linewidth=2)
     axis.view_init(35, 10)
     flat.plot(names["dido"].states[:, 0, 1], names["dido"].states[:, 1, 2])
