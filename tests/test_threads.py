@@ -1,4 +1,4 @@
-"""Threads of XLA, whose number is the user's: decompositions of a batch wait for one another where there are too few."""
+"""Threads of XLA, whose number the user sets: decompositions of a batch wait for one another if there are too few."""
 
 import os
 import subprocess
