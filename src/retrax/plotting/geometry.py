@@ -236,8 +236,8 @@ def _growth(axis: Any, sides: np.ndarray) -> float:
     from mpl_toolkits.mplot3d.proj3d import proj_transform
 
     axis.apply_aspect()
-    corners = np.stack(np.meshgrid(*sides, indexing="ij")).reshape(3, -1)
-    drawn = np.ptp(axis.transData.transform(np.transpose(proj_transform(*corners, axis.get_proj())[:2])), axis=0)
+    x, y, z = np.stack(np.meshgrid(*sides, indexing="ij")).reshape(3, -1)
+    drawn = np.ptp(axis.transData.transform(np.transpose(proj_transform(x, y, z, axis.get_proj())[:2])), axis=0)
     place = axis.get_position(original=True).size * axis.figure.bbox.size
     return float(np.min(place / drawn) / np.min(np.min(place) / drawn))
 
