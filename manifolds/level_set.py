@@ -47,7 +47,7 @@ class LevelSet(Manifold):
     Parameters
     ----------
     shape : int or tuple of int
-        The shape of points; a class attribute ``shape = (3,)`` fixes it for all manifolds of the class.
+        The shape of points, given by name; a class attribute ``shape = (3,)`` fixes it for all manifolds of the class.
 
     Notes
     -----
