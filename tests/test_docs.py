@@ -71,7 +71,9 @@ def test_the_page_of_manifolds_has_all_of_them_with_their_retractions():
     here = {name: eval(name, names) for name, _ in rows}
     for name, words in rows:
         known = [family.name for family in families.FAMILIES if family.knows(here[name])]
-        assert re.findall("Exponential|Projection|Cayley|Polar|QR", words) == known or "the retractions of `M`" in words, name
+        assert re.findall("Exponential|Projection|Cayley|Polar|QR", words) == known or "retractions of `M`" in words, (
+            name
+        )
     given = {type(manifold).__name__ for manifold in here.values()}
     public = [
         kind for kind in vars(manifolds).values() if inspect.isclass(kind) and issubclass(kind, manifolds.Manifold)
