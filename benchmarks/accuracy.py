@@ -1,7 +1,7 @@
 """The rest-to-rest slew to an attitude error: what each method takes for it.
 
     python benchmarks/accuracy.py measure [--repeats 21] [--output benchmarks/accuracy.json]
-    python benchmarks/accuracy.py draw    [--input benchmarks/accuracy.json] [--output docs/accuracy.png]
+    python benchmarks/accuracy.py draw    [--input benchmarks/accuracy.json] [--output docs/attitude_error.png]
     python benchmarks/accuracy.py table   [--input benchmarks/accuracy.json]
 
 ``measure`` solves with every method in several sizes, in turns of ten calls in a row, as a controller makes them,
@@ -174,7 +174,7 @@ def main():
         return
     rows = json.loads(options.input.read_text())["rows"]
     if options.task == "draw":
-        draw(rows, options.output or HERE.parent / "docs" / "accuracy.png")
+        draw(rows, options.output or HERE.parent / "docs" / "attitude_error.png")
     else:
         print(fastest(rows), table(rows), sep="\n\n")
 

@@ -11,6 +11,7 @@ HERE = Path(__file__).parent
 sys.path.insert(0, str(HERE / "_site"))
 
 import docstrings  # noqa: E402
+import gallery  # noqa: E402
 import links  # noqa: E402
 import problem_pages  # noqa: E402
 import reference  # noqa: E402
@@ -72,7 +73,8 @@ problem_pages.write(HERE / "library")
 
 
 def setup(app):
-    """What is done to docstrings on their way into a page, and to the links of the finished site."""
+    """Connect events with changes to pages and docstrings, and with the checks of the finished site."""
+    app.connect("source-read", gallery.process)
     app.connect("autodoc-process-docstring", docstrings.process)
     app.connect("autodoc-process-signature", docstrings.sign)
     app.connect("build-finished", links.check)

@@ -41,23 +41,13 @@ def positive_norms(rows: Float[Array, "m N"]) -> Float[Array, " m"]:
     return jnp.where(lengths > 0, lengths, 1.0)
 
 
-if TYPE_CHECKING:
-
-    class _Shape:
-        """A field that is given as a number or a tuple and read as a tuple; mypy checks no converters of fields."""
-
-        def __get__(self, instance: object, owner: object = None) -> tuple[int, ...]: ...
-
-        def __set__(self, instance: object, value: int | tuple[int, ...]) -> None: ...
-
-
 class LevelSet(Manifold):
     r"""A regular level set :math:`\{x : c(x) = 0\}` of a smooth function of arrays: a base class.
 
     Parameters
     ----------
     shape : int or tuple of int
-        The shape of points; a class attribute ``shape = (3,)`` fixes it for all manifolds of the class.
+        The shape of points, given by name; a class attribute ``shape = (3,)`` fixes it for all manifolds of the class.
 
     Notes
     -----
@@ -75,8 +65,8 @@ class LevelSet(Manifold):
     1
     """
 
-    if TYPE_CHECKING:
-        shape: _Shape
+    if TYPE_CHECKING:  # given as a number or a tuple, or by the class, and read as a tuple: checkers know no such field
+        shape: Any = eqx.field(static=True, default=(), kw_only=True)
     else:
         shape: tuple[int, ...] = eqx.field(static=True, converter=as_shape)
 

@@ -26,6 +26,8 @@ jax.config.update("jax_traceback_in_locations_limit", 0)
 os.environ |= {"JAX_DISABLE_MOST_OPTIMIZATIONS": "1", "JAX_TRACEBACK_IN_LOCATIONS_LIMIT": "0"}
 # Workers, which fill the processors, begin with this: threads of BLAS would wait for small matrices in a busy loop.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# On few processors XLA's batched decompositions wait for one another (docs/limits.md).
+os.environ.setdefault("PJRT_NPROC", "8")
 os.environ["RETRAX_TRACEBACK"] = "full"  # a test that fails shows where
 
 MEMORY_MAPS = Path("/proc/self/maps")

@@ -7,7 +7,8 @@ import re
 from pathlib import Path
 
 import pytest
-from retrax import manifolds, problems, retractions
+from retrax import Cayley, Euclidean, Midpoint, OptimalControlProblem, manifolds, problems, retractions, solve
+from retrax.integrators.boundary_value.solution.report import report_text
 from retrax.retractions import families
 
 from tests.support.pages import Pages
@@ -70,7 +71,9 @@ def test_the_page_of_manifolds_has_all_of_them_with_their_retractions():
     here = {name: eval(name, names) for name, _ in rows}
     for name, words in rows:
         known = [family.name for family in families.FAMILIES if family.knows(here[name])]
-        assert re.findall("Exponential|Projection|Cayley|Polar|QR", words) == known or "those of `M`" in words, name
+        assert re.findall("Exponential|Projection|Cayley|Polar|QR", words) == known or "retractions of `M`" in words, (
+            name
+        )
     given = {type(manifold).__name__ for manifold in here.values()}
     public = [
         kind for kind in vars(manifolds).values() if inspect.isclass(kind) and issubclass(kind, manifolds.Manifold)
@@ -166,6 +169,23 @@ def test_links_that_lead_nowhere_are_found(monkeypatch, tmp_path):
         "second.html links to first.html#gone",
         "second.html links to third.html",
     ]
+
+
+def test_pages_of_the_gallery_show_no_times_of_the_computer(monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "docs" / "_site"))
+    gallery = importlib.import_module("gallery")
+    plane = Euclidean(2)
+    problem = OptimalControlProblem(plane, lambda q, u: u, lambda q, u: u @ u / 2, 2)
+    found = solve(problem, [0.0, 0.0], [1.0, 0.0], 1.0, method=Midpoint(Cayley(plane)), steps=3)
+    report = report_text(found)
+    assert " ms to run" in report
+    for name, expected in (("examples/slew", 1), ("start", 0)):
+        source = [f"page\n\n{report}\nend"]
+        gallery.process(None, name, source)
+        assert len(f"page\n\n{report}\nend".splitlines()) - len(source[0].splitlines()) == expected
+        assert (" ms to run" in source[0]) == (not expected)
+        assert "iterations" in source[0]
+        assert "horizon" in source[0]
 
 
 def test_the_pages_that_use_a_name_are_found(monkeypatch):

@@ -337,8 +337,9 @@ def undefined_words(words: Sequence[str], probed: ControlProbe, q: Ambient) -> s
         )
     if not np.all(np.isfinite(probed.slopes[0])):
         return (
-            f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}; try functions "
-            "that are smooth there, as u @ u or sqrt(u @ u + 1e-6) in place of sqrt(u @ u)"
+            f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}, where the search "
+            "begins; try functions that are smooth there, such as u @ u or sqrt(u @ u + 1e-6) instead of sqrt(u @ u), "
+            "or pass a guess with other controls"
         )
     for name, values, slopes in zip(words, *probed.limits, strict=True):
         if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):

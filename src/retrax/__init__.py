@@ -4,10 +4,6 @@ import logging
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from .compute.threads import ask_for_threads
-
-ask_for_threads()  # before anything below makes JAX compute
-
 from ._version import __version__
 from .undisturbed import put_off
 

@@ -16,6 +16,7 @@ from .manifolds import Euclidean, InvalidInputError, Manifold
 ROTATIONS, POSES, SPHERE = ("SO(2)", "SO(3)"), ("SE(2)", "SE(3)"), "Sphere(2)"
 BODY = ("SO(3)", "SE(3)")
 RADIANS = re.compile(r"^rad(?![\w^*])")  # units of angles, their rates and accelerations
+MOST_JOINED = 3  # names of entries that make the name of their array
 SAME = 1e-6  # of a step: rounding of its times
 About = OptimalControlProblem | Manifold | None  # what has the names, or at least the spaces, of the arrays of a record
 
@@ -172,7 +173,13 @@ def raw_columns(quantity: Quantity, values: np.ndarray) -> NamedColumn:
         entries = tuple(f"{part} {entry}" for entry in entries for part in ("Re", "Im"))
         rows = np.stack([rows.real, rows.imag], axis=2).reshape(len(rows), -1)
         return NamedColumn(quantity.name, entries, quantity.units[:1], rows)
-    return NamedColumn(quantity.name, entries, quantity.units, rows, quantity.bounds)
+    name = joined(entries) if quantity.is_named else quantity.name
+    return NamedColumn(name, entries, quantity.units, rows, quantity.bounds)
+
+
+def joined(entries: tuple[str, ...]) -> str:
+    """The name of an array whose entries have names: the names of at most three entries, or the first and the last."""
+    return ", ".join(entries) if len(entries) <= MOST_JOINED else f"{entries[0]}, ..., {entries[-1]}"
 
 
 def _turn(name: str, matrices: np.ndarray) -> NamedColumn:

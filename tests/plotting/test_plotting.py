@@ -10,12 +10,13 @@ from retrax import plotting
 from retrax.integrators import OptimalControlProblem, Quantities, Quantity, Result, Trajectory, solve
 from retrax.interop import to_casadi
 from retrax.manifolds import SE, SO, Euclidean, InvalidInputError, Sphere, hat
-from retrax.named_columns import NamedColumn, rotation_vectors, rotations, view
-from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Theta
+from retrax.named_columns import NamedColumn, joined, rotation_vectors, rotations, view
+from retrax.retractions import Addition, Cayley, Exponential, Gauss, Midpoint, Theta
 from scipy.spatial.transform import Rotation
 
 mpl.use("Agg")
 from matplotlib import pyplot as plt
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
 pytestmark = pytest.mark.usefixtures("traced_once")
 
@@ -100,7 +101,7 @@ def test_histories_are_the_numbers_with_names_and_units(solved):
         assert axis.get_xlabel() == "time [s]"
     assert [axis.get_ylabel() for axis in (attitude, beside, control)] == [
         "attitude, rotation vector [rad]",
-        "q[1]",
+        "left, right",
         "rate [rad/s]",
     ]
     legends = [[text.get_text() for text in axis.get_legend().get_texts()] for axis in (attitude, beside, control)]
@@ -381,6 +382,31 @@ def test_slopes_are_those_of_the_kit():
     words = [text.get_text() for text in axis.get_legend().get_texts()]
     assert words[-1] == "slope 2"
     assert all(abs(float(text.split()[-1]) - 2) < 0.1 for text in words[:-1])
+
+
+@pytest.mark.parametrize("size", [(6.0, 6.0), (9.0, 3.0), (3.0, 7.0)])
+def test_a_path_in_space_fills_wide_and_narrow_figures(size):
+    points = np.linspace(0, 1, 11)[:, None] * [1.0, 0.4, 0.3]
+    figure = plt.figure(figsize=size, layout="constrained")
+    axis = plotting.path(made_by_hand(q=points), problem=Euclidean(3), ax=figure.add_subplot(projection="3d"))
+    figure.canvas.draw()
+    sides = [getattr(axis, f"get_{name}lim")() for name in "xyz"]
+    corners = np.stack(np.meshgrid(*sides, indexing="ij")).reshape(3, -1)
+    drawn = np.ptp(axis.transData.transform(np.transpose(proj_transform(*corners, axis.get_proj())[:2])), axis=0)
+    assert 0.45 < np.max(drawn / figure.bbox.size) < 1
+    assert not any(line.get_clip_on() for line in axis.lines)
+
+
+def test_an_array_whose_entries_have_names_is_named_by_them():
+    plane = Euclidean(2)
+    space, names = plane * plane, {"states": (("east", "north"), "velocity"), "controls": ("push", "pull")}
+    problem = OptimalControlProblem(space, lambda q, u: (q[1], u), lambda q, u: u @ u / 2, 2, labels=names)
+    ends = (np.zeros(2), np.zeros(2)), (np.ones(2), np.zeros(2))
+    found = solve(problem, *ends, 1.0, method=Midpoint(Exponential(space)), steps=3)
+    panels = plotting.histories(found)
+    assert [axis.get_ylabel() for axis in panels] == ["east, north", "velocity", "push, pull"]
+    assert [text.get_text() for text in panels[0].get_legend().get_texts()] == ["east", "north"]
+    assert joined(tuple("abcd")) == "a, ..., d"
 
 
 @pytest.mark.parametrize("record", [None, 1.0, [1, 2], "solution"])

@@ -14,6 +14,28 @@ class Circle(rx.manifolds.LevelSet):
         return x @ x - 1.0
 
 
+class Parabola(rx.manifolds.LevelSet):
+    shape = (2,)  # of all manifolds of the class
+
+    def constraint(self, x: jax.Array) -> jax.Array:
+        return x[1] - x[0] ** 2
+
+
+class Line(rx.manifolds.LevelSet):
+    shape = 2
+    slope: float
+
+    def constraint(self, x: jax.Array) -> jax.Array:
+        return x[1] - self.slope * x[0]
+
+
+class Ring(rx.manifolds.LevelSet):
+    shape: tuple[int, ...] = (2,)
+
+    def constraint(self, x: jax.Array) -> jax.Array:
+        return x @ x - 4.0
+
+
 class Ellipsoid(rx.manifolds.LevelSet):
     weights: jax.Array
 
@@ -48,7 +70,9 @@ assert_type(free, Solution)
 assert_type(again, Solution)
 lengths: list[int] = [len(free.states), len(free.u), free.controls.ndim, flown.phases[0].states.ndim]
 error: float = free.checks.error
-shapes: list[tuple[int, ...]] = [Circle(2).shape, Circle((3, 3)).shape, Ellipsoid(3, jnp.ones(3)).shape]
+shapes: list[tuple[int, ...]] = [Circle(shape=2).shape, Circle(shape=(3, 3)).shape, Parabola().shape, Ring().shape]
+shapes += [Ellipsoid(shape=3, weights=jnp.ones(3)).shape]
+dimension: int = Line(slope=2.0).dimension
 units: str = free.quantities.time
 product = rx.SO(3) * rx.Euclidean((2, 3))
 attitudes, others = rx.solve(problem, None, END, 1.0).states

@@ -11,7 +11,6 @@ from functools import cache
 from threading import Lock, main_thread
 from typing import TypeVar
 
-THREADS = 8  # of XLA, so many that its decompositions do not wait for one another
 WORTH_A_THREAD = 300_000  # operations that one thread does before a second is worth its start
 
 R = TypeVar("R")
@@ -130,17 +129,6 @@ def later(run: Callable[[], None]) -> None:
 def settled() -> None:
     """Wait until nothing is left to be done later."""
     _pool("later", 1).submit(int).result()
-
-
-def ask_for_threads() -> None:
-    """Ask XLA for eight threads where there are fewer processors, unless the user asks for some number.
-
-    Each of jaxlib's batched decompositions waits on a thread of XLA for its parts, which other threads do: two at once,
-    as in a logarithm on SO(n) x U(n), wait for ever where there are two threads [jaxlib 0.10.2]. It counts before JAX
-    computes anything.
-    """
-    if (os.cpu_count() or 1) < THREADS:
-        os.environ.setdefault("PJRT_NPROC", str(THREADS))
 
 
 @cache

@@ -8,7 +8,7 @@ import numpy as np
 from ..integrators.problem.quantities import with_unit
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
-from ..named_columns import NamedColumn
+from ..named_columns import NamedColumn, joined
 from .series import Panel, PictureSeries
 
 PANEL = 4.6, 3.2  # inches
@@ -122,10 +122,11 @@ def legend(ax: Any, more: Sequence[Any] = ()) -> None:
 
 
 def _names(channel: NamedColumn, is_mixed: bool) -> list[str]:
-    """The names of the entries of a channel, with the name of the channel in a panel of several channels."""
+    """The names of the entries of a channel, in a panel of several channels with units and a name of the channel."""
     if not is_mixed:
         return channel.labels
-    return [with_unit(f"{channel.name} {label}".rstrip(), channel.unit) for label in channel.labels]
+    name = "" if channel.name == joined(channel.entries) else channel.name
+    return [with_unit(f"{name} {label}".strip(), channel.unit) for label in channel.labels]
 
 
 def _bounds(ax: Any, bounds: set[float]) -> None:

@@ -219,12 +219,27 @@ def _fit_box(axis: Any) -> None:
         set_side(*side)
     axis.set_aspect("equal")
     diagonal = np.linalg.norm(longer)
-    axis.set_box_aspect(tuple(longer), zoom=min(BOX_SHARE, LONGEST_SIDE * diagonal / longer.max()))
+    zoom = min(BOX_SHARE, LONGEST_SIDE * diagonal / longer.max())
+    axis.set_box_aspect(tuple(longer), zoom=zoom)
+    axis.set_box_aspect(tuple(longer), zoom=zoom * _growth(axis, sides))
+    for line in axis.lines:
+        line.set(clip_on=False, in_layout=False)  # at the square, which the box may leave
     for k, (name, side) in enumerate(zip("xyz", (axis.xaxis, axis.yaxis, axis.zaxis), strict=True)):
         axis.locator_params(axis=name, nbins=max(2, round(TICKS * longer[k] / longer.max())))
         # Matplotlib sets names off by shares of the two other sides.
         across = np.linalg.norm(np.delete(longer, k)) / (np.sqrt(2 / 3) * diagonal)
         side.labelpad = OFFSET[1] / across - OFFSET[0]
+
+
+def _growth(axis: Any, sides: np.ndarray) -> float:
+    """How much larger a box fits into the place of its axes than into the square in which Matplotlib draws it."""
+    from mpl_toolkits.mplot3d.proj3d import proj_transform
+
+    axis.apply_aspect()
+    x, y, z = np.stack(np.meshgrid(*sides, indexing="ij")).reshape(3, -1)
+    drawn = np.ptp(axis.transData.transform(np.transpose(proj_transform(x, y, z, axis.get_proj())[:2])), axis=0)
+    place = axis.get_position(original=True).size * axis.figure.bbox.size
+    return float(np.min(place / drawn) / np.min(np.min(place) / drawn))
 
 
 def _frames(axis: Any, poses: np.ndarray, extent: float) -> None:
