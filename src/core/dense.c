@@ -8,6 +8,8 @@
 /* Weight of a row in the search for a pivot that has nothing but its diagonal: larger than any other. */
 #define ALONE 1e300
 
+/* Share of the entries of the border that a pivot has to exceed, or its row is left. */
+#define STABLE 1e-12
 /* A diagonal entry of this share of the largest entry in its row is a pivot of size one: so the growth by one pivot of
  * size two is bounded as by two of size one, (1 + sqrt(17)) / 8 [Bunch, Kaufman, Math. Comp. 31, 1977]. */
 #define BUNCH_KAUFMAN 0.6403882032022076
@@ -137,6 +139,16 @@ static double update_row(const search *own, retrax_index r) {
     return largest;
 }
 
+/* The largest entry of row i in the border. */
+static double border_size(const search *own, retrax_index i) {
+    double largest = 0.0;
+    for (retrax_index a = own->pivots; a < own->front->rows; a++) {
+        const double size = fabs(row_of(own->front, i)[a]);
+        largest = size > largest ? size : largest;
+    }
+    return largest;
+}
+
 /* First row among those left with an entry of this size in the row that was updated last; `otherwise` if there is none. */
 static retrax_index place_of(const search *own, double size, retrax_index otherwise) {
     for (retrax_index j = own->first; j < own->pivots; j++) {
@@ -210,24 +222,59 @@ static double smaller_eigenvalue(double a, double b, double c) {
     return fabs(a * (c / larger) - b * (b / larger));
 }
 
+/* The first row that is left and may have a stable pivot; `pivots` if there is none. */
+static retrax_index candidate(const search *own) {
+    retrax_index i = own->first;
+    while (i < own->pivots && (own->front->left[i] == 0.0 || own->front->unstable[i])) {
+        i++;
+    }
+    return i;
+}
+
+/* Lists the rows that are left behind the pivots, and subtracts all pivots from them. */
+static void finish_left(search *own) {
+    retrax_index place = own->count;
+    for (retrax_index i = 0; i < own->pivots; i++) {
+        if (own->front->left[i] != 0.0) {
+            update_row(own, i);
+            own->found->order[place++] = i;
+        }
+    }
+    own->found->count = own->count;
+}
+
 retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_front *front, retrax_index pivots,
-                                      const retrax_index *guess, retrax_index guesses, retrax_pivots *found) {
+                                      retrax_index most_left, const retrax_index *guess, retrax_index guesses,
+                                      retrax_pivots *found) {
     search own = {kernels, front, found, pivots, 0, 0, 0};
     retrax_inertia inertia = {0, INFINITY};
     for (retrax_index j = 0; j < front->width; j++) {
         front->left[j] = j < pivots ? 1.0 : 0.0;
     }
     memset(front->known, 0, sizeof *front->known * (size_t)front->rows);
+    memset(front->unstable, 0, (size_t)front->rows);
     while (own.count < pivots) {
         while (front->left[own.first] == 0.0) {
             own.first++;
         }
         own.begin = own.first & -(retrax_index)RETRAX_VECTOR;
         const bool guessed = own.count < guesses && front->left[guess[own.count]] != 0.0;
-        retrax_index i = guessed ? guess[own.count] : own.first, r;
+        const bool may_leave = pivots - own.count <= most_left;
+        retrax_index i = guessed ? guess[own.count] : candidate(&own), r;
+        if (i == pivots && may_leave) {
+            break;
+        }
+        i = i == pivots ? own.first : i;
+        const retrax_index begun = i;
         choose_pivot(&own, &i, &r);
         const double a = row_of(front, i)[i], b = row_of(front, i)[r], c = row_of(front, r)[r];
         const double size = i == r ? fabs(a) : smaller_eigenvalue(a, b, c);
+        if (most_left > 0 && !(size >= STABLE * fmax(border_size(&own, i), border_size(&own, r))) &&
+            (may_leave || candidate(&own) < pivots)) {
+            front->unstable[begun] = front->unstable[i] = front->unstable[r] = 1;
+            guesses = 0;
+            continue;
+        }
         inertia.negative += i != r || a < 0.0; /* a pivot of size two has an eigenvalue of either sign */
         if (size < inertia.smallest || size != size) {
             inertia.smallest = size;
@@ -237,9 +284,11 @@ retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_fron
         } else {
             keep_two(&own, i, r);
         }
+        memset(front->unstable, 0, (size_t)front->rows);
     }
+    finish_left(&own);
     const retrax_index begin = pivots & -(retrax_index)RETRAX_VECTOR;
-    kernels->subtract_products(front->rows - pivots, front->width - begin, pivots,
+    kernels->subtract_products(front->rows - pivots, front->width - begin, own.count,
                                front->matrix + pivots * front->width + begin, front->width, found->divided + pivots,
                                front->width, front->kept + begin, front->width);
     return inertia;
@@ -248,15 +297,18 @@ retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_fron
 void retrax_front_substitute(const retrax_front *front, retrax_index pivots, const retrax_pivots *found,
                              retrax_index column, double *x, double *work) {
     const retrax_index width = front->width;
-    for (retrax_index t = 0; t < pivots; t++) {
+    for (retrax_index t = 0; t < found->count; t++) {
         const double *const row = found->divided + t * width;
         double value = row[front->rows + column];
         for (retrax_index a = pivots; a < front->rows; a++) {
             value -= row[a] * x[a];
         }
+        for (retrax_index l = found->count; l < pivots; l++) {
+            value -= row[found->order[l]] * x[found->order[l]];
+        }
         work[t] = value;
     }
-    for (retrax_index t = pivots - 1; t >= 0; t--) {
+    for (retrax_index t = found->count - 1; t >= 0; t--) {
         const retrax_index i = found->order[t];
         x[i] = work[t];
         for (retrax_index s = 0; s < t; s++) {
