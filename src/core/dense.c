@@ -8,6 +8,10 @@
 /* Weight of a row in the search for a pivot that has nothing but its diagonal: larger than any other. */
 #define ALONE 1e300
 
+/* A pivot of this size is zero, but for rounding, rows being scaled to one size: then equations depend on each other. */
+#define NOTHING 1e-15
+/* A right-hand side of this size, in natural sizes, is zero but for rounding. */
+#define CONSISTENT 1e-10
 /* Share of the entries of the border that a pivot has to exceed, or its row is left. */
 #define STABLE 1e-12
 /* A diagonal entry of this share of the largest entry in its row is a pivot of size one: so the growth by one pivot of
@@ -195,6 +199,20 @@ static void keep_one(search *own, retrax_index i) {
     own->count += 1;
 }
 
+/* Keeps row i as one that depends on others: its unknown is zero, or NaN where the right-hand side contradicts them. */
+static void keep_nothing(search *own, retrax_index i) {
+    const retrax_index width = own->front->width, rows = own->front->rows;
+    double *const divided = own->found->divided + own->count * width;
+    memset(own->front->kept + own->count * width, 0, sizeof(double) * (size_t)width);
+    memset(divided, 0, sizeof(double) * (size_t)width);
+    for (retrax_index j = rows; j < rows + own->front->columns; j++) {
+        divided[j] = fabs(row_of(own->front, i)[j]) <= CONSISTENT ? 0.0 : NAN;
+    }
+    own->found->order[own->count] = i;
+    own->front->left[i] = 0.0;
+    own->count += 1;
+}
+
 /* Keeps rows i and r as they are and divided by their pivot of size two, whose inverse is formed relative to the entry
  * beside the diagonal, the largest. */
 static void keep_two(search *own, retrax_index i, retrax_index r) {
@@ -279,7 +297,9 @@ retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_fron
         if (size < inertia.smallest || size != size) {
             inertia.smallest = size;
         }
-        if (i == r) {
+        if (size <= NOTHING) {
+            keep_nothing(&own, begun);
+        } else if (i == r) {
             keep_one(&own, i);
         } else {
             keep_two(&own, i, r);
