@@ -43,6 +43,7 @@ static void lay_out(elimination *own, retrax_block *block, retrax_index stages, 
     own->z = z;
     own->most = z + 2 * n;
     own->width = width;
+    own->front.unknowns = z;
     own->front.columns = columns;
     own->front.width = width;
     own->front.matrix = retrax_take(block, rows, width, sizeof(double));
@@ -50,7 +51,7 @@ static void lay_out(elimination *own, retrax_block *block, retrax_index stages, 
     own->front.sizes = retrax_take(block, 1, width, sizeof(double));
     own->front.kept = retrax_take(block, rows, width, sizeof(double));
     own->front.known = retrax_take(block, rows, 1, sizeof(retrax_index));
-    own->front.unstable = retrax_take(block, rows, 1, 1);
+    own->front.unstable = retrax_take(block, rows, 1, sizeof(bool));
     own->column_sizes = retrax_take(block, 2, width, sizeof(double));
     own->inverse_nodes = retrax_take(block, n, 1, sizeof(double));
     own->carried = retrax_take(block, 2 * n, 2 * n + columns, sizeof(double));
@@ -194,7 +195,8 @@ static void carry(elimination *own, retrax_index k, const retrax_pivots *found) 
 }
 
 /* Scales the first `pivots` rows and columns of a front to one size: unknowns by their largest entries, equations by
- * the unknowns in their sizes. */
+ * the unknowns in their sizes. Rows that the stage before has left stay as they were scaled there, so that small ones
+ * show. */
 static void scale_front(elimination *own, retrax_index pivots, double *scales) {
     const retrax_index z = own->z, width = own->width;
     double *const of_unknowns = own->column_sizes, *const of_equations = own->column_sizes + width;
@@ -212,7 +214,8 @@ static void scale_front(elimination *own, retrax_index pivots, double *scales) {
     }
     for (retrax_index j = z; j < pivots; j++) {
         const double root = sqrt(of_equations[j]), most = of_unknowns[j] > root ? of_unknowns[j] : root;
-        scales[j] = most > 0.0 ? 1.0 / most : 1.0;
+        const bool left = j >= z + own->n && j < own->front.rows - own->n;
+        scales[j] = most > 0.0 && !left ? 1.0 / most : 1.0;
     }
     for (retrax_index j = pivots; j < width; j++) {
         scales[j] = 1.0;

@@ -17,15 +17,16 @@ retrax_index retrax_width(retrax_index columns);
  * border, get the Schur complement; then `columns` right-hand sides of the same rows. Both triangles are stored.
  */
 typedef struct {
-    retrax_index rows;    /* of the symmetric matrix */
-    retrax_index columns; /* right-hand sides, in the columns from `rows` on */
-    retrax_index width;   /* retrax_width(rows + columns) */
-    double *matrix;       /* [rows][width] */
-    double *left;         /* [width] workspace: 1 in the columns of rows that may become pivots, else 0 */
-    double *sizes;        /* [width] workspace: sizes of a row's entries */
-    double *kept;         /* [rows][width] workspace: rows of the pivots */
-    retrax_index *known;  /* [rows] workspace: number of pivots that have been subtracted from a row */
-    unsigned char *unstable; /* [rows] workspace: rows whose entries in the border are too large for a pivot, by now */
+    retrax_index rows;     /* of the symmetric matrix */
+    retrax_index unknowns; /* so many rows are slopes by unknowns; rows behind them are equations */
+    retrax_index columns;  /* right-hand sides, in the columns from `rows` on */
+    retrax_index width;    /* retrax_width(rows + columns) */
+    double *matrix;        /* [rows][width] */
+    double *left;          /* [width] workspace: 1 in the columns of rows that may become pivots, else 0 */
+    double *sizes;         /* [width] workspace: sizes of a row's entries */
+    double *kept;          /* [rows][width] workspace: rows of the pivots */
+    retrax_index *known;   /* [rows] workspace: number of pivots that have been subtracted from a row */
+    bool *unstable;        /* [rows] workspace: rows whose pivot is too small beside the border, by now */
 } retrax_front;
 
 /* Factors of the rows that were eliminated from a front: the pivot rows divided by their pivots. */
