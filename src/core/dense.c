@@ -14,7 +14,7 @@
 #define CONSISTENT 1e-10
 /* Share of the entries of the border that a pivot has to exceed, or its row is left: so many digits at least stay of what
  * the pivot is subtracted from. As of MA27 and MA57 in Ipopt. */
-#define STABLE 1e-8
+#define STABLE 1e-3
 /* A diagonal entry of this share of the largest entry in its row is a pivot of size one: so the growth by one pivot of
  * size two is bounded as by two of size one, (1 + sqrt(17)) / 8 [Bunch, Kaufman, Math. Comp. 31, 1977]. */
 #define BUNCH_KAUFMAN 0.6403882032022076

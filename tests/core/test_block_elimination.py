@@ -114,8 +114,13 @@ def test_an_eigenvalue_of_the_reduced_hessian_goes_through_zero(tilt, own):
 
 
 def with_a_focal_point(seed, eigenvalue):
-    """A system of which the leading block up to some stage has this eigenvalue in its null space, and the matrix none."""
-    rng, system, stage, z = np.random.default_rng(seed), random_system(seed, (1, 5, 3, 5, 1), (seed % 3, 1)), seed % 4, 5
+    """A system of which the leading block up to some stage has this eigenvalue on its null space."""
+    rng, system, stage, z = (
+        np.random.default_rng(seed),
+        random_system(seed, (1, 5, 3, 5, 1), (seed % 3, 1)),
+        seed % 4,
+        5,
+    )
     hessian, rows, diagonal, _ = dense(system, 0)
     count, equations = (stage + 1) * z, (stage + 1) * 3
     rows = rows[:equations, :count][np.diag(diagonal)[:equations] == 0]
@@ -135,7 +140,10 @@ def test_a_leading_block_goes_through_a_singular_one(eigenvalue, own):
     for seed in range(12):
         system = with_a_focal_point(seed, eigenvalue)
         kkt = matrix(system, 0)
-        result, expected = solve_blocks(arrays_of(system), instruction_set=own), np.linalg.solve(kkt, dense(system, 0)[3])
+        result, expected = (
+            solve_blocks(arrays_of(system), instruction_set=own),
+            np.linalg.solve(kkt, dense(system, 0)[3]),
+        )
         assert result.negative == np.sum(np.linalg.eigvalsh(kkt) < 0)
         assert np.abs(flat(result) - expected).max() < 1e-9 * np.linalg.cond(kkt) * np.abs(expected).max()
         assert result.smallest > 1e-9
