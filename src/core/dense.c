@@ -12,8 +12,8 @@
 #define NOTHING 1e-15
 /* A right-hand side of this size, in natural sizes, is zero but for rounding. */
 #define CONSISTENT 1e-10
-/* Share of the entries of the border that a pivot has to exceed, or its row is left: so many digits at least stay of what
- * the pivot is subtracted from. As of MA27 and MA57 in Ipopt. */
+/* Share of the entries of the border that a pivot has to exceed, or its row is left: of what it is subtracted from no more
+ * than so many digits are lost. */
 #define STABLE 1e-3
 /* A diagonal entry of this share of the largest entry in its row is a pivot of size one: so the growth by one pivot of
  * size two is bounded as by two of size one, (1 + sqrt(17)) / 8 [Bunch, Kaufman, Math. Comp. 31, 1977]. */
