@@ -228,6 +228,7 @@ bool retrax_update_barrier(retrax_search *search) {
         raise_penalties(layout, search->at);
     } else {
         if (barrier != before) {
+            retrax_write_right_sides(layout, search->at);
             retrax_measure(search, search->at);
         }
         return barrier != before;
