@@ -285,6 +285,15 @@ static bool knows_multipliers(const retrax_layout *layout, const double *traject
     return false;
 }
 
+/* Evaluates the guess without a pull of inequalities, and finds its natural sizes. */
+static void measure_guess(retrax_search *search) {
+    retrax_rest_slacks(search->layout, search->at);
+    retrax_evaluate(search, search->at);
+    retrax_find_scale(search, search->at, &search->judging);
+    retrax_copy_scale(search->layout, &search->judging, &search->steps);
+    search->first_cost = search->judging.cost;
+}
+
 /* Finds the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. Known multipliers
  * that do not fit tell nothing, nor do the costates that came with them: then the guess has none. */
 static void begin(retrax_search *search) {
@@ -294,11 +303,7 @@ static void begin(retrax_search *search) {
     memcpy(search->spare, trajectory, sizeof(double) * (size_t)layout->numbers); /* all of them have the same data */
     memcpy(search->trial, trajectory, sizeof(double) * (size_t)layout->numbers);
     memcpy(search->first, trajectory, sizeof(double) * (size_t)layout->numbers);
-    retrax_rest_slacks(layout, trajectory);
-    retrax_evaluate(search, trajectory);
-    retrax_find_scale(search, trajectory, &search->judging);
-    retrax_copy_scale(layout, &search->judging, &search->steps);
-    search->first_cost = search->judging.cost;
+    measure_guess(search);
     if (!retrax_is_limited(layout->problem)) {
         return;
     }
@@ -306,13 +311,9 @@ static void begin(retrax_search *search) {
     if (!known) {
         retrax_start_slacks(search, trajectory);
     } else if (!retrax_warm_start(search, search->spare)) {
-        retrax_rest_slacks(layout, trajectory);
         memset(ARRAY(COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_COSTATES]);
         memset(ARRAY(POINT_COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_POINT_COSTATES]);
-        retrax_evaluate(search, trajectory);
-        retrax_find_scale(search, trajectory, &search->judging);
-        retrax_copy_scale(layout, &search->judging, &search->steps);
-        search->first_cost = search->judging.cost;
+        measure_guess(search);
         retrax_start_slacks(search, trajectory);
     }
     retrax_evaluate(search, trajectory);

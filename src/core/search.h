@@ -54,7 +54,7 @@ struct retrax_search {
     double *ways;                /* [2][N s m] of the controls to the inequalities on either side */
     double *control_work;        /* [N s + 1][m] */
     double *square;              /* [z][z] */
-    double *costs;               /* [max_iterations + 2] of the iterates after 1, 2, ... trials */
+    double *costs;               /* [max_iterations + RETRAX_SETTLING + 3] of the iterates after 1, 2, ... trials */
     double first_cost;           /* natural size of the cost at the guess */
     bool *steady;                /* [E + U] */
     retrax_direction direction;
