@@ -129,7 +129,14 @@ def starts(states):
     return np.ones(states), np.eye(states)[0], np.eye(states)[-1]
 
 
-LONG = [pytest.param(n, marks=pytest.mark.slow) for n in (3, 12, 20, 30, 60)]
+LONG = [pytest.param(n, marks=pytest.mark.slow) for n in (3, 12, 20, 30)]  # the core takes 1024 parameters
+
+
+def couplings(states):
+    """Those with which controls of size one move no state of a long chain by 1e9 and more: cost and controls are then parts
+    of the same sums."""
+    every = COUPLINGS if states == 6 else EVERY[::2]
+    return every if states < 12 else every[every < 10]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -138,7 +145,7 @@ def test_free_and_weighted_ends(kind, states):
     """Through the coupling at which the last state is not reached any more."""
     if kind == "springs" and states % 2:
         pytest.skip("a mass has a place and a speed")
-    for coupling in COUPLINGS if states == 6 else EVERY[::2]:
+    for coupling in couplings(states):
         system = KINDS[kind](states, coupling)
         for start in starts(states):
             for weight in (0.0, 1e-2, 1e3):
