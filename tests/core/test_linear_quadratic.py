@@ -133,8 +133,7 @@ LONG = [pytest.param(n, marks=pytest.mark.slow) for n in (3, 12, 20, 30)]  # the
 
 
 def couplings(states):
-    """Those with which controls of size one move no state of a long chain by 1e9 and more: cost and controls are then parts
-    of the same sums."""
+    """Couplings of long chains with which controls of size one move no state by 1e9: else their cost is rounding."""
     every = COUPLINGS if states == 6 else EVERY[::2]
     return every if states < 12 else every[every < 10]
 
