@@ -18,6 +18,8 @@
 /* A shift has to shorten a step to this share; a step is cut no further than to the other. */
 #define SHORTER 0.5
 #define SLOW 1e-6
+/* Trials after which natural sizes are measured again. */
+#define ROUND 40
 
 void retrax_swap(retrax_search *search) {
     double *const before = search->at;
@@ -146,9 +148,6 @@ static bool is_vain(retrax_search *search, double length) {
     retrax_newton_step(search, RETRAX_LEAST_SHIFT);
     return retrax_step_length(search) > SHORTER * length;
 }
-
-/* Trials after which natural sizes are measured again. */
-#define ROUND 40
 
 /* Computes the next step, from the iterate as it is now. */
 static void next_step(retrax_search *search, const retrax_direction *before, double fraction, double length,

@@ -267,6 +267,7 @@ bool retrax_update_barrier(retrax_search *search) {
         }
     } else {
         if (lower) {
+            EACH_PHASE(phase) { retrax_write_right_sides(phase->layout, search->at + phase->place); }
             retrax_measure(search, search->at);
         }
         return lower;

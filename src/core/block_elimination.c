@@ -1,48 +1,49 @@
 /*
  * Block elimination of the linear system of a Newton step along a trajectory.
  *
- * The front of stage k has rows d_k (z), c_k (n) and c_{k+1} (n). The first two are eliminated and leave a Schur
- * complement on the last, which are the rows c_k of the next stage; at the last stage all are eliminated. Unknowns,
- * equations and cost are in their natural units in the front, and a second scaling makes its rows and columns of one
- * size.
+ * The front of stage k has rows d_k (z), c_k (n), rows that stage k - 1 has left, and c_{k+1} (n). All but the last are
+ * eliminated, as far as pivots are stable, and leave a Schur complement on the others, which belong to the front of the next
+ * stage; at the last stage all are eliminated. A row is left where the leading block of the matrix is singular and the matrix is
+ * not, as at a focal point of the trajectory up to a node. Unknowns, equations and cost are in their natural units in the
+ * front, and a second scaling makes its rows and columns of one size.
  */
 #include "dense.h"
 #include "workspace.h"
 
 #include <math.h>
+#include <stdbool.h>
 #include <string.h>
 
-/* Weight of the augmented terms, times the number of stages; the curvature of the cost of a stage is about 1. */
-#define WEIGHT 256.0
-
-/* Arrays of an elimination. Rows of a front: d from 0, c_k from z, c_{k+1} from z + n, right-hand sides from z + 2 n. */
+/* Arrays of an elimination. Rows of a front: d from 0, c_k from z, rows that are left from z + n, c_{k+1} behind them, and
+ * right-hand sides from front.rows on. */
 typedef struct {
     const retrax_block_system *system;
     const retrax_kernels *kernels;
-    retrax_index n, z, rows, width; /* rows = z + 2 n, width = retrax_width(rows + columns) */
-    double weight;
+    retrax_index n, z, width; /* width = retrax_width(z + 3 n + columns) */
+    retrax_index most;        /* pivots of a stage: z + 2 n */
     retrax_front front;
     double *column_sizes;  /* [2][width] largest entries of columns among the unknowns, and among the equations */
     double *inverse_nodes; /* [n] inverse natural sizes of defects */
-    double *defects;       /* [n][columns] of the node before a stage, in units */
-    double *weighted;      /* [2 n][width] weight times rows of -L_k and R_k in units, so that products subtract */
+    double *carried;       /* [2 n][2 n + columns] what a stage leaves on c_{k+1}, then on the rows that it leaves */
     double *row_scales;    /* [N][width] second scaling of each front */
-    double *divided;       /* [N (z + n) + n][width] factors of all stages */
-    retrax_index *order;   /* [N (z + n) + n] pivots of all stages */
-    double *unknowns;      /* [rows] of one stage and column, in scaled units */
+    double *divided;       /* [N (z + 2 n) + n][width] factors of all stages */
+    retrax_index *order;   /* [N (z + 2 n) + n] pivots of all stages, and behind them the rows that are left */
+    retrax_index *left;    /* [N + 1] number of rows that the stage before has left */
+    double *unknowns;      /* [z + 3 n] of one stage and column, in scaled units */
+    double *known;         /* [2 n] of them, those of c_{k+1} and of the rows that are left */
     double *own_step;      /* [z] d of one stage and column */
-    double *substituted;   /* [rows] workspace */
+    double *substituted;   /* [z + 3 n] workspace */
 } elimination;
 
 /* Lays out the arrays of an elimination in a block. */
 static void lay_out(elimination *own, retrax_block *block, retrax_index stages, retrax_index n, retrax_index z,
                     retrax_index columns) {
-    const retrax_index rows = z + 2 * n, width = retrax_width(rows + columns), pivots = stages * (z + n) + n;
+    const retrax_index rows = z + 3 * n, width = retrax_width(rows + columns), pivots = stages * (z + 2 * n) + n;
     own->n = n;
     own->z = z;
-    own->rows = rows;
+    own->most = z + 2 * n;
     own->width = width;
-    own->front.rows = rows;
+    own->front.unknowns = z;
     own->front.columns = columns;
     own->front.width = width;
     own->front.matrix = retrax_take(block, rows, width, sizeof(double));
@@ -50,14 +51,16 @@ static void lay_out(elimination *own, retrax_block *block, retrax_index stages, 
     own->front.sizes = retrax_take(block, 1, width, sizeof(double));
     own->front.kept = retrax_take(block, rows, width, sizeof(double));
     own->front.known = retrax_take(block, rows, 1, sizeof(retrax_index));
+    own->front.unstable = retrax_take(block, rows, 1, sizeof(bool));
     own->column_sizes = retrax_take(block, 2, width, sizeof(double));
     own->inverse_nodes = retrax_take(block, n, 1, sizeof(double));
-    own->defects = retrax_take(block, n, columns, sizeof(double));
-    own->weighted = retrax_take(block, 2 * n, width, sizeof(double));
+    own->carried = retrax_take(block, 2 * n, 2 * n + columns, sizeof(double));
     own->row_scales = retrax_take(block, stages, width, sizeof(double));
     own->divided = retrax_take(block, pivots, width, sizeof(double));
     own->order = retrax_take(block, pivots, 1, sizeof(retrax_index));
+    own->left = retrax_take(block, stages + 1, 1, sizeof(retrax_index));
     own->unknowns = retrax_take(block, rows, 1, sizeof(double));
+    own->known = retrax_take(block, 2 * n, 1, sizeof(double));
     own->own_step = retrax_take(block, z, 1, sizeof(double));
     own->substituted = retrax_take(block, rows, 1, sizeof(double));
 }
@@ -66,7 +69,7 @@ size_t retrax_block_workspace(retrax_index stages, retrax_index node_size, retra
                               retrax_index columns) {
     const retrax_index most = PTRDIFF_MAX / 1024; /* so that sums and products of sizes do not overflow */
     if (stages < 1 || node_size < 1 || stage_size < 1 || columns < 1 || node_size > most / 8 || stage_size > most / 8 ||
-        columns > most / 8 || stages > most / (stage_size + 2 * node_size)) {
+        columns > most / 8 || stages > most / (stage_size + 3 * node_size)) {
         return 0;
     }
     elimination own = {0};
@@ -78,6 +81,10 @@ size_t retrax_block_workspace(retrax_index stages, retrax_index node_size, retra
 /* ----------------------------------------------------------------------------------------------- assembling */
 
 static double *row_of(const elimination *own, retrax_index i) { return own->front.matrix + i * own->width; }
+
+static double *carried_row(const elimination *own, retrax_index i) {
+    return own->carried + i * (2 * own->n + own->system->columns);
+}
 
 /* The factor of equation a of node k: the inverse of its natural size, or 0 where it is replaced by c = 0. */
 static double equation_scale(const elimination *own, retrax_index k, retrax_index a) {
@@ -96,67 +103,54 @@ static double scaled_defect(const elimination *own, retrax_index k, retrax_index
     return own->system->defect[(k * own->n + a) * own->system->columns + j] * equation_scale(own, k, a);
 }
 
+/* Rows of stage k that are eliminated there or left: all of the last stage. */
+static retrax_index pivot_count(const elimination *own, retrax_index k) {
+    const retrax_index own_rows = own->z + own->n + own->left[k];
+    return k == own->system->stages - 1 ? own_rows + own->n : own_rows;
+}
+
 /* Writes what no stage has left on the first node: nothing, or -c = 0 where a coordinate is free. */
 static void open_front(elimination *own) {
+    own->left[0] = 0;
+    memset(own->carried, 0, sizeof(double) * (size_t)(2 * own->n * (2 * own->n + own->system->columns)));
     for (retrax_index a = 0; a < own->n; a++) {
-        double *const row = row_of(own, own->z + own->n + a);
-        memset(row, 0, sizeof(double) * (size_t)own->width);
-        row[own->z + own->n + a] = own->system->fixed_start[a] - 1.0;
+        carried_row(own, a)[a] = own->system->fixed_start[a] - 1.0;
     }
 }
 
-/* Writes the rows of c_k, with what the stage before left on the node, and of c_{k+1}; and these times the weight. */
-static void write_nodes(elimination *own, retrax_index k) {
-    const retrax_block_system *const s = own->system;
-    const retrax_index n = own->n, z = own->z, rows = own->rows, last = z + n;
-    for (retrax_index a = 0; a < n; a++) {
-        double *const row = row_of(own, z + a), *const next = row_of(own, last + a);
-        double *const weighted = own->weighted + a * own->width, *const weighted_next = weighted + n * own->width;
-        const double *const left = s->left + (k * n + a) * z, *const right = s->right + (k * n + a) * z;
-        const double before = equation_scale(own, k, a), after = equation_scale(own, k + 1, a);
-        memset(row, 0, sizeof(double) * (size_t)own->width);
-        memcpy(row + z, next + last, sizeof(double) * (size_t)n);
-        for (retrax_index j = 0; j < s->columns; j++) {
-            const double defect = scaled_defect(own, k, a, j);
-            own->defects[a * s->columns + j] = defect;
-            row[rows + j] = next[rows + j] - defect;
-        }
-        memset(next, 0, sizeof(double) * (size_t)own->width);
-        for (retrax_index j = 0; j < z; j++) {
-            row[j] = left[j] * (before * s->stage_scale[j]);
-            next[j] = right[j] * (-after * s->stage_scale[j]);
-            weighted[j] = own->weight * row[j];
-            weighted_next[j] = -own->weight * next[j];
-        }
-    }
-}
-
-/* Writes the rows of d_k: the augmented Hessian H + r S + w (R' R - L' L) and its right-hand sides. */
+/* Writes the rows of d_k, with those of c_k and c_{k+1} in their columns. */
 static void write_stage(elimination *own, retrax_index k) {
     const retrax_block_system *const s = own->system;
-    const retrax_index n = own->n, z = own->z, rows = own->rows, width = own->width, columns = s->columns;
+    const retrax_index n = own->n, z = own->z, columns = s->columns, last = z + n + own->left[k];
     for (retrax_index i = 0; i < z; i++) {
         double *const row = row_of(own, i);
         const double *const hessian = s->hessian + (k * z + i) * z, factor = s->stage_scale[i] / s->cost_scale;
         for (retrax_index j = 0; j < z; j++) {
             row[j] = hessian[j] * (factor * s->stage_scale[j]);
         }
-        memset(row + z, 0, sizeof(double) * (size_t)(width - z));
-    }
-    own->kernels->subtract_products(z, retrax_width(z), 2 * n, own->front.matrix, width, own->weighted, width,
-                             row_of(own, z), width);
-    for (retrax_index i = 0; i < z; i++) {
-        double *const row = row_of(own, i);
         row[i] += s->regularisation * s->regularised[i];
-        for (retrax_index a = z; a < rows; a++) {
-            row[a] = row_of(own, a)[i];
+        for (retrax_index a = 0; a < n; a++) {
+            const double left = s->left[(k * n + a) * z + i] * (equation_scale(own, k, a) * s->stage_scale[i]);
+            const double right = s->right[(k * n + a) * z + i] * (-equation_scale(own, k + 1, a) * s->stage_scale[i]);
+            row[z + a] = row_of(own, z + a)[i] = left;
+            row[last + a] = row_of(own, last + a)[i] = right;
         }
         for (retrax_index j = 0; j < columns; j++) {
-            double sum = 0.0;
-            for (retrax_index a = 0; a < n; a++) {
-                sum += own->defects[a * columns + j] * own->weighted[a * width + i];
-            }
-            row[rows + j] = sum - s->slope[(k * z + i) * columns + j] * (s->stage_scale[i] / s->cost_scale);
+            row[own->front.rows + j] = -s->slope[(k * z + i) * columns + j] * (s->stage_scale[i] / s->cost_scale);
+        }
+    }
+}
+
+/* Writes what the stage before has left on c_k and on the rows that it has left. */
+static void write_carried(elimination *own, retrax_index k) {
+    const retrax_block_system *const s = own->system;
+    const retrax_index n = own->n, z = own->z, count = n + own->left[k];
+    for (retrax_index a = 0; a < count; a++) {
+        double *const row = row_of(own, z + a);
+        const double *const carried = carried_row(own, a);
+        memcpy(row + z, carried, sizeof(double) * (size_t)count);
+        for (retrax_index j = 0; j < s->columns; j++) {
+            row[own->front.rows + j] = carried[2 * n + j] - (a < n ? scaled_defect(own, k, a, j) : 0.0);
         }
     }
 }
@@ -164,18 +158,45 @@ static void write_stage(elimination *own, retrax_index k) {
 /* Writes what only the rows of the last node have: -c = 0 where a coordinate is free, and the last defect. */
 static void close_front(elimination *own) {
     const retrax_block_system *const s = own->system;
-    const retrax_index last = own->z + own->n;
+    const retrax_index last = own->front.rows - own->n;
     for (retrax_index a = 0; a < own->n; a++) {
         double *const row = row_of(own, last + a);
         row[last + a] = s->fixed_end[a] - 1.0;
         for (retrax_index j = 0; j < s->columns; j++) {
-            row[own->rows + j] = -scaled_defect(own, s->stages, a, j);
+            row[own->front.rows + j] = -scaled_defect(own, s->stages, a, j);
         }
     }
 }
 
+/* Writes the front of stage k. */
+static void write_front(elimination *own, retrax_index k) {
+    own->front.rows = own->z + 2 * own->n + own->left[k];
+    memset(own->front.matrix, 0, sizeof(double) * (size_t)(own->front.rows * own->width));
+    write_stage(own, k);
+    write_carried(own, k);
+    if (k == own->system->stages - 1) {
+        close_front(own);
+    }
+}
+
+/* Keeps what stage k leaves on c_{k+1} and on the rows that it leaves. */
+static void carry(elimination *own, retrax_index k, const retrax_pivots *found) {
+    const retrax_index n = own->n, pivots = pivot_count(own, k), left = pivots - found->count;
+    own->left[k + 1] = left;
+    for (retrax_index a = 0; a < n + left; a++) {
+        const retrax_index row = a < n ? pivots + a : found->order[found->count + a - n];
+        double *const to = carried_row(own, a);
+        for (retrax_index b = 0; b <= a; b++) { /* of rows in the border, columns before it are not kept up */
+            const retrax_index column = b < n ? pivots + b : found->order[found->count + b - n];
+            to[b] = carried_row(own, b)[a] = row_of(own, row)[column];
+        }
+        memcpy(to + 2 * n, row_of(own, row) + own->front.rows, sizeof(double) * (size_t)own->system->columns);
+    }
+}
+
 /* Scales the first `pivots` rows and columns of a front to one size: unknowns by their largest entries, equations by
- * the unknowns in their sizes, so that weights in the Hessian do not make equations small. */
+ * the unknowns in their sizes. Rows that the stage before has left stay as they were scaled there, so that small ones
+ * show. */
 static void scale_front(elimination *own, retrax_index pivots, double *scales) {
     const retrax_index z = own->z, width = own->width;
     double *const of_unknowns = own->column_sizes, *const of_equations = own->column_sizes + width;
@@ -193,26 +214,22 @@ static void scale_front(elimination *own, retrax_index pivots, double *scales) {
     }
     for (retrax_index j = z; j < pivots; j++) {
         const double root = sqrt(of_equations[j]), most = of_unknowns[j] > root ? of_unknowns[j] : root;
-        scales[j] = most > 0.0 ? 1.0 / most : 1.0;
+        const bool left = j >= z + own->n && j < own->front.rows - own->n;
+        scales[j] = most > 0.0 && !left ? 1.0 / most : 1.0;
     }
     for (retrax_index j = pivots; j < width; j++) {
         scales[j] = 1.0;
     }
-    for (retrax_index i = 0; i < own->rows; i++) {
+    for (retrax_index i = 0; i < own->front.rows; i++) {
         own->kernels->scale_by(width, row_of(own, i), scales[i], scales);
     }
 }
 
 /* Factors of stage k. */
 static retrax_pivots pivots_of(const elimination *own, retrax_index k) {
-    const retrax_index first = k * (own->z + own->n);
-    const retrax_pivots found = {own->divided + first * own->width, own->order + first};
+    const retrax_index first = k * own->most, left = k < own->system->stages - 1 ? own->left[k + 1] : 0;
+    const retrax_pivots found = {own->divided + first * own->width, own->order + first, pivot_count(own, k) - left};
     return found;
-}
-
-/* Number of rows that stage k eliminates. */
-static retrax_index pivot_count(const elimination *own, retrax_index k) {
-    return k == own->system->stages - 1 ? own->rows : own->z + own->n;
 }
 
 /* ------------------------------------------------------------------------------------------------- passes */
@@ -223,19 +240,21 @@ static retrax_inertia eliminate_forward(elimination *own) {
     retrax_inertia inertia = {0, INFINITY};
     open_front(own);
     for (retrax_index k = 0; k < stages; k++) {
-        const retrax_index count = pivot_count(own, k), like = k > 0 ? own->z + own->n : 0;
-        write_nodes(own, k);
-        write_stage(own, k);
-        if (k == stages - 1) {
-            close_front(own);
-        }
+        const bool last = k == stages - 1, alike = k > 0 && own->left[k] == 0 && own->left[k - 1] == 0;
+        const retrax_index count = pivot_count(own, k), like = alike ? own->z + own->n : 0;
+        write_front(own, k);
         scale_front(own, count, own->row_scales + k * own->width);
+        own->left[k + 1] = 0;
         retrax_pivots found = pivots_of(own, k);
+        const retrax_index *const guess = alike ? own->order + (k - 1) * own->most : NULL;
         const retrax_inertia stage =
-            retrax_front_factorise(own->kernels, &own->front, count, found.order - like, like, &found);
+            retrax_front_factorise(own->kernels, &own->front, count, last ? 0 : own->n, guess, like, &found);
         inertia.negative += stage.negative;
         if (stage.smallest < inertia.smallest || stage.smallest != stage.smallest) {
             inertia.smallest = stage.smallest;
+        }
+        if (!last) {
+            carry(own, k, &found);
         }
     }
     return inertia;
@@ -271,16 +290,18 @@ static void summarise(const elimination *own, retrax_index k, retrax_block_solut
     }
 }
 
-/* Solves for column j of the right-hand sides from the last stage to the first. The multipliers lose what the augmented
- * terms add to them. */
+/* Solves for column j of the right-hand sides from the last stage to the first. */
 static void substitute_backward(elimination *own, retrax_index j, retrax_block_solution *solution) {
     const retrax_block_system *const s = own->system;
-    const retrax_index n = own->n, z = own->z, last = z + n, columns = s->columns;
+    const retrax_index n = own->n, z = own->z, columns = s->columns;
     double *const x = own->unknowns;
     for (retrax_index k = s->stages - 1; k >= 0; k--) {
         const retrax_pivots found = pivots_of(own, k);
         const retrax_index count = pivot_count(own, k);
-        memcpy(x + last, x + z, sizeof(double) * (size_t)n); /* c_{k+1}, known from the stage behind */
+        own->front.rows = z + 2 * n + own->left[k];
+        for (retrax_index a = 0; k < s->stages - 1 && a < n + count - found.count; a++) { /* from the stage behind */
+            x[a < n ? count + a : found.order[found.count + a - n]] = own->known[a];
+        }
         retrax_front_substitute(&own->front, count, &found, j, x, own->substituted);
         for (retrax_index i = 0; i < count; i++) {
             x[i] *= own->row_scales[k * own->width + i];
@@ -290,16 +311,16 @@ static void substitute_backward(elimination *own, retrax_index j, retrax_block_s
             solution->step[(k * z + i) * columns + j] = own->own_step[i];
         }
         for (retrax_index a = 0; a < n; a++) {
-            const double moved = times_step(own, s->right + k * n * z, a) * equation_scale(own, k + 1, a);
-            solution->multipliers[((k + 1) * n + a) * columns + j] =
-                (x[last + a] - own->weight * moved) * (s->cost_scale * own->inverse_nodes[a]);
+            const double unit = s->cost_scale * own->inverse_nodes[a];
+            solution->multipliers[(k * n + a) * columns + j] = x[z + a] * unit;
+            if (k == s->stages - 1) {
+                solution->multipliers[((k + 1) * n + a) * columns + j] = x[count - n + a] * unit;
+            }
         }
+        memcpy(own->known, x + z, sizeof(double) * (size_t)(n + own->left[k]));
         if (j == 0) {
             summarise(own, k, solution);
         }
-    }
-    for (retrax_index a = 0; a < n; a++) {
-        solution->multipliers[a * columns + j] = x[z + a] * (s->cost_scale * own->inverse_nodes[a]);
     }
 }
 
@@ -332,11 +353,9 @@ void retrax_block_eliminate(const retrax_block_system *system, retrax_block_solu
     lay_out(&own, &block, system->stages, system->node_size, system->stage_size, system->columns);
     own.system = system;
     own.kernels = retrax_kernels_for(set);
-    own.weight = WEIGHT * (double)system->stages;
     for (retrax_index a = 0; a < own.n; a++) {
         own.inverse_nodes[a] = 1.0 / system->node_scale[a];
     }
-    memset(own.weighted, 0, sizeof(double) * (size_t)(2 * own.n * own.width));
 
     solution->inertia = eliminate_forward(&own);
     solution->curvature = 0.0;

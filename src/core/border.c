@@ -55,7 +55,7 @@ static border_sizes write_coupling(retrax_search *search, retrax_index *places) 
         }
     }
     own.total = own.ends + own.forces + own.equations;
-    border->front.rows = own.total;
+    border->front.rows = border->front.unknowns = own.total;
     border->front.columns = 1;
     border->front.width = retrax_width(own.total + 1);
     memset(border->front.matrix, 0, sizeof(double) * (size_t)(own.total * border->front.width));
@@ -162,7 +162,7 @@ static retrax_inertia solve_border(const retrax_search *search, retrax_border *b
     retrax_inertia inertia = {0, 0.0};
     if (sum == 0.0) {
         const retrax_kernels *const kernels = retrax_kernels_for(search->set);
-        inertia = retrax_front_factorise(kernels, &border->front, total, NULL, 0, &border->pivots);
+        inertia = retrax_front_factorise(kernels, &border->front, total, 0, NULL, 0, &border->pivots);
         retrax_front_substitute(&border->front, total, &border->pivots, 0, border->solution, border->work);
     }
     for (retrax_index i = 0; i < total; i++) {

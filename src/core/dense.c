@@ -8,6 +8,13 @@
 /* Weight of a row in the search for a pivot that has nothing but its diagonal: larger than any other. */
 #define ALONE 1e300
 
+/* A number of this size is zero, but for rounding, rows being scaled to one size. */
+#define NOTHING 1e-15
+/* A right-hand side of this size, in natural sizes, is zero but for rounding. */
+#define CONSISTENT 1e-10
+/* Share of the entries of the border that a pivot has to exceed, or its row is left: of what it is subtracted from no more
+ * than so many digits are lost. */
+#define STABLE 1e-3
 /* A diagonal entry of this share of the largest entry in its row is a pivot of size one: so the growth by one pivot of
  * size two is bounded as by two of size one, (1 + sqrt(17)) / 8 [Bunch, Kaufman, Math. Comp. 31, 1977]. */
 #define BUNCH_KAUFMAN 0.6403882032022076
@@ -118,6 +125,12 @@ typedef struct {
     retrax_index begin;  /* the same, down to a whole vector: what stands before it in a row is of no use */
 } search;
 
+/* A pivot: rows i and r, equal for one of size one, and the size of its smaller eigenvalue. */
+typedef struct {
+    retrax_index i, r;
+    double size;
+} pivot;
+
 static double *row_of(const retrax_front *front, retrax_index i) { return front->matrix + i * front->width; }
 
 /* Subtracts from row r the pivots that have not been subtracted yet; returns the largest size beside the diagonal
@@ -134,6 +147,16 @@ static double update_row(const search *own, retrax_index r) {
     const double largest = own->kernels->masked_sizes(retrax_width(own->pivots) - begin, front->sizes + begin,
                                                       front->left + begin, row + begin);
     front->left[r] = 1.0;
+    return largest;
+}
+
+/* The largest entry of row i in the border. */
+static double border_size(const search *own, retrax_index i) {
+    double largest = 0.0;
+    for (retrax_index a = own->pivots; a < own->front->rows; a++) {
+        const double size = fabs(row_of(own->front, i)[a]);
+        largest = size > largest ? size : largest;
+    }
     return largest;
 }
 
@@ -183,6 +206,28 @@ static void keep_one(search *own, retrax_index i) {
     own->count += 1;
 }
 
+/* Keeps row i of an equation, of which no pivot is more than nothing, so that it depends on others: its multiplier is zero,
+ * or NaN where the border or a right-hand side is more than that. Returns 0, or NaN where a number of the row is not
+ * finite. */
+static double keep_nothing(search *own, retrax_index i) {
+    const retrax_index width = own->front->width, rows = own->front->rows;
+    const double *const row = row_of(own->front, i);
+    double *const divided = own->found->divided + own->count * width, size = 0.0;
+    for (retrax_index j = own->begin; j < rows; j++) {
+        size += 0.0 * row[j];
+    }
+    const bool depends = border_size(own, i) <= NOTHING && size == 0.0;
+    memset(own->front->kept + own->count * width, 0, sizeof(double) * (size_t)width);
+    memset(divided, 0, sizeof(double) * (size_t)width);
+    for (retrax_index j = rows; j < rows + own->front->columns; j++) {
+        divided[j] = depends && fabs(row[j]) <= CONSISTENT ? 0.0 : NAN;
+    }
+    own->found->order[own->count] = i;
+    own->front->left[i] = 0.0;
+    own->count += 1;
+    return size;
+}
+
 /* Keeps rows i and r as they are and divided by their pivot of size two, whose inverse is formed relative to the entry
  * beside the diagonal, the largest. */
 static void keep_two(search *own, retrax_index i, retrax_index r) {
@@ -210,10 +255,88 @@ static double smaller_eigenvalue(double a, double b, double c) {
     return fabs(a * (c / larger) - b * (b / larger));
 }
 
+/* Lists the rows that are left behind the pivots, and subtracts all pivots from them. */
+static void finish_left(search *own) {
+    retrax_index place = own->count;
+    for (retrax_index i = 0; i < own->pivots; i++) {
+        if (own->front->left[i] != 0.0) {
+            update_row(own, i);
+            own->found->order[place++] = i;
+        }
+    }
+    own->found->count = own->count;
+}
+
+/* Whether a pivot says that its equation depends on others. */
+static bool is_nothing(const search *own, const pivot *chosen) {
+    return chosen->size <= NOTHING && chosen->i >= own->front->unknowns;
+}
+
+/* Chooses a pivot, beginning with row i; returns by how much it exceeds what keeps its rows stable: 1 or more, or they
+ * are not. */
+static double stability_of(const search *own, retrax_index i, pivot *to) {
+    to->i = i;
+    choose_pivot(own, &to->i, &to->r);
+    const double *const row = row_of(own->front, to->i), *const other = row_of(own->front, to->r);
+    to->size = to->i == to->r ? fabs(row[to->i]) : smaller_eigenvalue(row[to->i], row[to->r], other[to->r]);
+    const double border = fmax(border_size(own, to->i), border_size(own, to->r));
+    if (is_nothing(own, to)) {
+        return border <= NOTHING ? 1.0 : 0.0;
+    }
+    return border > 0.0 ? to->size / (STABLE * border) : (to->size > 0.0 ? 1.0 : 0.0);
+}
+
+/* Finds the next pivot: the first that is stable, from row `first` on; else the most stable one, unless all rows may be
+ * left. Returns whether there is one. */
+static bool find_pivot(const search *own, retrax_index first, retrax_index most_left, pivot *to) {
+    retrax_front *const front = own->front;
+    double most = stability_of(own, first, to);
+    if (most >= 1.0) {
+        return true;
+    }
+    memset(front->unstable, 0, sizeof(bool) * (size_t)own->pivots);
+    front->unstable[first] = front->unstable[to->i] = front->unstable[to->r] = true;
+    for (retrax_index i = own->first; i < own->pivots; i++) {
+        pivot other;
+        if (front->left[i] == 0.0 || front->unstable[i]) {
+            continue;
+        }
+        const double stability = stability_of(own, i, &other);
+        front->unstable[i] = front->unstable[other.i] = front->unstable[other.r] = true;
+        if (stability > most) {
+            most = stability;
+            *to = other;
+        }
+        if (most >= 1.0) {
+            return true;
+        }
+    }
+    return own->pivots - own->count > most_left;
+}
+
+/* Keeps a pivot, and adds it to the inertia. */
+static void keep(search *own, const pivot *chosen, retrax_inertia *inertia) {
+    double size = chosen->size;
+    /* A pivot of size two has an eigenvalue of either sign. */
+    inertia->negative += chosen->i != chosen->r || row_of(own->front, chosen->i)[chosen->i] < 0.0;
+    if (is_nothing(own, chosen)) {
+        size += keep_nothing(own, chosen->i);
+    } else if (chosen->i == chosen->r) {
+        keep_one(own, chosen->i);
+    } else {
+        keep_two(own, chosen->i, chosen->r);
+    }
+    if (size < inertia->smallest || size != size) {
+        inertia->smallest = size;
+    }
+}
+
 retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_front *front, retrax_index pivots,
-                                      const retrax_index *guess, retrax_index guesses, retrax_pivots *found) {
+                                      retrax_index most_left, const retrax_index *guess, retrax_index guesses,
+                                      retrax_pivots *found) {
     search own = {kernels, front, found, pivots, 0, 0, 0};
     retrax_inertia inertia = {0, INFINITY};
+    pivot next;
     for (retrax_index j = 0; j < front->width; j++) {
         front->left[j] = j < pivots ? 1.0 : 0.0;
     }
@@ -224,22 +347,14 @@ retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_fron
         }
         own.begin = own.first & -(retrax_index)RETRAX_VECTOR;
         const bool guessed = own.count < guesses && front->left[guess[own.count]] != 0.0;
-        retrax_index i = guessed ? guess[own.count] : own.first, r;
-        choose_pivot(&own, &i, &r);
-        const double a = row_of(front, i)[i], b = row_of(front, i)[r], c = row_of(front, r)[r];
-        const double size = i == r ? fabs(a) : smaller_eigenvalue(a, b, c);
-        inertia.negative += i != r || a < 0.0; /* a pivot of size two has an eigenvalue of either sign */
-        if (size < inertia.smallest || size != size) {
-            inertia.smallest = size;
+        if (!find_pivot(&own, guessed ? guess[own.count] : own.first, most_left, &next)) {
+            break;
         }
-        if (i == r) {
-            keep_one(&own, i);
-        } else {
-            keep_two(&own, i, r);
-        }
+        keep(&own, &next, &inertia);
     }
+    finish_left(&own);
     const retrax_index begin = pivots & -(retrax_index)RETRAX_VECTOR;
-    kernels->subtract_products(front->rows - pivots, front->width - begin, pivots,
+    kernels->subtract_products(front->rows - pivots, front->width - begin, own.count,
                                front->matrix + pivots * front->width + begin, front->width, found->divided + pivots,
                                front->width, front->kept + begin, front->width);
     return inertia;
@@ -248,15 +363,18 @@ retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_fron
 void retrax_front_substitute(const retrax_front *front, retrax_index pivots, const retrax_pivots *found,
                              retrax_index column, double *x, double *work) {
     const retrax_index width = front->width;
-    for (retrax_index t = 0; t < pivots; t++) {
+    for (retrax_index t = 0; t < found->count; t++) {
         const double *const row = found->divided + t * width;
         double value = row[front->rows + column];
         for (retrax_index a = pivots; a < front->rows; a++) {
             value -= row[a] * x[a];
         }
+        for (retrax_index l = found->count; l < pivots; l++) {
+            value -= row[found->order[l]] * x[found->order[l]];
+        }
         work[t] = value;
     }
-    for (retrax_index t = pivots - 1; t >= 0; t--) {
+    for (retrax_index t = found->count - 1; t >= 0; t--) {
         const retrax_index i = found->order[t];
         x[i] = work[t];
         for (retrax_index s = 0; s < t; s++) {

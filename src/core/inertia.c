@@ -90,7 +90,6 @@ static void eliminate(retrax_search *search, double shift) {
     double *const trajectory = search->at;
     const retrax_index N = problem->steps, n = problem->state_size, equations = (N + 1) * n;
     unsigned char finite;
-    retrax_write_right_sides(layout, trajectory);
     const retrax_block_system system = {
         .stages = N,
         .node_size = n,

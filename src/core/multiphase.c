@@ -62,6 +62,7 @@ void retrax_take_coupling(retrax_block *block, retrax_coupling *coupling) {
     border->front.sizes = retrax_take(block, 1, width, sizeof(double));
     border->front.kept = retrax_take(block, total, width, sizeof(double));
     border->front.known = retrax_take(block, total, 1, sizeof(retrax_index));
+    border->front.unstable = retrax_take(block, total, 1, sizeof(bool));
     border->pivots.divided = retrax_take(block, total, width, sizeof(double));
     border->pivots.order = retrax_take(block, total, 1, sizeof(retrax_index));
     border->scales = retrax_take(block, total, 1, sizeof(double));

@@ -188,15 +188,16 @@ RETRAX_API void retrax_lu_solve_transposed(retrax_index n, const double *a, cons
  * is a descent direction, and at a solution the trajectory is a strict local minimum (Sylvester's law of inertia).
  *
  * Stage after stage d_k and c_k are eliminated, in order of magnitude N (n + z)^3 operations. A leading block of the matrix
- * may be singular where the matrix is not: at a focal point of the trajectory up to a node. To avoid that, the cost
- * of a stage is augmented by w (|R_k d_k|^2 - |L_k d_k|^2) / 2. By the node equations these terms cancel in the sum over
- * the stages, so that the solution and the inertia stay.
+ * may be singular where the matrix is not, as at a focal point of the trajectory up to a node. There rows without a stable
+ * pivot are left to the stage behind, at most n of them. Equations that depend on each other are solved where their
+ * right-hand sides agree.
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Inertia and conditioning of a symmetric matrix, from the pivots of its factorisation. */
 typedef struct {
     retrax_index negative; /* number of negative eigenvalues */
-    double smallest;       /* size of the smallest pivot, rows and columns being scaled to one size; NaN if one is NaN */
+    double smallest;       /* size of the smallest pivot, each row and column being scaled to size one where it comes in;
+                              NaN if one is NaN. Beyond eps^0.6 it is more than rounding */
 } retrax_inertia;
 
 /* A linear system; all arrays belong to the caller and are only read. */

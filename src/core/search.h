@@ -86,7 +86,7 @@ struct retrax_search {
     double *at, *trial;          /* the iterate and the trial, which change places */
     double *first, *spare;       /* the guess, and one to work with */
     void *workspace;
-    double *costs;               /* [max_iterations + 2] of the iterates after 1, 2, ... trials */
+    double *costs;               /* [max_iterations + RETRAX_SETTLING + 3] of the iterates after 1, 2, ... trials */
     double first_cost;           /* natural size of the cost at the guess */
     retrax_direction direction;
     retrax_merit merit;

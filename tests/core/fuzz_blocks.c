@@ -40,17 +40,21 @@ static double *ones(generator *g, retrax_index count, int other) {
     return found;
 }
 
-/* Largest residual of the node equations that are not replaced, of column j. */
+/* Largest residual of the node equations that are not replaced, of column j, relative to one and the terms. */
 static double node_residual(const retrax_block_system *s, const retrax_block_solution *x, retrax_index j) {
     const retrax_index n = s->node_size, z = s->stage_size, m = s->columns;
     double largest = 0.0;
     for (retrax_index k = 0; k <= s->stages; k++) {
         for (retrax_index a = 0; a < n; a++) {
-            double sum = s->defect[(k * n + a) * m + j];
+            double sum = s->defect[(k * n + a) * m + j], size = 1.0;
             for (retrax_index i = 0; i < z; i++) {
-                sum += k < s->stages ? s->left[(k * n + a) * z + i] * x->step[(k * z + i) * m + j] : 0.0;
-                sum -= k > 0 ? s->right[((k - 1) * n + a) * z + i] * x->step[((k - 1) * z + i) * m + j] : 0.0;
+                const double after = k < s->stages ? s->left[(k * n + a) * z + i] * x->step[(k * z + i) * m + j] : 0.0;
+                const double before =
+                    k > 0 ? s->right[((k - 1) * n + a) * z + i] * x->step[((k - 1) * z + i) * m + j] : 0.0;
+                sum += after - before;
+                size += fabs(after) + fabs(before);
             }
+            sum /= size;
             const int replaced = (k == 0 && s->fixed_start[a] == 0.0) || (k == s->stages && s->fixed_end[a] == 0.0);
             largest = !replaced && !(fabs(sum) <= largest) ? fabs(sum) : largest;
         }
@@ -88,6 +92,12 @@ static int try_blocks(generator *g) {
             hessian[(k * z + i) * z + i] += g->hard == 0 ? (double)z : 0.0;
         }
     }
+    /* In every other system a stage is flat, perhaps but for rounding: its rows are left to the stage behind. */
+    const retrax_index flat = below(g, 2) == 0 ? below(g, stages) : stages;
+    const double curvature = below(g, 2) == 0 ? 0.0 : 1e-14;
+    for (retrax_index i = 0; i < z * z && flat < stages; i++) {
+        hessian[flat * z * z + i] *= curvature;
+    }
     const retrax_block_system system = {stages, n,   z,           columns,    hessian, left, right,       slope,
                                         defect, start, end, stage_scale, node_scale, 1.0,     0.0,  regularised};
     const size_t size = retrax_block_workspace(stages, n, z, columns);
@@ -115,7 +125,7 @@ static int try_blocks(generator *g) {
             }
             /* Convex stages, and a step for each equation: regular, if the smallest pivot says so. */
             if (g->hard == 0 && solution.inertia.smallest > 1e-4 && finite[j] &&
-                !(node_residual(&system, &solution, j) < 1e-6)) {
+                !(node_residual(&system, &solution, j) < 1e-9)) {
                 broken = 4;
             }
         }
