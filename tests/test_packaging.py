@@ -82,8 +82,8 @@ def test_the_tape_stands_below_the_layers():
     nodes = [node for path in modules for node in ast.walk(ast.parse(path.read_text()))]
     beside = (
         "aligned",
-        "compute.core",
-        "compute.tape_machine",
+        "compute.binding.library",
+        "compute.binding.tape_machine",
         "newton_constants",
         "jaxpr_tools",
         "errors",

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Any
 
-from ...compute.core import PARTS_ON_CORE
+from ...compute.binding.library import PARTS_ON_CORE
 from .audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
 from .engine.adaptor import adapted
 from .engine.found import Found

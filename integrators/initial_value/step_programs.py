@@ -7,9 +7,9 @@ import casadi as ca
 import jax
 import numpy as np
 
-from ...compute.integration import StepFunction, StepMethod
+from ...compute.binding.integration import StepFunction, StepMethod
+from ...compute.binding.tape_machine import MachineProgram
 from ...compute.program_digest import content_key
-from ...compute.tape_machine import MachineProgram
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape

@@ -7,7 +7,7 @@ from typing import Any, final
 import jax
 import numpy as np
 
-from ...compute.integration import Integration
+from ...compute.binding.integration import Integration
 from ...compute.jit_cache import call_compiled
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import NotTraceableError, Tape

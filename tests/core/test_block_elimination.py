@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from retrax.compute.block_elimination import BlockArrays, solve_blocks
-from retrax.compute.core import best_instruction_set
+from retrax.compute.binding.block_elimination import BlockArrays, solve_blocks
+from retrax.compute.binding.library import best_instruction_set
 from retrax.integrators.boundary_value.engine.elimination import BlockSystem, clear_pivot, eliminate
 from retrax.integrators.boundary_value.engine.scaling import Units
 from retrax.manifolds import InvalidInputError

@@ -10,7 +10,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
-from retrax.compute.core import HEADER_VERSION
+from retrax.compute.binding.library import HEADER_VERSION
 
 ROOT = Path(__file__).parents[2]
 SDIST = "import backend, sys; print(backend.build_sdist(sys.argv[1]))"

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from retrax.compute.condensing import CollocationArrays, condense_slope, condense_steps, expand_steps
-from retrax.compute.core import best_instruction_set
+from retrax.compute.binding.condensing import CollocationArrays, condense_slope, condense_steps, expand_steps
+from retrax.compute.binding.library import best_instruction_set
 from retrax.integrators.boundary_value.engine.condensing import Ends, Points, Tableau, condense, expand, slopes
 from retrax.manifolds import InvalidInputError
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from retrax.compute.core import best_instruction_set, library
+from retrax.compute.binding.library import best_instruction_set, library
 
 
 def factorised(matrix):

@@ -5,9 +5,9 @@ from itertools import pairwise
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.compute import core
-from retrax.compute.integration import Integration, StepFunction, StepMethod
-from retrax.compute.tape_machine import MachineProgram
+from retrax.compute.binding import library
+from retrax.compute.binding.integration import Integration, StepFunction, StepMethod
+from retrax.compute.binding.tape_machine import MachineProgram
 from retrax.manifolds import InvalidInputError
 from retrax.tape import Tape
 from scipy.optimize import root
@@ -171,9 +171,9 @@ def test_methods_and_arrays_that_do_not_fit_are_refused():
 
 def test_a_library_that_is_missing_or_of_another_version_is_named(monkeypatch):
     with monkeypatch.context() as other:
-        other.setattr(core, "HEADER_VERSION", core.HEADER_VERSION + 1)
-        with pytest.raises(core.MissingCoreError, match=r"version .* of its interface, expected .*; try"):
-            core.library.__wrapped__()
-    monkeypatch.setattr(core, "find_spec", lambda name: None)
-    with pytest.raises(core.MissingCoreError, match=r"core of retrax is not installed: .*; try: *pip install"):
-        core.library.__wrapped__()
+        other.setattr(library, "HEADER_VERSION", library.HEADER_VERSION + 1)
+        with pytest.raises(library.MissingCoreError, match=r"version .* of its interface, expected .*; try"):
+            library.library.__wrapped__()
+    monkeypatch.setattr(library, "find_spec", lambda name: None)
+    with pytest.raises(library.MissingCoreError, match=r"core of retrax is not installed: .*; try: *pip install"):
+        library.library.__wrapped__()

@@ -6,7 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.compute.multiphase import CoupledEnds, Multiphase
+from retrax.compute.binding.multiphase import CoupledEnds, Multiphase
 from retrax.integrators import Free, OptimalControlProblem, Phase, solve, solve_phases
 from retrax.integrators.boundary_value.engine import core_phases
 from retrax.integrators.boundary_value.engine.conditions import Conditions

@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.compute.search import Search, SearchStatus
+from retrax.compute.binding.search import Search, SearchStatus
 from retrax.integrators import OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.engine.aside import aside
 from retrax.integrators.boundary_value.transcription import core_search

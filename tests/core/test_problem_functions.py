@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.compute.base import Evaluator
-from retrax.compute.problem_functions import CallbackFunction, _columns
-from retrax.compute.search import Search, SearchStatus
+from retrax.compute.binding.problem_functions import CallbackFunction, _columns
+from retrax.compute.binding.search import Search, SearchStatus
+from retrax.compute.binding.transcription import Transcription
 from retrax.compute.tape_evaluator import TapeEvaluator
-from retrax.compute.transcription import Transcription
 from retrax.integrators import OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import Euclidean

@@ -5,8 +5,8 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.compute.core import best_instruction_set, library
-from retrax.compute.tape_machine import MachineProgram
+from retrax.compute.binding.library import best_instruction_set, library
+from retrax.compute.binding.tape_machine import MachineProgram
 from retrax.manifolds import InvalidInputError
 from retrax.tape import Tape, machine
 from retrax.tape.instructions import CODES, NAMES

@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from retrax.compute.core import best_instruction_set
-from retrax.compute.search import Search, SearchStatus
-from retrax.compute.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
+from retrax.compute.binding.library import best_instruction_set
+from retrax.compute.binding.search import Search, SearchStatus
+from retrax.compute.binding.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
 from retrax.integrators.boundary_value import regular_extremals
 from retrax.integrators.boundary_value.engine import beginning, newton
 from retrax.integrators.boundary_value.engine import first_units as engine_units

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.compute import transcription
+from retrax.compute.binding import transcription
 from retrax.integrators import Free, OptimalControlProblem, Solver, default_guess
 from retrax.integrators.boundary_value.engine import newton
 from retrax.manifolds import Euclidean, InvalidInputError

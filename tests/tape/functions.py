@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-from retrax.compute.tape_machine import MachineProgram
+from retrax.compute.binding.tape_machine import MachineProgram
 from retrax.manifolds.numerics.matrices import exponential
 
 ZERO = np.zeros(3)

@@ -8,10 +8,10 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ....compute.multiphase import CoupledEnds, Multiphase
-from ....compute.search import Search, SearchResult, SearchStatus
-from ....compute.tape_machine import MachineProgram
-from ....compute.transcription import Transcription
+from ....compute.binding.multiphase import CoupledEnds, Multiphase
+from ....compute.binding.search import Search, SearchResult, SearchStatus
+from ....compute.binding.tape_machine import MachineProgram
+from ....compute.binding.transcription import Transcription
 from ....manifolds.numerics.ambient import joined
 from ..transcription.core_search import iterate_of, made, put
 from ..transcription.iteration import Iteration, stops

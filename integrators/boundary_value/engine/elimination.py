@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ....aligned import scratch
-from ....compute.block_elimination import BlockArrays, BlockResult, solve_blocks
-from ....compute.core import PARTS_ON_CORE
+from ....compute.binding.block_elimination import BlockArrays, BlockResult, solve_blocks
+from ....compute.binding.library import PARTS_ON_CORE
 from ....compute.threads import in_threads
 from ....manifolds.numerics.tolerances import EPS, REGULAR
 from .arrays import plain, whole

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ....compute.core import PARTS_ON_CORE
+from ....compute.binding.library import PARTS_ON_CORE
 from ....manifolds.numerics.ambient import taken
 from ..transcription.iterate import Iterate
 from ..transcription.iteration import Iteration

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 
 from ...._version import __version__
-from ....compute.core_sources import core_sources
+from ....compute.binding.core_sources import core_sources
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.ambient import taken
 from ...problem.point_layout import PointLayout
@@ -164,7 +164,7 @@ def _require_exportable(traced: Any) -> None:
 
 def _leads_to(transcription: Any, given: Any, cost: float, options: Options) -> bool:
     """Whether a search from the guess converges to the cost of the solution, without another guess in between."""
-    from ....compute.search import Search, SearchStatus
+    from ....compute.binding.search import Search, SearchStatus
 
     search = Search(transcription, options.tolerance, options.max_iterations)
     search.trajectory.copy_from(given)

@@ -4,8 +4,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ....compute.tape_machine import MachineProgram
-from ....compute.transcription import FunctionName
+from ....compute.binding.tape_machine import MachineProgram
+from ....compute.binding.transcription import FunctionName
 from ....tape.c_source import c_function, c_head
 from ....tape.program import Program
 

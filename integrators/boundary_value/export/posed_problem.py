@@ -5,7 +5,7 @@ from typing import final
 
 import numpy as np
 
-from ....compute.transcription import Trajectory, Transcription
+from ....compute.binding.transcription import Trajectory, Transcription
 
 
 @final

@@ -17,7 +17,7 @@ ROUNDS = 30  # of Newton's method, which takes three to five
 
 
 class Polynomials(NamedTuple):
-    """Of some steps: the places, fractions of the step, through which they go, and the coordinates there in charts."""
+    """Polynomials of some steps, through coordinates in charts at places, fractions of the step."""
 
     places: np.ndarray  # (j,)
     centres: np.ndarray  # (..., E)
@@ -96,7 +96,7 @@ class Chart:
 
     @cached_property
     def _uneven(self) -> PointwiseFunction:
-        """Sum and difference of the coordinates of two points, with the derivatives by those of the centre."""
+        """Sum and difference of the coordinates of two points, and the derivatives by coordinates of the centre."""
 
         def uneven(d: Array, x: Array, begin: Array, end: Array) -> tuple[Array, Array]:
             centre = self.state.point(x)
@@ -134,7 +134,7 @@ def _each(function: PointwiseFunction, *arguments: np.ndarray) -> tuple[np.ndarr
 
 
 def lagrange(places: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Values at times, shape ``(..., j)``, of the polynomials that are one at one place and zero at the others."""
+    """Values at times, shape ``(..., j)``, of the polynomials that are 1 at one place and 0 at all other places."""
     others = places[:, None] - places + np.eye(len(places))
     return np.prod(np.where(np.eye(len(places)), 1.0, (times[..., None, None] - places) / others), axis=-1)
 

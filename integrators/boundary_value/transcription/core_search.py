@@ -8,11 +8,11 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from ....compute.problem_functions import CallbackFunction
-from ....compute.search import Search, SearchResult, SearchStatus
-from ....compute.tape_machine import MachineProgram
+from ....compute.binding.problem_functions import CallbackFunction
+from ....compute.binding.search import Search, SearchResult, SearchStatus
+from ....compute.binding.tape_machine import MachineProgram
+from ....compute.binding.transcription import FunctionName, IterateNumbers, Sizes, Trajectory, Transcription
 from ....compute.threads import each_in_threads
-from ....compute.transcription import FunctionName, IterateNumbers, Sizes, Trajectory, Transcription
 from ....manifolds.numerics.ambient import joined, taken
 from ...problem.point_layout import PointLayout
 from ..engine.collocation import Collocation
@@ -55,7 +55,7 @@ def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
 
 
 def transcription_of(conditions: Conditions) -> Transcription:
-    """The transcription of a problem for the core; the last ones are kept."""
+    """The transcription of a problem for the core; the last transcriptions are kept."""
     count = conditions.data.steps.shape[1]
     known = _known.of.setdefault(conditions.transcription, {})
     if count not in known:
@@ -66,7 +66,7 @@ def transcription_of(conditions: Conditions) -> Transcription:
 
 
 def made(conditions: Conditions, instruction_set: int | None = None) -> Transcription:
-    """The transcription of a problem for the core; ``instruction_set``: the processor's best, or a lesser one."""
+    """The transcription of a problem for the core, by the processor's best instruction set or a lesser one."""
     steps, nodes, tableau = conditions.transcription, conditions.at_nodes, (np.ones((1, 1)), np.ones(1))
     if isinstance(steps, Collocation):
         tableau = steps.tableau.matrix, steps.tableau.weights
@@ -109,8 +109,10 @@ def flat_limits(steps: Any, array: np.ndarray) -> np.ndarray:
 
 
 def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np.ndarray:
-    """An array of inequalities of so many steps, shape ``(1, N, r, c)``, from the order of the core; ``unasked``: what
-    stands where there is none."""
+    """An array of inequalities of so many steps, shape ``(1, N, r, c)``, from the order of the core.
+
+    ``unasked``: the number where there is none.
+    """
     own, at_nodes = _limits(steps)
     if not at_nodes:
         return flat.reshape(1, count, steps.places, steps.inequalities).copy()
@@ -249,7 +251,7 @@ def perturbed(conditions: Conditions, guess: Iterate, firsts: list[IterateNumber
 
 
 def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
-    """The iterate of one member; ``like``: a batch of iterates."""
+    """The iterate of one member, in arrays of the shapes of a batch of iterates."""
 
     def array(name: str, own: np.ndarray) -> np.ndarray:
         return found.array(name).reshape(1, *own.shape[1:])

@@ -38,7 +38,7 @@ class Diagnostics(NamedTuple):
 
 
 class AtNodes(NamedTuple):
-    """What a batch has along its nodes, (B, N + 1, ...): costates projected to the tangent spaces there, and what they
+    """Values of a batch along its nodes, (B, N + 1, ...): costates projected to the tangent spaces there, and what they
     give."""
 
     costates: np.ndarray
@@ -50,7 +50,7 @@ class AtNodes(NamedTuple):
 
 @final
 class Diagnosis:
-    """What is computed from a trajectory of a problem, traced once."""
+    """Functions of a trajectory of a problem for its checks, traced once."""
 
     def __init__(self, problem: OptimalControlProblem, parameters: Any, evaluator: Evaluator) -> None:
         self.problem, self._evaluator = problem, evaluator
@@ -70,7 +70,7 @@ class Diagnosis:
         self._terms = evaluator.derivatives(self._terms_of, dimension, states, controls, states, given)
 
     def at_nodes(self, nodes: np.ndarray, costates: np.ndarray) -> AtNodes:
-        """What states and ambient covectors at the nodes give, (B, N + 1, E)."""
+        """Values of states and ambient covectors at the nodes, (B, N + 1, E)."""
         projected, violations, *frames = self._node.at(2, nodes, costates)
         count = len(self._names)
         momenta, rest = dict(zip(self._names, frames[:count], strict=True)), frames[count:]
@@ -211,7 +211,7 @@ def _brackets(manifold: Manifold, *at: Ambient) -> tuple[Array, ...]:
 
 
 def _samples(stages: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
-    """What arrays of the stages, (B, S, ...), have at the first, the last and those between that are looked at."""
+    """Entries of arrays of the stages, (B, S, ...), at the first stage, the last one and some between."""
     last = stages[0].shape[1] - 1
     places = [k * last // (SAMPLES - 1) for k in range(SAMPLES)]
     return tuple([part.take(places, axis=1) for part in stages])

@@ -82,7 +82,7 @@ class DiscreteExtremals(NamedTuple):
     notes: Sequence[str] | None = None  # to be said of each member beside its result
 
     def joined(self, other: "DiscreteExtremals", order: np.ndarray) -> "DiscreteExtremals":
-        """The members of both in an order: places in these, then in the other ones."""
+        """The members of both batches in an order: places in this batch, then in the other batch."""
         count, parts = len(self.cost), (self, other)
         arrays = [own[: self._fields.index("at_stages")] for own in parts]
 

@@ -6,7 +6,7 @@ import numpy as np
 
 
 class Data(NamedTuple):
-    """What a trajectory is computed for, with a leading axis for the members of a batch."""
+    """Data of a trajectory, with a leading axis for the members of a batch."""
 
     steps: np.ndarray  # lengths, shape (B, N)
     parameters: np.ndarray  # shape (B, P)
@@ -18,7 +18,7 @@ class Data(NamedTuple):
 
 
 class Known(NamedTuple):
-    """What a guess may know beside states, controls and costates: states at the nodes, covectors at the stages."""
+    """Arrays of a guess beside states, controls and costates: states at the nodes, covectors at the stages."""
 
     nodes: np.ndarray  # (B, N + 1, E)
     stage_costates: np.ndarray  # (B, N, s, E)
@@ -62,12 +62,12 @@ class Slacks(NamedTuple):
 
     @classmethod
     def none(cls, shape: tuple[int, ...]) -> "Slacks":
-        """Those of inequalities that do not pull."""
+        """Slacks of inequalities that do not pull."""
         zero = np.zeros(shape)
         return cls(np.ones(shape), zero, zero, np.full(shape, np.inf), np.zeros(shape[0]))
 
     def at(self, places: Any) -> "Slacks":
-        """Those at some places."""
+        """The slacks at some places."""
         return Slacks(*(a[places] for a in self[:4]), barrier=self.barrier)
 
     def scaled(self, factor: np.ndarray) -> "Slacks":

@@ -8,7 +8,7 @@ from ....former_names import former_field
 
 
 class Iteration(NamedTuple):
-    """What a callback sees after each evaluation, with one entry for each member that is still on its way.
+    """The facts that a callback sees after each evaluation, with one entry for each member that is still searched.
 
     Of a singular problem the ``stationarity`` is the norm of the conditions of shooting, and the ``shift`` the damping;
     its cost, which is not known on the way, is NaN.

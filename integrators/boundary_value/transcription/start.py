@@ -114,8 +114,7 @@ class Start:
         return evaluator.values(leave, size, size), evaluator.values(go, size, size, 1)
 
     def _even(self, points: np.ndarray) -> np.ndarray:
-        """Whether the largest step between points is no more than ``UNEVEN`` mean ones, in each array of a point; not
-        where a point is not finite."""
+        """Whether the largest step between finite points is at most ``UNEVEN`` times the mean step, in each array."""
         change, arrays = points[:, 1:] - points[:, :-1], self.layout.in_arrays.T
         lengths = np.sqrt((change * change) @ arrays)
         size = np.sqrt(((points * points) @ arrays).max(axis=1, initial=0.0))

@@ -1,4 +1,4 @@
-"""Seconds that compiling takes, apart from all others: of kernels once for a computer, of XLA for a problem.
+"""Seconds that compiling takes, apart from running: of kernels once for a computer, of XLA for a problem.
 
 Nothing in JAX says how long XLA takes in a way that can be taken back, so listeners are told here.
 """
@@ -42,7 +42,7 @@ _COMPILING: Any = "numba:compile"
 
 @final
 class Stopwatch:
-    """Seconds since it was made, apart from those in which Numba or XLA has compiled in the body of ``with``."""
+    """Seconds since a start, apart from the seconds in which Numba or XLA has compiled in the body of ``with``."""
 
     def __init__(self) -> None:
         self._began, self._told = time.perf_counter(), 0.0
@@ -63,7 +63,7 @@ class Stopwatch:
             self._event.unregister(_COMPILING, self._heard)
 
     def seconds(self) -> tuple[float, float]:
-        """Seconds that took to compile, of all threads together, and all others."""
+        """Seconds that took to compile, of all threads together, and the remaining seconds."""
         compiling = self._told + (self._heard.duration if self._heard and self._heard.done else 0.0)
         return compiling, max(0.0, time.perf_counter() - self._began - compiling)
 

@@ -192,7 +192,7 @@ def _given(lines: list[Line]) -> set[int]:
 
 
 def statement(line: Line, register: str = "r{}", *, single: bool = False) -> str:
-    """An instruction in C; ``register``: the name of a register, with braces for its number."""
+    """An instruction in C, with the name of a register that has braces for its number."""
     names = [register.format(r) for r in line.operands]
     if line.name == "OUTPUT":
         return f"out[{int(line.value)}] = {names[0]};"

@@ -12,8 +12,8 @@ import jax
 import numpy as np
 
 from ..aligned import scratch
-from ..compute.core import PARTS_ON_CORE
-from ..compute.tape_machine import MachineProgram
+from ..compute.binding.library import PARTS_ON_CORE
+from ..compute.binding.tape_machine import MachineProgram
 from ..compute.threads import in_threads, worth_threads
 from ..errors import InvalidInputError
 from ..optional import numba_is_there

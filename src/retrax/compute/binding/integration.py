@@ -6,9 +6,10 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ..aligned import scratch
-from ..errors import InvalidInputError
-from .core import (
+from ...aligned import scratch
+from ...errors import InvalidInputError
+from ..threads import in_threads
+from .library import (
     BYTES,
     FLOAT,
     PLACE,
@@ -20,7 +21,6 @@ from .core import (
     library,
 )
 from .tape_machine import MachineProgram
-from .threads import in_threads
 
 MOST_LANES = 64  # trajectories side by side, enough to hide the choice of an instruction
 VECTOR = 8  # the number of lanes is a multiple of this, or 1

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from ctypes import POINTER, byref, pointer
 from typing import Any, NamedTuple, final
 
-from ..aligned import aligned
-from ..errors import InvalidInputError
-from .core import (
+from ...aligned import aligned
+from ...errors import InvalidInputError
+from .library import (
     FunctionStruct,
     LayoutStruct,
     LinkStruct,

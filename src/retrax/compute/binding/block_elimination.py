@@ -5,9 +5,9 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ..aligned import scratch
-from ..errors import InvalidInputError
-from .core import BYTES, FLOAT, BlockSolutionStruct, BlockSystemStruct, address_of, best_instruction_set, library
+from ...aligned import scratch
+from ...errors import InvalidInputError
+from .library import BYTES, FLOAT, BlockSolutionStruct, BlockSystemStruct, address_of, best_instruction_set, library
 
 
 @final

@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-from .core import MissingCoreError
+from .library import MissingCoreError
 
 
 def core_sources() -> list[Path]:

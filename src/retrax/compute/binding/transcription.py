@@ -6,9 +6,9 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ..aligned import aligned
-from ..errors import InvalidInputError
-from .core import (
+from ...aligned import aligned
+from ...errors import InvalidInputError
+from .library import (
     ARRAYS,
     BYTES,
     FLOAT,

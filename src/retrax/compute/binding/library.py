@@ -21,7 +21,7 @@ from typing import Any, final
 
 import numpy as np
 
-from ..errors import InvalidInputError, RetraxError
+from ...errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 

@@ -12,8 +12,8 @@ from weakref import ref
 
 import numpy as np
 
-from ..errors import InvalidInputError
-from .core import BYTES, FLOAT, REPORT, IterationStruct, OptionsStruct, address_of, library
+from ...errors import InvalidInputError
+from .library import BYTES, FLOAT, REPORT, IterationStruct, OptionsStruct, address_of, library
 from .multiphase import Multiphase
 from .transcription import PLACES, Scale, Sizes, Trajectory, Transcription
 
@@ -176,7 +176,7 @@ class Search:
 
 
 def wave_amplitudes(sizes: Sizes) -> np.ndarray:
-    """The amplitudes by which degenerate guesses are perturbed, always the same ones, shape ``(3, s m)``."""
+    """The amplitudes by which every degenerate guess is perturbed, shape ``(3, s m)``."""
     return np.random.default_rng(0).standard_normal((WAVES, sizes.points * sizes.control_size))
 
 
