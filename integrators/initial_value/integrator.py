@@ -25,8 +25,8 @@ from ..problem.user_functions import real_number
 from ..problem_checks.control_probing import FAILURES
 from ..problem_checks.requirements import require_same_manifold, require_treated
 from ..problem_checks.smoothness.hamiltonian_derivatives import require_correct_hamiltonian_derivatives
-from ..stages import ControlStage, GaussStage, HamiltonianStage, Stage
-from ..stages.gauss import GaussUnknowns
+from ..stages import CollocationStage, ControlStage, HamiltonianStage, Stage
+from ..stages.collocation import CollocationUnknowns
 from ..stages.hamiltonian import Hamiltonian
 from .step import StepResult, lifted_step, restore
 
@@ -249,14 +249,14 @@ class SymplecticIntegrator(VariationalIntegrator):
     SO(n=3)
     """
 
-    def stage(self, system: Hamiltonian, h: ArrayLike) -> HamiltonianStage | GaussStage:
+    def stage(self, system: Hamiltonian, h: ArrayLike) -> HamiltonianStage | CollocationStage:
         if isinstance(self.method, CollocationMethod):
-            return GaussStage.of_hamiltonian(system, self.method, h)
+            return CollocationStage.of_hamiltonian(system, self.method, h)
         return HamiltonianStage(hamiltonian=system, discretization=self.method.discretization, step=h)
 
     def begin(self, system: Hamiltonian, q: Ambient, p: Ambient) -> Any:
         stage = self.stage(system, 0.0)
-        return stage.begin(q, p, resting_control(stage.controls)) if isinstance(stage, GaussStage) else (q, p, p)
+        return stage.begin(q, p, resting_control(stage.controls)) if isinstance(stage, CollocationStage) else (q, p, p)
 
     def control(self, unknowns: Any) -> None:
         return None
@@ -296,20 +296,20 @@ class PresymplecticIntegrator(VariationalIntegrator):
     SO(n=3)
     """
 
-    def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage | GaussStage:
+    def stage(self, system: OptimalControlProblem, h: ArrayLike) -> ControlStage | CollocationStage:
         if isinstance(self.method, CollocationMethod):
-            return GaussStage.of_problem(system, self.method, h)
+            return CollocationStage.of_problem(system, self.method, h)
         return ControlStage(problem=system, discretization=self.method.discretization, step=h)
 
     def begin(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> Any:
         u, stage = extremal_control(system, q, p), self.stage(system, 0.0)
-        return stage.begin(q, p, u) if isinstance(stage, GaussStage) else (q, u)
+        return stage.begin(q, p, u) if isinstance(stage, CollocationStage) else (q, u)
 
     def energy(self, system: OptimalControlProblem, q: Ambient, p: Ambient, control: Any) -> Array:
         return system.hamiltonian(q, p, control)
 
     def control(self, unknowns: Any) -> Ambient:
-        return unknowns.controls if isinstance(unknowns, GaussUnknowns) else unknowns[1]
+        return unknowns.controls if isinstance(unknowns, CollocationUnknowns) else unknowns[1]
 
     def check(self, system: OptimalControlProblem, q: Ambient, p: Ambient) -> None:
         if not isinstance(system, OptimalControlProblem):

@@ -1,8 +1,15 @@
 """Stages: one step of a discrete variational problem, with its unknowns, its ends and its cost."""
 
+from typing import Any
+
+from ...former_names import former
+from .collocation import CollocationStage
 from .control import ControlStage
-from .gauss import GaussStage
 from .hamiltonian import HamiltonianStage
 from .stage import Stage
 
-__all__ = ["ControlStage", "GaussStage", "HamiltonianStage", "Stage"]
+__all__ = ["CollocationStage", "ControlStage", "HamiltonianStage", "Stage"]
+
+
+def __getattr__(name: str) -> Any:
+    return former(__name__, {"GaussStage": "CollocationStage"}, name)

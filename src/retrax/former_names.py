@@ -38,6 +38,7 @@ MODULES = {
         "integrators.problem": "integrators.problem.optimal_control_problem",
         "integrators.quantities": "integrators.problem.quantities",
         "integrators.results": "integrators.reporting.results",
+        "integrators.stages.gauss": "integrators.stages.collocation",
         "integrators.singular.integrability.final": "integrators.singular.integrability.final_equations",
         "integrators.singular.integrability.hulls": "integrators.singular.integrability.affine_hulls",
         "integrators.singular.integrability.jets": "integrators.singular.integrability.derivative_array",

@@ -30,7 +30,7 @@ from retrax.integrators.boundary_value.reformulations.switching_arcs import Swit
 from retrax.integrators.boundary_value.transcription.iterate import Data
 from retrax.integrators.initial_value.step import StepEquations, StepResult, restore
 from retrax.integrators.problem_checks.control_probing import flat_directions
-from retrax.integrators.stages import ControlStage, GaussStage, HamiltonianStage
+from retrax.integrators.stages import CollocationStage, ControlStage, HamiltonianStage
 from retrax.manifolds import SO, Euclidean, Sphere
 from retrax.manifolds.numerics.tolerances import EPS, REGULAR
 from retrax.retractions import Addition, Gauss, Midpoint, Projection, Theta
@@ -111,7 +111,7 @@ TURNED = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square
 PREDICTED = {
     **{f"theta {theta}": lambda h, theta=theta: pendulum(theta, h) for theta in THETAS},
     **{f"control, theta {t}": lambda h, t=t: ControlStage(TURNED, Theta(Projection(SPHERE), t), h) for t in THETAS},
-    "Gauss": lambda h: GaussStage.of_problem(TURNED, Gauss(2, Projection(SPHERE)), h),
+    "Gauss": lambda h: CollocationStage.of_problem(TURNED, Gauss(2, Projection(SPHERE)), h),
 }
 
 

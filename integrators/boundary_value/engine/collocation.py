@@ -15,7 +15,7 @@ from ....retractions import CollocationMethod, default_retraction
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
 from ..transcription.chart import Chart
-from ..transcription.iterate import Data, GaussUnknowns, Known, Slacks
+from ..transcription.iterate import CollocationUnknowns, Data, Known, Slacks
 from .arrays import plain
 from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope, slopes
 from .extent import OF_POINTS
@@ -83,7 +83,7 @@ class Collocation:
 
     def begin(
         self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
-    ) -> GaussUnknowns:
+    ) -> CollocationUnknowns:
         """Unknowns from states and controls at the points, shape (B, N, s, ...), and costates at the nodes.
 
         The velocities are those of the polynomials through the points and the nodes that are ``known``, else of the
@@ -94,7 +94,7 @@ class Collocation:
             through = self._chart.polynomials(places, nodes[:, :-1], states, nodes[:, 1:])
             velocities = through.slopes(places) / data.steps[:, :, None, None]
             if np.all(np.isfinite(velocities)):  # else a step does not fit into a chart
-                return GaussUnknowns(through.centres, velocities, controls, known.stage_costates)
+                return CollocationUnknowns(through.centres, velocities, controls, known.stage_costates)
         half = self.stages // 2
         centres = states[:, :, half]
         if self.stages % 2 == 0:
@@ -102,7 +102,7 @@ class Collocation:
         (velocities,) = self._velocity.at(3, centres[:, :, None], states, controls, data.parameters[:, None, None])
         place = self.method.nodes[:, None]
         between = (1 - place) * costates[:, :-1, None] + place * costates[:, 1:, None]
-        return GaussUnknowns(centres, velocities, controls, between)
+        return CollocationUnknowns(centres, velocities, controls, between)
 
     def trial(self, nodes: Nodes, count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
@@ -115,12 +115,17 @@ class Collocation:
             known = self._trial = count, CollocationTrial.of(self, nodes, count)
         return known[1]
 
-    def ends(self, unknowns: GaussUnknowns, data: Data) -> Arrays:
+    def ends(self, unknowns: CollocationUnknowns, data: Data) -> Arrays:
         """Beginnings and ends of the steps, shape (B, N, E)."""
         return self._ends.at(2, unknowns.centres, self._eta(unknowns, data))
 
     def blocks(
-        self, unknowns: GaussUnknowns, nodes: np.ndarray, costates: np.ndarray, data: Data, slacks: Slacks | None = None
+        self,
+        unknowns: CollocationUnknowns,
+        nodes: np.ndarray,
+        costates: np.ndarray,
+        data: Data,
+        slacks: Slacks | None = None,
     ) -> Blocks:
         """The condensed blocks at an iterate with these states and covectors at the nodes, shape (B, N + 1, E)."""
         steps, shape = data.steps, data.steps.shape
@@ -177,7 +182,7 @@ class Collocation:
         columns = raised(*points, Held(*(a[within] for a in held)), slacks.at(within))
         return columns, raised(ends[0][:, :, None], ends[1][:, :, None], of_ends, slacks.at(last))[:, :, 0]
 
-    def _at_ends(self, unknowns: GaussUnknowns, around: Arrays, data: Data, slacks: Slacks | None) -> Arrays:
+    def _at_ends(self, unknowns: CollocationUnknowns, around: Arrays, data: Data, slacks: Slacks | None) -> Arrays:
         """What belongs to the ends with its derivatives, and the inequalities there."""
         given = unknowns.centres, self._eta(unknowns, data), *around
         if not self.at_nodes:
@@ -197,7 +202,7 @@ class Collocation:
         extent_kernels.survey_points(0, len(steps), *given, found)
         return found
 
-    def _at_points(self, unknowns: GaussUnknowns, data: Data, slacks: Slacks | None) -> Arrays:
+    def _at_points(self, unknowns: CollocationUnknowns, data: Data, slacks: Slacks | None) -> Arrays:
         """The functions of the points with their derivatives."""
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
         weights = (data.steps[:, :, None] * self.tableau.weights)[..., None]
@@ -206,7 +211,7 @@ class Collocation:
         pull = none if slacks is None else slacks.multipliers[:, :, : self.stages, : self.own]
         return self._point.at(3, *at, data.parameters[:, None, None], pull)
 
-    def move(self, unknowns: GaussUnknowns, blocks: Blocks, step: Moves, data: Data) -> GaussUnknowns:
+    def move(self, unknowns: CollocationUnknowns, blocks: Blocks, step: Moves, data: Data) -> CollocationUnknowns:
         """The unknowns moved by fractions of the steps of the condensed system."""
         steps, part, inner, whole = step.steps, step.fraction, blocks.inner, step.inner
         some = part[:, None, None]
@@ -215,7 +220,7 @@ class Collocation:
         turned = some[..., None] * steps[..., self.directions :].reshape(*unknowns.controls.shape[:3], -1)
         (controls,) = self._control.at(3, unknowns.controls, turned)
         costates = np.einsum("bkine,bkin->bkie", inner.frames, inner.multipliers + some[..., None] * whole[1])
-        return GaussUnknowns(centres, velocities, controls, costates)
+        return CollocationUnknowns(centres, velocities, controls, costates)
 
     def whole(self, blocks: Blocks, step: Moves, data: Data, slacks: Slacks | None) -> tuple[np.ndarray, np.ndarray]:
         """Steps of the velocities and multipliers of the points, shape (B, N, s, n), from those of the condensed
@@ -231,7 +236,7 @@ class Collocation:
         found = expand(condensed, step.steps[..., None], step.multipliers[..., None])
         return found.dnu[..., 0], found.dlambda[..., 0]
 
-    def scaled(self, unknowns: GaussUnknowns, factor: np.ndarray) -> GaussUnknowns:
+    def scaled(self, unknowns: CollocationUnknowns, factor: np.ndarray) -> CollocationUnknowns:
         """The unknowns with all costates among them times factors, shape (B,)."""
         return unknowns._replace(costates=factor[:, None, None, None] * unknowns.costates)
 
@@ -279,7 +284,9 @@ class Collocation:
         found[..., :z] += np.concatenate([full[:, :, :n], full[:, :, n + s * n :]], axis=2).mT
         return found
 
-    def at_stages(self, unknowns: GaussUnknowns, costates: np.ndarray, data: Data, slacks: Slacks | None) -> AtStages:
+    def at_stages(
+        self, unknowns: CollocationUnknowns, costates: np.ndarray, data: Data, slacks: Slacks | None
+    ) -> AtStages:
         """States, controls and costates at the points, (B, N s, ...)."""
         del costates, slacks
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
@@ -289,7 +296,7 @@ class Collocation:
         )
         return states, controls, covectors
 
-    def _eta(self, unknowns: GaussUnknowns, data: Data) -> np.ndarray:
+    def _eta(self, unknowns: CollocationUnknowns, data: Data) -> np.ndarray:
         return np.einsum("bk,j,bkja->bka", data.steps, self.tableau.weights, unknowns.velocities)
 
     def _moved(self, x: Array, dx: Array) -> tuple[Ambient, Any]:

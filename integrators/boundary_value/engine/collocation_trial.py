@@ -7,7 +7,7 @@ from typing import Any, final
 import numpy as np
 
 from ....compute.base import ProgramPlacement
-from ..transcription.iterate import GaussUnknowns, Iterate
+from ..transcription.iterate import CollocationUnknowns, Iterate
 from .arrays import whole
 from .collocation import Collocation, Inner
 from .condensing import Ends, Points
@@ -111,7 +111,7 @@ class CollocationTrial(Trial):
             v["frames_at"][...], v["multipliers_at"][...] = inner.frames, inner.multipliers
             v["dnu"][...], v["dlambda"][...] = step.inner
 
-    def found(self, v: Any, held: Held | None) -> tuple[GaussUnknowns, Blocks]:
+    def found(self, v: Any, held: Held | None) -> tuple[CollocationUnknowns, Blocks]:
         at = v["hessian_at"], v["constraints"], v["hessian_of"], v["left_of"], v["right_of"]
         columns, pushed = (v["slope_at"][..., None], v["defect"][..., None], v["pull"][..., None]), None
         if held is not None:
@@ -125,7 +125,7 @@ class CollocationTrial(Trial):
         blocks = Blocks(
             v["hessian"], v["left"], v["right"], v["slopes"], v["gradient"], v["costs"], inner, held, pushed
         )
-        return GaussUnknowns(v["x"], v["velocities"], v["u"], v["covectors_at"]), blocks
+        return CollocationUnknowns(v["x"], v["velocities"], v["u"], v["covectors_at"]), blocks
 
     def inner(self, v: Any) -> Any:
         return v["dnu"], v["dlambda"]

@@ -18,7 +18,7 @@ from ...problem.point_layout import PointLayout
 from ..engine.collocation import Collocation
 from ..engine.conditions import Conditions
 from .discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
-from .iterate import GaussUnknowns, Iterate, Slacks, Unknowns
+from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
 from .iteration import Iteration, stops
 
 LARGEST = 8  # place of the largest residual
@@ -131,7 +131,7 @@ def put(to: Trajectory, conditions: Conditions, iterate: Iterate, k: int) -> Non
         "CENTRES": iterate.unknowns.centres[k], "CONTROLS": iterate.unknowns.controls[k],
         "COSTATES": iterate.costates[k],
     }  # fmt: skip
-    if isinstance(iterate.unknowns, GaussUnknowns):
+    if isinstance(iterate.unknowns, CollocationUnknowns):
         given |= {"VELOCITIES": iterate.unknowns.velocities[k], "POINT_COSTATES": iterate.unknowns.costates[k]}
     if conditions.transcription.inequalities:
         weights = conditions.transcription.weights(data)
@@ -257,9 +257,9 @@ def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
         return found.array(name).reshape(1, *own.shape[1:])
 
     own, count = like.unknowns, len(like.costates[0]) - 1
-    if isinstance(own, GaussUnknowns):
+    if isinstance(own, CollocationUnknowns):
         names = "CENTRES", "VELOCITIES", "CONTROLS", "POINT_COSTATES"
-        unknowns: Any = GaussUnknowns(*map(array, names, own))
+        unknowns: Any = CollocationUnknowns(*map(array, names, own))
     else:
         unknowns = Unknowns(array("CENTRES", own.centres), array("CONTROLS", own.controls))
     return Iterate(unknowns, array("COSTATES", like.costates), _slacks(found, steps, count))

@@ -32,7 +32,7 @@ class Unknowns(NamedTuple):
     controls: np.ndarray
 
 
-class GaussUnknowns(NamedTuple):
+class CollocationUnknowns(NamedTuple):
     """Centres (B, N, E); at the points of steps velocities in frames at the centres (B, N, s, n), controls,
     costates."""
 

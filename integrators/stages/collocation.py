@@ -1,4 +1,4 @@
-"""The stage of a Gauss method: Hamilton's equations, or Pontryagin's, at several points of a step."""
+"""The stage of a collocation method: Hamilton's equations, or Pontryagin's, at several points of a step."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple, Self, final
@@ -18,7 +18,7 @@ from .hamiltonian import Hamiltonian
 from .stage import Stage, first_sizes, phase_sizes
 
 
-class GaussUnknowns(NamedTuple):
+class CollocationUnknowns(NamedTuple):
     """Centre of a step; for each of its points, along a leading axis, displacement, covector (both at the centre),
     control.
 
@@ -32,8 +32,8 @@ class GaussUnknowns(NamedTuple):
 
 
 @final
-class GaussStage(Stage):
-    r"""The stage of a ``Gauss`` method, with unknowns ``y = (x, w_1..w_s, pi_1..pi_s, u_1..u_s)``.
+class CollocationStage(Stage):
+    r"""The stage of a collocation method, with unknowns ``y = (x, w_1..w_s, pi_1..pi_s, u_1..u_s)``.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class GaussStage(Stage):
         ``H(q, p, u)``; all unknowns have the shape of a point, or of a control.
     controls : Manifold
         The controls, ``Euclidean(0)`` for a Hamiltonian system.
-    method : Gauss
+    method : CollocationMethod
         The collocation.
     step : float
         The step ``h``.
@@ -63,7 +63,7 @@ class GaussStage(Stage):
     --------
     >>> method = SymplecticIntegrator(Gauss(2, Addition(Euclidean(1))))
     >>> type(method.stage(lambda q, p: p @ p / 2, 0.1)).__name__
-    'GaussStage'
+    'CollocationStage'
     """
 
     hamiltonian: Callable[[Any, Any, Any], Array]
@@ -118,7 +118,7 @@ class GaussStage(Stage):
         s, n, m = self._sizes
         return n + s * (2 * n + m)
 
-    def begin(self, q: Ambient, p: Ambient, u: Ambient) -> GaussUnknowns:
+    def begin(self, q: Ambient, p: Ambient, u: Ambient) -> CollocationUnknowns:
         """The unknowns of a step that stands still.
 
         Parameters
@@ -126,12 +126,12 @@ class GaussStage(Stage):
         q, p, u : point, covector, control
             The state and the control.
         """
-        return GaussUnknowns(q, *map(self._at_points, (vec.zeros(q), p, u)))
+        return CollocationUnknowns(q, *map(self._at_points, (vec.zeros(q), p, u)))
 
-    def frame(self, y: GaussUnknowns) -> tuple[Frame, Any]:
+    def frame(self, y: CollocationUnknowns) -> tuple[Frame, Any]:
         return self.manifold.basis(y.centre), jax.vmap(default_retraction(self.controls).frame)(y.controls)
 
-    def move(self, y: GaussUnknowns, frame: tuple[Frame, Any], d: Array) -> GaussUnknowns:
+    def move(self, y: CollocationUnknowns, frame: tuple[Frame, Any], d: Array) -> CollocationUnknowns:
         s, n, m = self._sizes
         (basis, charts), turn = frame, default_retraction(self.controls)
         dx, dw, dpi, du = jnp.split(d, np.cumsum([n, s * n, s * n]))
@@ -142,9 +142,9 @@ class GaussStage(Stage):
             return jax.vmap(lambda v: self.manifold.projection(x, v))(changed)
 
         u = jax.vmap(turn.chart)(y.controls, charts, du.reshape(s, m))
-        return GaussUnknowns(x, moved(y.displacements, dw), moved(y.covectors, dpi), u)
+        return CollocationUnknowns(x, moved(y.displacements, dw), moved(y.covectors, dpi), u)
 
-    def sizes(self, y: GaussUnknowns, p: Ambient) -> Array:
+    def sizes(self, y: CollocationUnknowns, p: Ambient) -> Array:
         s, _, _ = self._sizes
         ahead, last, control = (vec.entries(part, -1) for part in y[1:])
 
@@ -155,15 +155,15 @@ class GaussStage(Stage):
         turns = jax.vmap(lambda u: first_sizes(vec.coordinate_sizes(self.controls.basis(u), u)))(y.controls)
         return jnp.concatenate([jnp.tile(position, 1 + s), jnp.tile(covector, s), turns.ravel(), covector])
 
-    def base(self, y: GaussUnknowns) -> Ambient:
+    def base(self, y: CollocationUnknowns) -> Ambient:
         return y.centre
 
-    def ends(self, y: GaussUnknowns) -> tuple[Ambient, Ambient]:
+    def ends(self, y: CollocationUnknowns) -> tuple[Ambient, Ambient]:
         return self.method.retraction.both_ways(
             y.centre, vec.combine(y.displacements, jnp.asarray(self.method.weights) / 2)
         )
 
-    def cost(self, y: GaussUnknowns) -> Array:
+    def cost(self, y: CollocationUnknowns) -> Array:
         def rate(xi: Ambient, w: Ambient, pi: Ambient, u: Ambient) -> Array:
             q, v = jax.jvp(lambda a: self.method.retraction(y.centre, a), (xi,), (w,))
             return vec.pairing(pi, v) - self._h * self.hamiltonian(q, self.manifold.projection(q, pi), u)
@@ -171,13 +171,13 @@ class GaussStage(Stage):
         rates = jax.vmap(rate)(self._to_points(y.displacements), y.displacements, y.covectors, y.controls)
         return rates @ self.method.weights
 
-    def predict(self, q0: Ambient, p0: Ambient, previous: GaussUnknowns) -> GaussUnknowns:
+    def predict(self, q0: Ambient, p0: Ambient, previous: CollocationUnknowns) -> CollocationUnknowns:
         u = vec.entries(previous.controls, -1)
         velocity = self.manifold.projection(q0, vec.gradient(lambda p: self.hamiltonian(q0, p, u), p0))
         ahead = vec.scale(self._h, velocity)
         x = self.method.retraction(q0, vec.scale(self.method.theta, ahead))
         fibre = self.manifold.projection
-        return GaussUnknowns(x, *map(self._at_points, (fibre(x, ahead), fibre(x, p0), u)))
+        return CollocationUnknowns(x, *map(self._at_points, (fibre(x, ahead), fibre(x, p0), u)))
 
     def small_step_inverse(self) -> np.ndarray | None:
         s, n, m = self._sizes
