@@ -243,5 +243,6 @@ def fail_in_accuracy(solution: Solution, accuracy: float, worst: int, why: str) 
     return fail(
         solution,
         f"The equations are solved, but not to the accuracy of {accuracy:.1e} that was asked for: the error is "
-        f"{checks.error:.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}; try a larger accuracy, or, where a control chatters, a small cost of it.",
+        f"{checks.error:.1e}, most of it in the step from {begin:.6g} to {end:.6g}, because {why}; try a larger "
+        "accuracy, or, where a control chatters, a small cost of it.",
     )
