@@ -51,6 +51,24 @@ def test_the_steps_that_are_too_long_are_those_in_the_layers():
     assert np.max(bad[10:20]) < 1e-9 * np.max(bad)
 
 
+@pytest.mark.parametrize("weight", [0.0, 1e-40, 1e-24, 1e-12, 1.0])
+def test_a_control_of_no_effect_has_no_error(weight):
+    """An oscillator that nothing, or next to nothing, asks to stop: the control tends to zero with the weight."""
+    size, free = np.sqrt(weight), np.array([np.cos(4.0), -2 * np.sin(4.0)])  # where it ends without control
+    problem = OptimalControlProblem(
+        PLANE,
+        lambda q, u: jnp.stack([q[1], u[0] - 4 * q[0]]),
+        energy,
+        1,
+        terminal_cost=lambda q: (size * q) @ (size * q) / 2,
+    )
+    found = solve(problem, np.array([1.0, 0.0]), None, 2.0)
+    assert found.status == "minimum"
+    assert found.states[-1] == pytest.approx(free, abs=1e-7 + weight)
+    if weight < 1e-6:
+        assert found.cost == pytest.approx(weight * free @ free / 2, rel=1e-6, abs=1e-30)
+
+
 @pytest.mark.parametrize("steps", [5, pytest.param(np.geomspace(1, 1e3, 12), marks=pytest.mark.slow)])
 def test_an_accuracy_is_reached_or_what_is_reached_is_said(steps):
     """From what a coarse mesh has to what no mesh has; the closed form neglects ``exp(-40)``."""

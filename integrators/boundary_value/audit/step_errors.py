@@ -153,7 +153,7 @@ class StepErrorEstimator:
         size = np.where(most > 0, np.sqrt(np.sum(share * np.mean(rows**2, axis=1), axis=0)), 1.0)
         # The part of the cost that is curved in an entry; what changes along a step counts where none is.
         part = np.where(curvature > 0, curvature * size**2 / 2 * (times[-1] - times[0]) / abs(solution.cost), 0.0)
-        weights = share * np.clip(part, share, 1.0)
+        weights = share * np.clip(part, share, 1.0) * self._moving(solution, rows, most)
         linked = np.ones(count - 1, bool)
         linked[[] if switches is None else np.asarray(switches) - 1] = False
         k = np.flatnonzero(linked)
@@ -169,6 +169,31 @@ class StepErrorEstimator:
         for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
             found[own] = np.maximum(found[own], np.max(weights[own] * (jumps / size) ** 2, axis=1, initial=0.0))
         return found
+
+    def _moving(self, solution: Solution, rows: np.ndarray, most: np.ndarray) -> np.ndarray:
+        """1 for entries of the controls that move the states by more than rounding along the trajectory, else 0.
+
+        An entry of zero at the optimum is rounding in the solution, of which no mesh leaves less.
+        """
+        states = self.propagator.state.rows(solution.stage_states, 1)
+        given = self.propagator.parameter.rows(solution.parameters, 0)
+        slopes = self._slopes.at(1, states, rows.reshape(len(states), -1), solution.stage_times[:, None], given[None])[
+            0
+        ]
+        sizes, span = self._sizes(solution)[1], solution.times[-1] - solution.times[0]
+        moved = np.max(np.abs(slopes), axis=0) * most * span
+        return np.where(np.any(~(moved <= RESOLUTION * sizes[:, None]), axis=0), 1.0, 0.0)
+
+    @cached_property
+    def _slopes(self) -> PointwiseFunction:
+        sizes = self.propagator.state.size, self.propagator.control.size, 1, self.parameter.size
+        return AutomaticEvaluator().values(self._slopes_of, *sizes)
+
+    def _slopes_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array]:
+        """The derivatives of the velocity by the entries of the control, shape ``(E, U)``."""
+        bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
+        state, control = self.propagator.state, self.propagator.control
+        return (jax.jacfwd(lambda u: state.flat(bound.velocity(state.point(q), control.point(u))))(u),)
 
     def _inequalities(
         self, solution: Solution, parameters: Any
