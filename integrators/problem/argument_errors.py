@@ -53,6 +53,7 @@ ASKED_FOR = {
     HORIZON: ("free", "horizon", "final_time", "end_time", "duration", "tf", "t_f"),
     TIME: ("time", "clock", "t0", "t"),
 }
+SYMBOLS = {"T": "horizon", "N": "steps"}  # as texts write them
 CLOSE = 0.75  # of a name to another one that is a slip of the pen
 SHORT = 3  # letters that a name cut short has at least
 TIMES = frozenset({"t", "time", "tau"})
@@ -74,6 +75,8 @@ def asks_for_end_condition(name: str) -> bool:
 
 def intended_name(unknown: str, names: list[str]) -> str:
     """The name that an unknown one is a slip of the pen for, or cut short of; empty if there is none."""
+    if SYMBOLS.get(unknown) in names:
+        return SYMBOLS[unknown]
     near = get_close_matches(unknown, names, 1, CLOSE)
     if asks_for_end_condition(unknown.lower()):  # a terminal constraint is no terminal cost
         near = [name for name in near if asks_for_end_condition(name)]

@@ -23,7 +23,7 @@ from .integrators import (
 )
 from .loading import load
 from .manifolds import SE, SO, SPD, SU, Euclidean, Grassmann, LevelSet, Sphere, Stiefel, hat
-from .retractions import Cayley, Exponential, Gauss, Midpoint
+from .retractions import Cayley, Exponential, Gauss, Midpoint, Radau, default_retraction
 
 if TYPE_CHECKING:
     from . import plotting, problems
@@ -44,11 +44,13 @@ __all__ = [
     "Midpoint",
     "OptimalControlProblem",
     "Phase",
+    "Radau",
     "Solver",
     "Sphere",
     "Stiefel",
     "__version__",
     "classify",
+    "default_retraction",
     "hat",
     "integrate",
     "integrators",
