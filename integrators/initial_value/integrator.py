@@ -23,7 +23,7 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.pontryagin import extremal_control
 from ..problem.user_functions import real_number
 from ..problem_checks.control_probing import FAILURES
-from ..problem_checks.requirements import require_same_manifold, require_treated
+from ..problem_checks.requirements import require_retraction, require_same_manifold, require_treated
 from ..problem_checks.smoothness.hamiltonian_derivatives import require_correct_hamiltonian_derivatives
 from ..stages import CollocationStage, ControlStage, HamiltonianStage, Stage
 from ..stages.collocation import CollocationUnknowns
@@ -267,6 +267,7 @@ class SymplecticIntegrator(VariationalIntegrator):
     def check(self, system: Hamiltonian, q: Ambient, p: Ambient) -> None:
         if not callable(system):
             raise InvalidInputError(f"SymplecticIntegrator integrates a Hamiltonian H(q, p), got {system!r}")
+        require_retraction(self.retraction, q)
         check_hamiltonian(system, q, p)
         require_correct_hamiltonian_derivatives(system, self.retraction, q, p)
 
@@ -316,6 +317,7 @@ class PresymplecticIntegrator(VariationalIntegrator):
             raise InvalidInputError(f"PresymplecticIntegrator integrates an OptimalControlProblem, got {system!r}")
         require_treated(system, "PresymplecticIntegrator", "an initial cost")
         require_same_manifold(system, self.discretization)
+        require_retraction(self.retraction, q)
         u = extremal_control(system, q, p)
         system.check(q, u)
         singular = pivotal_values(np.asarray(_control_curvature(system, q, p, u)))

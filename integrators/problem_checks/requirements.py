@@ -1,9 +1,22 @@
-"""Requirements on a problem: terms that an algorithm treats, and the manifold of a method."""
+"""Requirements on a problem and a method: terms that are treated, one manifold, and a map that is a retraction."""
+
+import dataclasses
+from collections.abc import Iterator
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 
 from ...manifolds import InvalidInputError
 from ...manifolds.manifold import same_manifold
-from ...retractions import CollocationMethod, DiscretizationMap
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...retractions import CollocationMethod, DiscretizationMap, Retraction
 from ..problem.optimal_control_problem import OptimalControlProblem
+from ..reporting.text import brief
+
+RETRACTED = 1e-4  # relative: less is rounding of a retraction by iterations or in single precision
 
 
 def require_treated(problem: OptimalControlProblem, what: str, *treated: str) -> None:
@@ -31,3 +44,35 @@ def require_same_manifold(problem: OptimalControlProblem, method: Discretization
     if not same_manifold(method.manifold, problem.manifold):
         came, expected = method.manifold, problem.manifold
         raise InvalidInputError(f"the method acts on {came}, the problem on {expected}; use one manifold")
+
+
+def require_retraction(retraction: Retraction, x: Ambient) -> None:
+    """Raise unless ``R(x, 0) = x`` and ``D_v R(x, 0) = Id`` at a point, where a class of a user is in the retraction.
+
+    With another derivative a method solves another problem, and nothing in its equations shows that.
+    """
+    if all(type(part).__module__.startswith("retrax.") for part in _parts(retraction)):
+        return
+    frame = retraction.manifold.basis(x)
+    zero = jnp.zeros(retraction.manifold.dimension)
+    y, push = jax.linearize(lambda c: retraction(x, vec.combine(frame, c)), zero)
+    derivative = np.asarray(jax.vmap(lambda a: vec.components(frame, push(a)))(jnp.eye(zero.size)))
+    apart = float(vec.size(vec.subtract(y, x)) / (1 + vec.size(x)))
+    wrong = float(np.max(np.abs(derivative - np.eye(zero.size)), initial=0.0))
+    if not (apart <= RETRACTED and wrong <= RETRACTED):
+        what = f"R(x, 0) is {apart:.3g} away from x" if not apart <= RETRACTED else f"D_v R(x, 0) - Id is {wrong:.3g}"
+        raise InvalidInputError(
+            f"{brief(retraction)} is no retraction: at x = {brief(x)} {what}, expected 0; try "
+            "retrax.testing.check_retraction(R), which says what is wrong"
+        )
+
+
+def _parts(retraction: Any) -> Iterator[Retraction]:
+    """The retraction, and the retractions that it is made of."""
+    if isinstance(retraction, Retraction):
+        yield retraction
+        for field in dataclasses.fields(retraction):  # pyright: ignore[reportArgumentType]  # a module is a dataclass
+            yield from _parts(getattr(retraction, field.name, None))
+    elif isinstance(retraction, tuple | list):
+        for part in retraction:
+            yield from _parts(part)

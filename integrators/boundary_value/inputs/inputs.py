@@ -26,6 +26,7 @@ from ...problem.argument_errors import HORIZON
 from ...problem.free_quantities import guess_of, guesses_of, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
+from ...problem_checks.requirements import require_retraction
 from ...reporting.results import callers
 from ...singular import Classification, SingularIntegrator
 from ..guess import Guess
@@ -59,6 +60,7 @@ class InputReader:
         self.guesses = GuessReader(problem, len(mesh.fractions), len(mesh.stages))
         self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
         self._parameters: dict[Any, PointLayout] = {}
+        self._retracts = False  # whether the retraction was looked at
 
     @cached_property
     def _restored(self) -> PointwiseFunction:
@@ -99,6 +101,12 @@ class InputReader:
         """Flat points on the manifold next to these; where it has none, these."""
         moved = self._restored.at(1, points)[0]
         return np.where(np.all(np.isfinite(moved), axis=1, keepdims=True), moved, points)
+
+    def require_retraction(self, point: np.ndarray) -> None:
+        """Raise unless the retraction of the method is one at a flat point; looked at once."""
+        if not self._retracts:
+            require_retraction(self.method.retraction, self.ends.layout.points(point))
+            self._retracts = True
 
     def _violations_of(self, q: Array) -> tuple[Array]:
         return (jnp.stack([jnp.zeros(()), *self.problem.manifold.violations(self.ends.layout.point(q)).values()]),)
@@ -219,6 +227,7 @@ class Inputs:
         if np.any(near & (beside > default_tolerance())):
             _warn_of_rounding(reader.problem.manifold, np.max(beside[near]))
         off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
+        reader.require_retraction(reader.restored(start[:1])[0] if off[0] else start[0])
         if not off.any():
             return self
         for _ in range(RESTORING):  # no trajectory ends beside its manifold

@@ -105,6 +105,8 @@ def _brackets(split: ControlAffineSplitting, z: Pair, u: Array) -> tuple[Array, 
         z, w = node[0], node[1][regular_places(len(node[1]), split.singular)]
         constraints = split.primary, lambda q, p: split.secondary(q, p, w)
         first, second = (vec.size(jax.jacrev(lambda z, f=f: f(*z))(z)) for f in constraints)
+        motion = ambient_field(lambda q, p: split.regular_problem().hamiltonian(q, p, w), z)
+        second = jnp.maximum(second, first * vec.size(motion))  # of a gauge control psi vanishes, and its terms do not
         phi, psi = split.fields(z, w)
         return brackets(phi, phi).values, brackets(phi, psi).values, first * first, first * second
 
