@@ -120,10 +120,11 @@ def taken(tree: Any, index: Any) -> Any:
     if kind is np.ndarray:
         return tree[index]
     if kind is dict:
-        return {name: part[index] if type(part) is np.ndarray else taken(part, index) for name, part in tree.items()}
-    if isinstance(tree, tuple) and (kind is tuple or hasattr(kind, "_make")):
-        parts = [part[index] if type(part) is np.ndarray else taken(part, index) for part in tree]
-        return tuple(parts) if kind is tuple else kind._make(parts)
+        return {name: taken(part, index) for name, part in tree.items()}
+    if kind is tuple:
+        return tuple([taken(part, index) for part in tree])
+    if isinstance(tree, tuple) and hasattr(kind, "_make"):
+        return kind._make([taken(part, index) for part in tree])
     return jax.tree.map(lambda leaf: np.asarray(leaf)[index], tree)
 
 

@@ -21,7 +21,7 @@ with warnings.catch_warnings(record=True) as caught:
     problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3)
     quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     discretization = Midpoint(Exponential(SO(3)))
-    costs = [solve(problem, discretization, np.eye(3), quarter, 1.0, 3).cost for _ in range(2)]
+    costs = [solve(problem, np.eye(3), quarter, 1.0, method=discretization, steps=3).cost for _ in range(2)]
 
     lift = CotangentLift(Midpoint(Projection(Sphere(2))))
     start = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.3])

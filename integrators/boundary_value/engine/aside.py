@@ -73,7 +73,7 @@ def aside(
 
 def violates(slacks: Slacks | None, held: np.ndarray) -> np.ndarray:
     """Which guesses violate inequalities, by their first slacks, shape (B,)."""
-    return np.zeros(len(held), bool) if slacks is None else slacks.elastic.any(axis=(1, 2, 3))
+    return np.zeros(len(held), bool) if slacks is None else np.any(slacks.elastic, axis=(1, 2, 3))
 
 
 def _at_random(conditions: Conditions, assembled: Assembled) -> tuple[Step, np.ndarray]:

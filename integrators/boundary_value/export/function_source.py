@@ -1,6 +1,7 @@
 """The functions of a problem as C source."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -9,7 +10,7 @@ from ....compute.binding.transcription import FunctionName
 from ....tape.c_source import c_function, c_head
 from ....tape.program import Program
 
-Programs = Mapping[FunctionName, MachineProgram]
+Programs = Mapping[FunctionName, Any]  # tapes: a problem with callbacks is not exported
 
 
 def functions_text(programs: Programs) -> str:
