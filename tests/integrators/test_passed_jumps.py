@@ -19,7 +19,7 @@ from retrax.integrators import (
     load_trajectory,
     solve,
 )
-from retrax.integrators.problem_checks.smoothness.along_trajectory import PassedJump
+from retrax.integrators.problem_checks.smoothness.hamiltonian_jumps import PassedJump
 from retrax.integrators.problem_checks.smoothness.step_primitives import with_margins
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Exponential, Gauss, Midpoint, Projection

@@ -16,6 +16,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.precision import working_precision
 from ....manifolds.numerics.tolerances import FINEST, rounding_of, tolerance
 from ..control_probing import PARTS, SMOOTH_COSTS
+from .jumps import JUMP_DECREASE, SMALLEST_JUMP
 
 if TYPE_CHECKING:
     from ...boundary_value.solution.record import Solution
@@ -29,8 +30,6 @@ LAST_INTERVALS = 4  # last intervals, over a factor of 16^3, that tell a kink
 SLOWEST_DECREASE = 0.75
 ACCOUNTED = 1.2  # times the interval and the larger second derivative at its ends: no smooth function changes by more
 STEEPER = 8.0  # how much that grows over the last intervals where it is not bounded
-SMALLEST_JUMP = 1e-6  # of the largest slope: a smaller change may be rounding of a user's function in single precision
-JUMP_DECREASE = 0.9  # of a change from interval to interval, where it is no jump
 GROWS = 2.0  # how much a change grows towards a kink, and not towards a pole
 
 
@@ -49,12 +48,7 @@ class Zoom(NamedTuple):
 
 
 def zoom_in(
-    problem: "OptimalControlProblem",
-    q: Ambient,
-    p: Ambient,
-    u: Ambient,
-    ways: Float[Array, "k d m"],
-    reach: Array,
+    problem: "OptimalControlProblem", q: Ambient, p: Ambient, u: Ambient, ways: Float[Array, "k d m"], reach: Array
 ) -> tuple[Zoom, Ambient]:
     """From each of several states, costates and controls along each way, for both parts of ``H``; and the controls
     found."""
@@ -63,10 +57,10 @@ def zoom_in(
         def value(s: Array) -> Array:
             return jnp.stack(problem._parts(q, p, problem._steer(u, s * way)))[part]
 
-        def derivatives(s: Array) -> tuple[Array, Array]:
-            return jax.jvp(lambda s: jax.jvp(value, (s,), (jnp.ones_like(s),))[1], (s,), (jnp.ones_like(s),))
+        def slope(s: Array) -> Array:
+            return jax.jvp(value, (s,), (jnp.ones_like(s),))[1]
 
-        zoom = close_in(derivatives, -0.93 * reach, 1.01 * reach)
+        zoom = _close_in(slope, -0.93 * reach, 1.01 * reach)
         return zoom, problem._steer(u, zoom.places[-1] * way)
 
     by_part = jax.vmap(one, (None, None, None, None, 0))
@@ -74,18 +68,18 @@ def zoom_in(
     return jax.vmap(by_way, (0, 0, 0, 0, None))(q, p, u, ways, jnp.arange(len(PARTS)))
 
 
-def close_in(derivatives: Callable[[Array], tuple[Array, Array]], low: Array, high: Array) -> Zoom:
-    """Intervals that close in, between ``low`` and ``high``, on where a function changes by the most that its
-    derivative misses.
+def _close_in(slope: Callable[[Array], Array], low: Array, high: Array) -> Zoom:
+    """Intervals that close in, between ``low`` and ``high``, on where a slope changes by the most that its derivative
+    misses.
 
-    ``derivatives``: the function and its derivative. At a kink between two points no derivative is asked for.
+    At a kink between two points no derivative is asked for.
     """
     reach = jnp.maximum(jnp.abs(low), jnp.abs(high))
 
     def closer(ends: tuple[Array, Array], _: None) -> tuple[tuple[Array, Array], tuple[Array, ...]]:
         low, high = ends
         s = low + (high - low) * jnp.arange(PIECES + 1) / PIECES
-        slopes, curvatures = jax.vmap(derivatives)(s)
+        slopes, curvatures = jax.vmap(lambda s: jax.jvp(slope, (s,), (jnp.ones_like(s),)))(s)
         changes, curvatures = jnp.diff(slopes), jnp.where(jnp.isfinite(curvatures), curvatures, 0.0)
         missing = changes - jnp.diff(s) * _mean_curvature(curvatures[:-1], curvatures[1:])
         i = jnp.argmax(jnp.where(jnp.isfinite(missing), jnp.abs(missing), -1.0))
@@ -117,19 +111,6 @@ def is_kink(widths: np.ndarray, changes: np.ndarray, curvatures: np.ndarray, siz
     rounding = rounding_of(changes) * size
     lasts = change[-1] >= change[0] * (w[-1] / w[0]) ** SLOWEST_DECREASE and change[-1] <= GROWS * change[0]
     return bool((jumps or steepens) and lasts and change[0] > SMALLEST_JUMP * size and np.all(change > rounding))
-
-
-def is_jump(widths: np.ndarray, changes: np.ndarray, size: float) -> bool:
-    """Whether a value changes at the point that intervals close in on by as much as over the first of the last of
-    them."""
-    distinct = np.flatnonzero(np.diff(widths, prepend=np.inf) < -widths / 2)[-LAST_INTERVALS:]
-    change = np.abs(changes[distinct])
-    if len(distinct) < LAST_INTERVALS or not np.all(np.isfinite(change)):
-        return False
-    rounding = rounding_of(changes) * size
-    # Half of it is in the last interval where a point of that is on the jump, as zero is on that of the sign.
-    lasts = change[-2] >= JUMP_DECREASE * change[0] and change[-1] >= JUMP_DECREASE * change[0] / 2
-    return bool(lasts and change[-1] > max(SMALLEST_JUMP * size, rounding))
 
 
 def find_kinks(problem: "OptimalControlProblem", solution: "Solution") -> str:
