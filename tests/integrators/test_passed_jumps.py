@@ -104,8 +104,11 @@ def beyond(x: Array) -> Array:
 beyond.defjvp(lambda primals, tangents: (beyond(*primals), jnp.zeros_like(*primals)))
 
 
-def test_a_jump_is_seen_where_no_margin_of_it_is_known():
-    assert with_margins(beyond, jnp.asarray(0.4))[1].values.size == 0
+def test_a_jump_is_seen_that_a_loop_of_unknown_length_decides():
+    """Its margin changes the sign where the number of rounds changes."""
+    margins = [with_margins(beyond, jnp.asarray(x))[1].values for x in (-0.1, 0.1, 0.9, 1.1, 1.9, 2.1)]
+    assert np.sign(margins).ravel().tolist() == [1, -1, -1, 1, 1, -1]
+    np.testing.assert_allclose(np.abs(margins), 0.1, atol=1e-15)
     for height in (0.0, 0.5):
         energy = lambda q, p, h=height: p @ p / 2 - jnp.cos(q[0]) + h * beyond(q[0] / 0.3 - 1)  # noqa: E731
         path = integrate(energy, METHOD, START, 0.05, 20, throw=False)

@@ -98,16 +98,10 @@ class Energy(NamedTuple):
         """Names of the steps that the Hamiltonian computes, asked once in a reading."""
         z, u = jax.tree.map(np.zeros_like, vec.taken((segments.first, segments.control), 0))
         method = getattr(self.function, "__func__", self.function)
+        search = lambda: find_step_primitives(lambda q, p: self.function(self.system, q, p, u), *z)  # noqa: E731
         with one_tracing() as reading:  # which keeps what has the number that is asked for
-            found = reading.once(
-                ("steps of", id(method), id(self.system)),
-                lambda: (
-                    find_step_primitives(lambda q, p: self.function(self.system, q, p, u), *z),
-                    method,
-                    self.system,
-                ),
-            )
-        return found[0]
+            key = "steps of", id(method), id(self.system)
+            return reading.once(key, lambda: (search(), method, self.system))[0]
 
     def _felt(self, segments: Segments, jumps: list[Jump]) -> list[Jump]:
         """The jumps that are no rounding of the terms of the Hamiltonian, and of which the trajectory feels."""
