@@ -1,9 +1,11 @@
 """Jumps of the functions of a problem along its solutions, of which no costate tells.
 
-Four kinds of lines are searched (``problem_checks.smoothness.jumps``): the polynomials of the steps, in pieces; straight
-lines through points of these at which a margin is nearly zero, along its gradient; such lines through the free ends, for
-the costs and conditions there; and the lines in the controls of the check before a solve, from some stages, because later
-solves have other parameters.
+Four kinds of lines are searched (``problem_checks.smoothness.jumps``):
+
+- the polynomials of the steps, in pieces, which a trajectory passes,
+- lines through their points at which a margin is nearly zero, along its gradient: the trajectory touches or lies on it,
+- such lines through free ends, for the costs and conditions there,
+- lines in the controls from some stages, as in the check before a solve, because later solves have other parameters.
 """
 
 from typing import Any, final
@@ -13,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.tolerances import EPS, HALF, tolerance
@@ -36,7 +39,7 @@ PIECES_OF_STAGES = 4  # for each stage: in which a margin changes its sign once,
 STEP_EDGE = 1e-3  # of the first and the last step: an end on a jump is none that is passed
 OVERLAP = 1e-5  # of a step: how far its polynomial is followed beyond its nodes, so that a jump at a node is passed
 TRAJECTORY_ENDS = 0.1  # of a trajectory, at its beginning and its end, where it may come to an end that is on a jump
-CONTROL_STAGES = 8  # from whose controls a jump in the controls is searched for
+CONTROL_STAGES = 64  # from whose controls a jump in the controls is searched for
 NEAR_MARGIN = EPS**HALF  # of the largest of what a step compares: nearer margins are at the jump
 BESIDE = "beside the trajectory, at"
 REACH_RATIO = 4.0  # times what counts as near: how far a line is that has both sides of a jump
@@ -52,6 +55,7 @@ class SmoothnessAlongSolution:
     def __init__(self, problem: OptimalControlProblem, parameters: Any, timed: bool) -> None:
         self.problem, self.timed = problem, timed
         self.state = PointLayout.of(problem.manifold)
+        self._coordinates = problem.manifold.dimension + problem.controls.dimension + 1
         bound = problem.with_parameters(parameters)
         q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (bound.manifold, bound.controls))
         given = (q, 0.0) if timed else (q,)
@@ -119,11 +123,11 @@ class SmoothnessAlongSolution:
 
         ``sizes`` of the steps and of the entries; ``free``: which coordinates move.
         """
-        count, n, m = len(step), self.problem.manifold.dimension, self.problem.controls.dimension
+        count, n = len(step), self.problem.manifold.dimension
         if not count:
             return None
-        each = vec.taken(points, np.repeat(np.arange(count), n))
-        axes = Curves.straight(*each, np.tile(np.eye(n), (count, 1)), np.zeros((count * n, m)))
+        moves = np.eye(n, self._coordinates)  # of the state alone
+        axes = Curves.straight(vec.taken(points, np.repeat(np.arange(count), n)), np.tile(moves, (count, 1)))
         search = self._search(function, solution, given, axes)
         slopes = search.at(given, axes, np.zeros((count * n, 1))).slopes.reshape(count, n, -1)
         slope = slopes[np.arange(count), :, step] * free
@@ -131,7 +135,7 @@ class SmoothnessAlongSolution:
             length = REACH_RATIO * NEAR_MARGIN * np.where(sizes[0] > 0, sizes[0], 1.0)[step][:, None]
             ways = slope / np.sum(slope**2, axis=1, keepdims=True) * length
         known = np.all(np.isfinite(ways), axis=1)
-        lines = vec.taken(Curves.straight(*points, ways, np.zeros((count, m))), known)
+        lines = vec.taken(Curves.straight(points, ways @ moves), known)
         ends = np.tile([-1.0, 1.0], (len(lines.times), 1))
         own = np.equal(step[known, None], np.arange(slopes.shape[2]))
         found = search.crossings(given, lines, ends, search.at(given, lines, ends), own) if len(ends) else None
@@ -140,9 +144,11 @@ class SmoothnessAlongSolution:
     def _in_controls(self, solution: Solution) -> str:
         """Words on a jump in the controls, searched from the controls of some stages."""
         stages = np.unique(np.linspace(0, len(solution.stage_times) - 1, CONTROL_STAGES).round().astype(int))
-        lines = control_lines(
-            self.problem, *vec.taken((solution.stage_states, solution.controls, solution.stage_times), stages)
-        )
+        points = vec.taken((solution.stage_states, solution.controls, solution.stage_times), stages)
+        size = 1.0
+        if isinstance(self.problem.controls, Euclidean):
+            size = float(np.max(np.abs(points[1]), initial=0.0)) or 1.0
+        lines = control_lines(self.problem, *points, size)
         given, bound = (solution.parameters, None), self.problem.with_parameters(solution.parameters)
         search = self._search(rates, solution, given, lines[0])
         return control_jump_words(bound, search, lines, self.of_controls, given, timed=True)
@@ -154,8 +160,7 @@ class SmoothnessAlongSolution:
                 continue
             function, given = (_at_start, _at_end)[end], (solution.parameters, vec.taken(solution.states, end - 1))
             points = vec.taken((solution.states, solution.controls, solution.times), [-end])
-            moves = (np.zeros((1, m.dimension)) for m in (self.problem.manifold, self.problem.controls))
-            rest = Curves.straight(*points, *moves)
+            rest = Curves.straight(points, np.zeros((1, self._coordinates)))
             seen = self._search(function, solution, given, rest).at(given, rest, np.zeros((1, 1)))
             size = seen.sizes[0, 0]
             near = np.flatnonzero(np.abs(seen.margins[0, 0]) <= NEAR_MARGIN * size)
@@ -183,19 +188,21 @@ class SmoothnessAlongSolution:
         interpolant: Any = solution.interpolant
         steps, count = solution.steps, len(solution.stage_times) // solution.steps
         through, centres, coordinates = interpolant.polynomials(solution)
-        ways = np.einsum("jk,ikn->ijn", np.linalg.inv(np.vander(through, increasing=True)), coordinates)
-        of_steps = self.state.points(centres), solution.times[:-1], ways, np.diff(solution.times)
-        states, times, ways, spans = vec.taken(of_steps, np.repeat(np.arange(steps), PIECES_OF_STAGES * count))
-        controls = vec.taken(solution.controls, np.repeat(np.arange(steps * count), PIECES_OF_STAGES))
+        ways = np.zeros((steps, len(through), self._coordinates))
+        powers = np.linalg.inv(np.vander(through, increasing=True))
+        ways[:, :, : coordinates.shape[2]] = np.einsum("jk,ikn->ijn", powers, coordinates)
+        ways[:, 1, -1] = np.diff(solution.times)
         places = np.tile(np.linspace(-OVERLAP, 1 + OVERLAP, PIECES_OF_STAGES * count + 1), (steps, 1))
         places[0, 0], places[-1, -1] = STEP_EDGE, 1 - STEP_EDGE
         ends = np.stack([places[:, :-1], places[:, 1:]], axis=2).reshape(-1, 2)
+        of_steps = self.state.points(centres), solution.times[:-1], ways
+        states, times, ways = vec.taken(of_steps, np.repeat(np.arange(steps), PIECES_OF_STAGES * count))
+        controls = vec.taken(solution.controls, np.repeat(np.arange(steps * count), PIECES_OF_STAGES))
         if not self.timed:  # no jump in time is passed
-            times, spans = times + ends[:, 0] * spans, 0 * spans
-        curves = Curves(states, controls, times, ways, np.zeros((len(ends), self.problem.controls.dimension)), spans)
+            times, ways[:, 1, -1] = times + ends[:, 0] * ways[:, 1, -1], 0.0
         rows = (leaf.reshape(len(ends), -1) for leaf in jax.tree.leaves((states, controls, ways)))
         known = np.all([np.all(np.isfinite(row), axis=1) for row in rows], axis=0)
-        return vec.taken(curves, known), ends[known]
+        return vec.taken(Curves(states, controls, times, ways), known), ends[known]
 
     def _sizes(self, values: np.ndarray) -> np.ndarray:
         """The size of each entry of the functions along the trajectory, at least the rounding in its array."""

@@ -1,8 +1,8 @@
 """Derivatives that do not tell how a function changes, as where ``jax.lax.stop_gradient`` hides a state or a control.
 
-Only functions with a derivative rule of their own are looked at. ``DifferenceQuotients`` moves one of two arguments along
-random lines near a point, over spans of all powers of ten, and compares the derivative with the quotients over the
-shortest spans that are clear of rounding.
+Only functions with a derivative rule of their own are looked at. ``DifferenceQuotients`` moves one of two arguments
+along random lines near a point, over spans of many powers of ten, and compares the derivative with the quotients over
+the shortest spans that are clear of rounding.
 """
 
 from collections.abc import Callable
@@ -67,7 +67,7 @@ class DifferenceQuotients:
         self._given, self._point = parameter_layout(given), parameter_layout(point)
 
     def missed(self, given: Any, points: Any) -> np.ndarray:
-        """The share of the change of each entry that its derivative misses, by the first argument and by the second one.
+        """The share of the change of each entry that its derivative misses, by the first argument and by the second.
 
         The shape is ``(2, K, E)`` at K points: the median of several lines near each of them.
         """

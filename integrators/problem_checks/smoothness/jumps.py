@@ -1,15 +1,15 @@
 """The search for jumps of a function along lines.
 
-A traced function jumps only where one of its steps changes: a comparison, a sign, a rounding (``step_primitives``). Each
-step has a margin, a number that changes its sign there. ``JumpSearch`` takes the lines from its caller: along a
-trajectory, in the controls, or through a point at which a margin is nearly zero. On every line it
+A traced function jumps only where one of its steps changes, such as a comparison, a sign or a rounding
+(``step_primitives``). Each step has a margin, a number that changes its sign there. The caller of ``JumpSearch``
+chooses the lines: along a trajectory, in the controls, or through a point at which a margin is nearly zero. On every
+line the search
 
 1. evaluates the function and the margins at both ends,
 2. closes in on the place where a margin changes its sign, or comes nearest to zero between two ends of one sign,
 3. compares the function on both sides of this place, at distances that fall by a factor of four each.
 
-The function jumps if the differences at the smallest distances do not fall with the distance. The differences at a kink
-or on a steep slope do.
+The function jumps if its differences over the smallest distances do not fall. At a kink and on a steep slope they do.
 """
 
 from collections.abc import Callable

@@ -24,7 +24,6 @@ from ..control_probing import PARTS, SMOOTH_COSTS
 from .jumps import JUMP_DECREASE, PIECES, SMALLEST_JUMP
 
 if TYPE_CHECKING:
-    from ...boundary_value.solution.record import Solution
     from ...problem.optimal_control_problem import OptimalControlProblem
 
 KINK_STAGES = 5  # of a trajectory from whose controls is looked
@@ -51,8 +50,8 @@ class Zoom(NamedTuple):
     size: np.ndarray
 
 
-def find_kinks(problem: "OptimalControlProblem", solution: "Solution") -> str:
-    """Words on the largest kink of a function along the controls of a trajectory; empty if none is found.
+def find_kinks(problem: "OptimalControlProblem", solution: Any) -> str:
+    """Words on the largest kink of a function along the controls of a record; empty if none is found.
 
     From a few stages along every coordinate of U, and in Euclidean space along the control itself, towards zero.
     """
@@ -74,7 +73,9 @@ def find_kinks(problem: "OptimalControlProblem", solution: "Solution") -> str:
         change = zoom.changes[-1, k]
         if is_kink(zoom.widths[:, k], zoom.changes[:, k], zoom.curvatures[:, k], size) and abs(change) / size > worst:
             u, way = vec.taken((lines[2], lines[3]), k)
-            place = jax.tree.map(lambda a: without_rounding(np.asarray(a), reach), problem._steer(u, zoom.places[k] * way))
+            place = jax.tree.map(
+                lambda a: without_rounding(np.asarray(a), reach), problem._steer(u, zoom.places[k] * way)
+            )
             worst = abs(change) / size
             words = _words(part[k], zoom.changes[:, k], place, float(solution.stage_times[stages[stage[k]]]))
     return words

@@ -20,7 +20,7 @@ from .step_primitives import find_step_primitives
 if TYPE_CHECKING:
     from ...problem.optimal_control_problem import OptimalControlProblem
 
-CONTROL_SIZES = 10.0 ** np.arange(-4, 7)  # distances from a control between which a jump is searched for
+CONTROL_SIZES = 10.0 ** np.arange(-4, 7)  # distances from a control, times its size, between which a jump is looked for
 SMOOTH_STEPS = (
     "try jnp.tanh(u / a) with a small a in place of a step, or, for controls from a finite set, a problem for each of "
     "them"
@@ -29,21 +29,21 @@ BOUND_ROUNDING = 1e-9  # of a bound: a control beyond it by more is not admitted
 
 
 class Curves(NamedTuple):
-    """K curves of states, controls and times, from points in the directions of their charts."""
+    """K curves of states, controls and times from points.
+
+    ``ways``, shape ``(K, d, n + m + 1)``: coordinates of the state and of the control in their charts, and the time, of
+    each power of the place from 0 on.
+    """
 
     states: Ambient  # (K, ...)
     controls: Ambient
     times: np.ndarray  # (K,)
-    ways: np.ndarray  # (K, d, n): coordinates of the state, of each power of the place from 0 on
-    turns: np.ndarray  # (K, m): coordinates of the control, times the place
-    spans: np.ndarray  # (K,): of time, times the place
+    ways: np.ndarray
 
     @classmethod
-    def straight(
-        cls, states: Ambient, controls: Ambient, times: np.ndarray, directions: np.ndarray, turns: np.ndarray
-    ) -> "Curves":
+    def straight(cls, points: tuple[Ambient, Ambient, np.ndarray], directions: np.ndarray) -> "Curves":
         """Straight lines through points, each in one direction."""
-        return cls(states, controls, times, np.stack([0 * directions, directions], axis=1), turns, 0 * times)
+        return cls(*points, np.stack([0 * directions, directions], axis=1))
 
 
 def search_on_curves(
@@ -59,11 +59,10 @@ def search_on_curves(
     """
 
     def point(curve: Curves, s: Array) -> tuple[Ambient, Ambient, Array]:
-        q = curve.states
+        q, way = curve.states, jnp.stack([s**k for k in range(len(curve.ways))]) @ curve.ways
         if retraction is not None:
-            powers = jnp.stack([s**k for k in range(curve.ways.shape[0])])
-            q = retraction(q, vec.combine(retraction.manifold.basis(q), powers @ curve.ways))
-        return q, problem._steer(curve.controls, s * curve.turns), curve.times + s * curve.spans
+            q = retraction(q, vec.combine(retraction.manifold.basis(q), way[: problem.manifold.dimension]))
+        return q, problem._steer(curve.controls, way[problem.manifold.dimension : -1]), curve.times + way[-1]
 
     def values(given: Any, q: Ambient, u: Ambient, t: Array) -> Array:
         return function(problem.with_parameters(given[0]).at_time(t), q, u, given[1])
@@ -91,16 +90,15 @@ def control_steps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> l
 
 
 def control_lines(
-    problem: "OptimalControlProblem", states: Ambient, controls: Ambient, times: np.ndarray
+    problem: "OptimalControlProblem", states: Ambient, controls: Ambient, times: np.ndarray, size: float = 1.0
 ) -> tuple[Curves, np.ndarray]:
-    """Lines from each of some controls along every coordinate to both sides, in pieces, and the ends of these."""
+    """Lines from each of some controls of a size along every coordinate to both sides, in pieces with these ends."""
     n, m = problem.manifold.dimension, problem.controls.dimension
-    grid = np.concatenate([-CONTROL_SIZES[::-1], [0.0], CONTROL_SIZES])
+    grid = size * np.concatenate([-CONTROL_SIZES[::-1], [0.0], CONTROL_SIZES])
     k, entry, piece = (
         part.ravel() for part in np.meshgrid(range(len(times)), range(m), range(len(grid) - 1), indexing="ij")
     )
-    points = vec.taken((states, controls, times), k)
-    curves = Curves.straight(*points, np.zeros((len(k), n)), np.eye(m)[entry])
+    curves = Curves.straight(vec.taken((states, controls, times), k), np.eye(n + m + 1)[n + entry])
     return curves, np.stack([grid[piece], grid[piece + 1]], axis=1)
 
 
