@@ -62,6 +62,26 @@ def test_a_kink_is_no_jump_and_a_jump_beside_the_trajectory_is_none():
     assert integrate(step(1.0), METHOD, back, 0.05, 10).result == Result.successful
 
 
+class Window(eqx.Module):
+    """A pendulum's energy with another value in a window of the angle."""
+
+    place: Array
+    width: Array
+
+    def __call__(self, q: Array, p: Array) -> Array:
+        return p @ p / 2 - jnp.cos(q[0]) + jnp.where(jnp.abs(q[0] - self.place) < self.width, 0.1, 0.0)
+
+
+@pytest.mark.parametrize("width", [0.0, 1e-9, 1e-4, 1e-2])
+def test_a_window_between_two_nodes_is_passed(width):
+    """The place moves through the angles, of which the pendulum reaches the first ones alone, and beyond its ends."""
+    smooth = integrate(step(0.0), METHOD, START, 0.05, 20)
+    last = float(smooth.q[-1, 0])
+    for place in (-0.3, 0.021, 0.1, 0.2501, 0.4, last - 0.02, last + 0.02, 0.9):
+        found = integrate(Window(jnp.asarray(place), jnp.asarray(width)), METHOD, START, 0.05, 20, throw=False)
+        assert (found.result == Result.jump) == (width > 0 and 0 < place < last), place
+
+
 @pytest.mark.slow
 def test_jumps_on_the_sphere_are_seen():
     def energy(q: Array, p: Array, height: float) -> Array:

@@ -47,7 +47,7 @@ REACH_RATIO = 4.0  # times what counts as near: how far a line is that has both 
 
 @final
 class SmoothnessAlongSolution:
-    """Looks for jumps of the functions of a problem along its solutions.
+    """Searches for jumps of the functions of a problem along its solutions.
 
     ``timed``: whether jumps in an explicit time count, as they do where the horizon is free and shifts them.
     """
@@ -93,12 +93,12 @@ class SmoothnessAlongSolution:
         (curves, ends), given = self._pieces(solution), (solution.parameters, None)
         if not len(ends):
             return ""
-        search = self._search(rates, solution, given, curves)
+        names, search = rate_names(self.problem.with_parameters(given[0])), self._search(rates, solution, given, curves)
         seen = search.at(given, curves, ends)
         sizes, found = self._sizes(seen.values), search.crossings(given, curves, ends, seen)
         passed = largest_jump(search.jumps(found, sizes))
         if passed:
-            return self._words(passed, self._name(passed, solution), self.of_states, "where the trajectory passes")
+            return self._words(passed, names[passed.entry], self.of_states, "where the trajectory passes")
         size = np.max(np.where(np.isfinite(seen.sizes), seen.sizes, 0.0), axis=(0, 1), initial=0.0)
         points = search.points(seen.points[:, 0])
         after = (points[2] - solution.times[0]) / np.ptp(solution.times)
@@ -110,11 +110,7 @@ class SmoothnessAlongSolution:
             step = np.concatenate([step, found.step[touches]])
             near = vec.joined([near, search.points(found.points[touches])])
         beside = self._through(rates, solution, given, near, step, (size, sizes))
-        return self._words(beside, self._name(beside, solution), self.of_states, BESIDE) if beside else ""
-
-    def _name(self, jump: Jump, solution: Solution) -> str:
-        """The name of the function that jumps."""
-        return rate_names(self.problem.with_parameters(solution.parameters))[jump.entry]
+        return self._words(beside, names[beside.entry], self.of_states, BESIDE) if beside else ""
 
     def _through(
         self, function: Any, solution: Solution, given: Any, points: Any, step: np.ndarray, sizes: Any, free: Any = 1.0

@@ -66,7 +66,7 @@ class PassedJump(NamedTuple):
 class Energy(NamedTuple):
     """A Hamiltonian ``H(system, q, p, control)`` with a retraction in whose charts segments are."""
 
-    function: Callable[..., Array | None]
+    function: Callable[..., Any]
     system: Any
     retraction: Retraction
 

@@ -140,8 +140,10 @@ class JumpSearch:
 
     def jumps(self, found: Crossings | None, sizes: np.ndarray | None = None) -> list[Jump]:
         """The jumps at places; ``sizes`` of the entries, unless the values there tell them."""
+        if found is None:
+            return []
         jumps = list[Jump]()
-        for k in np.flatnonzero(found.compared) if found is not None else ():
+        for k in np.flatnonzero(found.compared):
             last = np.flatnonzero(found.opposite[k])[-LAST_DISTANCES:]
             changes = np.abs(found.changes[k, last])
             own = np.abs(found.values[k]) if sizes is None else sizes

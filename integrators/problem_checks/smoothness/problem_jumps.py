@@ -58,7 +58,7 @@ def search_on_curves(
     Without a retraction the states stay where they are.
     """
 
-    def point(curve: Curves, s: Array) -> tuple[Ambient, Ambient, Array]:
+    def point(curve: Curves, s: Array) -> tuple[Ambient, Ambient, Any]:
         q, way = curve.states, jnp.stack([s**k for k in range(len(curve.ways))]) @ curve.ways
         if retraction is not None:
             q = retraction(q, vec.combine(retraction.manifold.basis(q), way[: problem.manifold.dimension]))
@@ -77,7 +77,7 @@ def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -
     """
     steps = control_steps(problem, q, u)
     if steps:
-        curves, ends = control_lines(problem, *jax.tree.map(lambda a: np.asarray(a)[None], (q, u)), np.zeros(1))
+        curves, ends = control_lines(problem, vec.taken(q, None), vec.taken(u, None), np.zeros(1))
         search = search_on_curves(rates, problem, None, (None, None), vec.taken(curves, 0))
         words = control_jump_words(problem, search, (curves, ends), steps)
         if words:
