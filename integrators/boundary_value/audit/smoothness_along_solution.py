@@ -81,8 +81,8 @@ class SmoothnessAlongSolution:
 
     def _search(self, function: Any, solution: Solution, given: Any, curves: Curves) -> JumpSearch:
         """The search on such curves, the same object for solutions with one retraction."""
-        retraction: Retraction = solution.interpolant.retraction
-        key = function, curves.ways.shape[1]
+        interpolant: Any = solution.interpolant
+        key, retraction = (function, curves.ways.shape[1]), interpolant.retraction
         if key not in self._searches or self._searches[key][0] is not retraction:
             search = search_on_curves(function, self.problem, retraction, given, vec.taken(curves, 0))
             self._searches[key] = retraction, search
@@ -144,7 +144,7 @@ class SmoothnessAlongSolution:
         size = 1.0
         if isinstance(self.problem.controls, Euclidean):
             size = float(np.max(np.abs(points[1]), initial=0.0)) or 1.0
-        lines = control_lines(self.problem, *points, size)
+        lines = control_lines(self.problem, points, size)
         given, bound = (solution.parameters, None), self.problem.with_parameters(solution.parameters)
         search = self._search(rates, solution, given, lines[0])
         return control_jump_words(bound, search, lines, self.of_controls, given, timed=True)

@@ -77,7 +77,7 @@ def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -
     """
     steps = control_steps(problem, q, u)
     if steps:
-        curves, ends = control_lines(problem, vec.taken(q, None), vec.taken(u, None), np.zeros(1))
+        curves, ends = control_lines(problem, (*vec.taken((q, u), None), np.zeros(1)))
         search = search_on_curves(rates, problem, None, (None, None), vec.taken(curves, 0))
         words = control_jump_words(problem, search, (curves, ends), steps)
         if words:
@@ -90,15 +90,13 @@ def control_steps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> l
 
 
 def control_lines(
-    problem: "OptimalControlProblem", states: Ambient, controls: Ambient, times: np.ndarray, size: float = 1.0
+    problem: "OptimalControlProblem", points: tuple[Ambient, Ambient, np.ndarray], size: float = 1.0
 ) -> tuple[Curves, np.ndarray]:
     """Lines from each of some controls of a size along every coordinate to both sides, in pieces with these ends."""
     n, m = problem.manifold.dimension, problem.controls.dimension
     grid = size * np.concatenate([-CONTROL_SIZES[::-1], [0.0], CONTROL_SIZES])
-    k, entry, piece = (
-        part.ravel() for part in np.meshgrid(range(len(times)), range(m), range(len(grid) - 1), indexing="ij")
-    )
-    curves = Curves.straight(vec.taken((states, controls, times), k), np.eye(n + m + 1)[n + entry])
+    k, entry, piece = (part.ravel() for part in np.indices((len(points[2]), m, len(grid) - 1)))
+    curves = Curves.straight(vec.taken(points, k), np.eye(n + m + 1)[n + entry])
     return curves, np.stack([grid[piece], grid[piece + 1]], axis=1)
 
 
