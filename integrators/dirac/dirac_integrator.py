@@ -21,7 +21,7 @@ from ..initial_value import LiftedIntegrator
 from ..initial_value.integrator import check_hamiltonian
 from ..initial_value.step import StepEquations, StepResult
 from ..problem.user_functions import real_number
-from ..problem_checks.smoothness.hamiltonian_derivatives import require_correct_hamiltonian_derivatives
+from ..problem_checks.smoothness.derivative_check import require_correct_hamiltonian_derivatives
 from ..problem_checks.smoothness.step_primitives import program_of
 from ..stages import HamiltonianStage
 from .dirac_system import DiracSystem, Multipliers

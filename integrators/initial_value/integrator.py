@@ -24,7 +24,7 @@ from ..problem.pontryagin import extremal_control
 from ..problem.user_functions import real_number
 from ..problem_checks.control_probing import FAILURES
 from ..problem_checks.requirements import require_retraction, require_same_manifold, require_treated
-from ..problem_checks.smoothness.hamiltonian_derivatives import require_correct_hamiltonian_derivatives
+from ..problem_checks.smoothness.derivative_check import require_correct_hamiltonian_derivatives
 from ..stages import CollocationStage, ControlStage, HamiltonianStage, Stage
 from ..stages.collocation import CollocationUnknowns
 from ..stages.hamiltonian import Hamiltonian

@@ -18,7 +18,7 @@ from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, i
 from ...manifolds.numerics.precision import working_precision
 from ...tracing import reads_once
 from ..problem.user_functions import is_transformed, require_concrete
-from ..problem_checks.smoothness.along_trajectory import Energy, PassedJump, Segments
+from ..problem_checks.smoothness.hamiltonian_jumps import Energy, PassedJump, Segments
 from ..reporting.records import Along, RecordFile, not_finite, shapes
 from ..reporting.results import Result, warn_about_precision
 from ..reporting.text import brief

@@ -32,7 +32,7 @@ from .control_probing import (
     undefined_words,
 )
 from .smoothness.derivative_check import require_correct_derivatives
-from .smoothness.in_controls import require_no_jumps
+from .smoothness.problem_jumps import require_no_jumps
 
 if TYPE_CHECKING:
     from ..problem.optimal_control_problem import OptimalControlProblem

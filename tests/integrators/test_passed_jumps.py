@@ -19,7 +19,7 @@ from retrax.integrators import (
     load_trajectory,
     solve,
 )
-from retrax.integrators.problem_checks.smoothness.along_trajectory import PassedJump
+from retrax.integrators.problem_checks.smoothness.hamiltonian_jumps import PassedJump
 from retrax.integrators.problem_checks.smoothness.step_primitives import with_margins
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Exponential, Gauss, Midpoint, Projection
@@ -60,6 +60,26 @@ def test_a_kink_is_no_jump_and_a_jump_beside_the_trajectory_is_none():
     assert integrate(step(1.0), METHOD, START, 0.05, 10).result == Result.successful
     back = START[0], -START[1]
     assert integrate(step(1.0), METHOD, back, 0.05, 10).result == Result.successful
+
+
+class Window(eqx.Module):
+    """A pendulum's energy with another value in a window of the angle."""
+
+    place: Array
+    width: Array
+
+    def __call__(self, q: Array, p: Array) -> Array:
+        return p @ p / 2 - jnp.cos(q[0]) + jnp.where(jnp.abs(q[0] - self.place) < self.width, 0.1, 0.0)
+
+
+@pytest.mark.parametrize("width", [0.0, 1e-9, 1e-4, 1e-2])
+def test_a_window_between_two_nodes_is_passed(width):
+    """The place moves through the angles, of which the pendulum reaches the first ones alone, and beyond its ends."""
+    smooth = integrate(step(0.0), METHOD, START, 0.05, 20)
+    last = float(smooth.q[-1, 0])
+    for place in (-0.3, 0.021, 0.1, 0.2501, 0.4, last - 0.02, last + 0.02, 0.9):
+        found = integrate(Window(jnp.asarray(place), jnp.asarray(width)), METHOD, START, 0.05, 20, throw=False)
+        assert (found.result == Result.jump) == (width > 0 and 0 < place < last), place
 
 
 @pytest.mark.slow
@@ -104,8 +124,11 @@ def beyond(x: Array) -> Array:
 beyond.defjvp(lambda primals, tangents: (beyond(*primals), jnp.zeros_like(*primals)))
 
 
-def test_a_jump_is_seen_where_no_margin_of_it_is_known():
-    assert with_margins(beyond, jnp.asarray(0.4))[1].values.size == 0
+def test_a_jump_is_seen_that_a_loop_of_unknown_length_decides():
+    """Its margin changes the sign where the number of rounds changes."""
+    margins = [with_margins(beyond, jnp.asarray(x))[1].values for x in (-0.1, 0.1, 0.9, 1.1, 1.9, 2.1)]
+    assert np.sign(margins).ravel().tolist() == [1, -1, -1, 1, 1, -1]
+    np.testing.assert_allclose(np.abs(margins), 0.1, atol=1e-15)
     for height in (0.0, 0.5):
         energy = lambda q, p, h=height: p @ p / 2 - jnp.cos(q[0]) + h * beyond(q[0] / 0.3 - 1)  # noqa: E731
         path = integrate(energy, METHOD, START, 0.05, 20, throw=False)

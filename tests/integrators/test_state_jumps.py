@@ -16,6 +16,8 @@ from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere
 from retrax.retractions import Addition, Cayley, Exponential, Gauss, Projection
 
+from .test_passed_jumps import beyond
+
 PLANE = Euclidean(2)
 METHOD, AT, END = Gauss(2, Addition(PLANE)), np.array([0.3, 0.2]), np.array([1.0, 0.0])
 PLACE = 0.313  # of the jump
@@ -105,6 +107,14 @@ def test_a_jump_is_seen_where_xla_computes_too(double):
     assert by_xla.evaluator.startswith("xla")
     assert [solution.success for solution in found] == [True, True, False, False, False]
     assert all("jumps by" in solution.result for solution in found[2:])
+
+
+def test_a_jump_with_the_number_of_rounds_of_a_loop_is_seen():
+    counted = solver_of(lambda q, u, height: u @ u / 2 + height * beyond(q[0] / PLACE - 1))
+    for height in (0.0, 1e-9, 0.5):
+        found = counted.solve(0 * END, END, 1.0, parameters=height, throw=False)
+        assert found.success == (height < 1e-6), found.result
+        assert found.success or "running_cost jumps by 0.5 where the trajectory passes" in found.result
 
 
 SINGLE = {

@@ -1,5 +1,12 @@
-"""Jumps along a trajectory: whether it passes one, lies on one, or has controls beside one, of which no costate
-tells."""
+"""Jumps of the functions of a problem along its solutions, of which no costate tells.
+
+Four kinds of lines are searched (``problem_checks.smoothness.jumps``):
+
+- the polynomials of the steps, in pieces, which a trajectory passes,
+- lines through their points at which a margin is nearly zero, along its gradient: the trajectory touches or lies on it,
+- such lines through free ends, for the costs and conditions there,
+- lines in the controls from some stages, as in the check before a solve, because later solves have other parameters.
+"""
 
 from typing import Any, final
 
@@ -11,40 +18,36 @@ from jaxtyping import Array
 from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....manifolds.numerics.tolerances import tolerance
+from ....manifolds.numerics.tolerances import EPS, HALF, tolerance
 from ....retractions import Retraction
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
-from ...problem_checks.smoothness.discontinuity_search import (
-    DEGREE,
-    HIDDEN,
-    NEAR_MARGIN,
-    DiscontinuitySearch,
-    FlatPoint,
-    Jump,
-    LineFunction,
-    Lines,
-    few_of_each,
-    largest_jump,
+from ...problem_checks.smoothness.jumps import HIDDEN, SMALLEST_JUMP, Jump, JumpSearch, few_of_each, largest_jump
+from ...problem_checks.smoothness.problem_jumps import (
+    Curves,
+    control_jump_words,
+    control_lines,
+    control_steps,
     rate_names,
     rates,
+    search_on_curves,
 )
-from ...problem_checks.smoothness.in_controls import control_jump_words, control_lines, find_control_jump
-from ...problem_checks.smoothness.kinks import SMALLEST_JUMP
 from ...problem_checks.smoothness.step_primitives import find_step_primitives
 from ..solution.record import Solution
 
-POINTS_BETWEEN = 4  # for each stage: between which a step changes its sign once, or comes near to it once
-STEP_EDGE = 1e-3  # of a step: not where it begins and ends, so that an end on a jump is none that is passed
+PIECES_OF_STAGES = 4  # for each stage: in which a margin changes its sign once, or comes near to zero once
+STEP_EDGE = 1e-3  # of the first and the last step: an end on a jump is none that is passed
+OVERLAP = 1e-5  # of a step: how far its polynomial is followed beyond its nodes, so that a jump at a node is passed
 TRAJECTORY_ENDS = 0.1  # of a trajectory, at its beginning and its end, where it may come to an end that is on a jump
-JUMP_STAGES = 64  # from whose controls is looked
-CONTROL_REACHES = 4.0 ** np.arange(-6, 2)  # times the largest control: how far, in pieces
+CONTROL_STAGES = 64  # from whose controls a jump in the controls is searched for
+NEAR_MARGIN = EPS**HALF  # of the largest of what a step compares: nearer margins are at the jump
+BESIDE = "beside the trajectory, at"
 REACH_RATIO = 4.0  # times what counts as near: how far a line is that has both sides of a jump
 
 
 @final
 class SmoothnessAlongSolution:
-    """Looks for jumps of the functions of a problem along its solutions.
+    """Searches for jumps of the functions of a problem along its solutions.
 
     ``timed``: whether jumps in an explicit time count, as they do where the horizon is free and shifts them.
     """
@@ -52,15 +55,16 @@ class SmoothnessAlongSolution:
     def __init__(self, problem: OptimalControlProblem, parameters: Any, timed: bool) -> None:
         self.problem, self.timed = problem, timed
         self.state = PointLayout.of(problem.manifold)
+        self._coordinates = problem.manifold.dimension + problem.controls.dimension + 1
         bound = problem.with_parameters(parameters)
         q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (bound.manifold, bound.controls))
         given = (q, 0.0) if timed else (q,)
         self.of_states = find_step_primitives(lambda q, t=0.0: rates(bound.at_time(t), q, u), *given)
-        self.of_controls = find_step_primitives(lambda u: rates(bound.at_time(0.0), q, u), u)
-        self._crossings: dict[Any, DiscontinuitySearch] = {}
+        self.of_controls = control_steps(bound.at_time(0.0), q, u)
         self.of_ends = [
             find_step_primitives(lambda q, f=f: f(bound.at_time(0.0), q, u, q), q) for f in (_at_start, _at_end)
         ]
+        self._searches: dict[Any, tuple[Retraction, JumpSearch]] = {}
 
     def __bool__(self) -> bool:
         """Whether there is a step that may jump."""
@@ -71,145 +75,130 @@ class SmoothnessAlongSolution:
         n)``."""
         if solution.interpolant is None or not self:
             return ""
-        retraction = solution.interpolant.retraction
-        words = self._along(retraction, solution) if self.of_states else ""
-        words = words or (self._beside(retraction, solution) if self.of_controls else "")
-        return words or (self._at_ends(retraction, solution, fixed) if any(self.of_ends) else "")
+        words = self._along(solution) if self.of_states else ""
+        words = words or (self._in_controls(solution) if self.of_controls else "")
+        return words or self._at_ends(solution, fixed)
 
-    def _traced(self, function: LineFunction, retraction: Retraction, given: FlatPoint) -> DiscontinuitySearch:
-        """The search for jumps of a function, the same object for solutions with one retraction."""
-        known = self._crossings.get(function)
-        if known is None or known.retraction is not retraction:
-            known = self._crossings[function] = DiscontinuitySearch(function, self.problem, retraction, given)
-        return known
+    def _search(self, function: Any, solution: Solution, given: Any, curves: Curves) -> JumpSearch:
+        """The search on such curves, the same object for solutions with one retraction."""
+        interpolant: Any = solution.interpolant
+        key, retraction = (function, curves.ways.shape[1]), interpolant.retraction
+        if key not in self._searches or self._searches[key][0] is not retraction:
+            search = search_on_curves(function, self.problem, retraction, given, vec.taken(curves, 0))
+            self._searches[key] = retraction, search
+        return self._searches[key][1]
 
-    def _along(self, retraction: Retraction, solution: Solution) -> str:
+    def _along(self, solution: Solution) -> str:
         """Words on a jump that the trajectory passes, or on which it lies."""
-        segments, given = self._segments(solution), (solution.parameters, None)
-        if not len(segments.times):
+        (curves, ends), given = self._pieces(solution), (solution.parameters, None)
+        if not len(ends):
             return ""
-        crossings = self._traced(rates, retraction, given)
-        seen = crossings.seen(given, segments)
-        sizes = self._sizes(seen.values)
-        located, step = crossings.located(given, segments, seen)
-        jump = largest_jump(crossings.jumps(located, sizes))
-        if jump:
-            return self._words(jump, self._name(jump, solution), self.of_states, "where the trajectory passes")
+        names, search = rate_names(self.problem.with_parameters(given[0])), self._search(rates, solution, given, curves)
+        seen = search.at(given, curves, ends)
+        sizes, found = self._sizes(seen.values), search.crossings(given, curves, ends, seen)
+        passed = largest_jump(search.jumps(found, sizes))
+        if passed:
+            return self._words(passed, names[passed.entry], self.of_states, "where the trajectory passes")
         size = np.max(np.where(np.isfinite(seen.sizes), seen.sizes, 0.0), axis=(0, 1), initial=0.0)
-        after = (segments.times - solution.times[0]) / np.ptp(solution.times)
+        points = search.points(seen.points[:, 0])
+        after = (points[2] - solution.times[0]) / np.ptp(solution.times)
         inner = (after > TRAJECTORY_ENDS) & (after < 1 - TRAJECTORY_ENDS)
-        k, steps = few_of_each((np.abs(seen.margins[:, 0]) <= NEAR_MARGIN * size) & inner[:, None])
-        near = segments[k]
-        if located is not None:  # between two points it comes near to a jump, or passes a window that is narrower
-            touches = (np.abs(located.margins) <= NEAR_MARGIN * size[step]) & ~located.compared
-            steps = np.concatenate([steps, step[touches]])
-            near = vec.joined([near, self._resting(*vec.taken(located[:3], touches))])
-        jump = self._on(crossings, given, near, steps, (size, sizes))
-        where = "beside the trajectory, at"
-        return self._words(jump, self._name(jump, solution), self.of_states, where) if jump else ""
+        k, step = few_of_each((np.abs(seen.margins[:, 0]) <= NEAR_MARGIN * size) & inner[:, None])
+        near = vec.taken(points, k)
+        if found is not None:  # between two points it comes near to a jump, or passes a window that is narrower
+            touches = (np.abs(found.margins) <= NEAR_MARGIN * size[found.step]) & ~found.compared
+            step = np.concatenate([step, found.step[touches]])
+            near = vec.joined([near, search.points(found.points[touches])])
+        beside = self._through(rates, solution, given, near, step, (size, sizes))
+        return self._words(beside, names[beside.entry], self.of_states, BESIDE) if beside else ""
 
-    def _name(self, jump: Jump, solution: Solution) -> str:
-        """The name of the function that jumps."""
-        return rate_names(self.problem.with_parameters(solution.parameters))[jump.entry]
-
-    def _on(
-        self,
-        crossings: DiscontinuitySearch,
-        given: FlatPoint,
-        points: Lines,
-        step: np.ndarray,
-        sizes: tuple[np.ndarray, Any],
-        free: Any = 1.0,
+    def _through(
+        self, function: Any, solution: Solution, given: Any, points: Any, step: np.ndarray, sizes: Any, free: Any = 1.0
     ) -> Jump | None:
-        """The largest jump at points that are near to one, looked for on lines that go through it; ``sizes`` of the
-        steps."""
-        if not len(step):
+        """The largest jump on lines through points at which the margin of a step is nearly zero, along its gradient.
+
+        ``sizes`` of the steps and of the entries; ``free``: which coordinates move.
+        """
+        count, n = len(step), self.problem.manifold.dimension
+        if not count:
             return None
-        slope = crossings.slopes(given, points)[np.arange(len(step)), step] * free
+        moves = np.eye(n, self._coordinates)  # of the state alone
+        axes = Curves.straight(vec.taken(points, np.repeat(np.arange(count), n)), np.tile(moves, (count, 1)))
+        search = self._search(function, solution, given, axes)
+        slopes = search.at(given, axes, np.zeros((count * n, 1))).slopes.reshape(count, n, -1)
+        slope = slopes[np.arange(count), :, step] * free
         with np.errstate(all="ignore"):
             length = REACH_RATIO * NEAR_MARGIN * np.where(sizes[0] > 0, sizes[0], 1.0)[step][:, None]
             ways = slope / np.sum(slope**2, axis=1, keepdims=True) * length
-        known = np.flatnonzero(np.all(np.isfinite(ways), axis=1))
-        if not len(known):
-            return None
-        at = points[known]
-        lines = Lines.through(at.states, at.controls, at.times, ways[known], 0 * at.turns)
-        located, _ = crossings.located(given, lines, crossings.seen(given, lines), step[known])
-        return largest_jump(crossings.jumps(located, sizes[1]))
+        known = np.all(np.isfinite(ways), axis=1)
+        lines = vec.taken(Curves.straight(points, ways @ moves), known)
+        ends = np.tile([-1.0, 1.0], (len(lines.times), 1))
+        own = np.equal(step[known, None], np.arange(slopes.shape[2]))
+        found = search.crossings(given, lines, ends, search.at(given, lines, ends), own) if len(ends) else None
+        return largest_jump(search.jumps(found, sizes[1]))
 
-    def _beside(self, retraction: Retraction, solution: Solution) -> str:
+    def _in_controls(self, solution: Solution) -> str:
         """Words on a jump in the controls, searched from the controls of some stages."""
-        count, given = len(solution.stage_times), (solution.parameters, None)
-        stages = np.unique(np.linspace(0, count - 1, min(count, JUMP_STAGES)).round().astype(int))
-        crossings, reach = self._traced(rates, retraction, given), 1.0
-        q = crossings.state.rows(vec.taken(solution.stage_states, stages), 1)
-        u = crossings.control.rows(vec.taken(solution.controls, stages), 1)
+        stages = np.unique(np.linspace(0, len(solution.stage_times) - 1, CONTROL_STAGES).round().astype(int))
+        points = vec.taken((solution.stage_states, solution.controls, solution.stage_times), stages)
+        size = 1.0
         if isinstance(self.problem.controls, Euclidean):
-            reach = float(np.max(np.abs(u), initial=0.0)) or 1.0
-        lines = control_lines(self.problem, q, u, solution.stage_times[stages], reach * CONTROL_REACHES)
-        sizes = self._sizes(crossings.seen(given, lines[lines.low == 0]).values[:, :1])
-        jump = find_control_jump(crossings, given, lines, sizes)
-        bound = self.problem.with_parameters(solution.parameters)
-        return control_jump_words(bound, jump, self.of_controls, f" (q as at t = {jump.time:.6g})") if jump else ""
+            size = float(np.max(np.abs(points[1]), initial=0.0)) or 1.0
+        lines = control_lines(self.problem, points, size)
+        given, bound = (solution.parameters, None), self.problem.with_parameters(solution.parameters)
+        search = self._search(rates, solution, given, lines[0])
+        return control_jump_words(bound, search, lines, self.of_controls, given, timed=True)
 
-    def _at_ends(self, retraction: Retraction, solution: Solution, fixed: np.ndarray) -> str:
+    def _at_ends(self, solution: Solution, fixed: np.ndarray) -> str:
         """Words on a jump of what is asked of an end, where that is free and on it."""
         for end, (steps, name) in enumerate(zip(self.of_ends, ("initial_cost", "terminal_cost"), strict=True)):
             if not steps or np.all(fixed[end] > 0):
                 continue
-            one, other = (vec.taken(solution.states, [k]) for k in (-end, end - 1))
-            u, t = vec.taken((solution.controls, solution.times), [-end])
-            given = solution.parameters, vec.taken(other, 0)
-            crossings = self._traced((_at_start, _at_end)[end], retraction, given)
-            point = self._resting(crossings.state.rows(one, 1), crossings.control.rows(u, 1), t)
-            seen = crossings.seen(given, point)
+            function, given = (_at_start, _at_end)[end], (solution.parameters, vec.taken(solution.states, end - 1))
+            points = vec.taken((solution.states, solution.controls, solution.times), [-end])
+            rest = Curves.straight(points, np.zeros((1, self._coordinates)))
+            seen = self._search(function, solution, given, rest).at(given, rest, np.zeros((1, 1)))
             size = seen.sizes[0, 0]
             near = np.flatnonzero(np.abs(seen.margins[0, 0]) <= NEAR_MARGIN * size)
-            jump = self._on(crossings, given, point[np.zeros(len(near), int)], near, (size, None), fixed[end] == 0)
+            at = vec.taken(points, np.zeros(len(near), int))
+            jump = self._through(function, solution, given, at, near, (size, None), fixed[end] == 0)
             if jump:
                 where = f"where the trajectory {('begins', 'ends')[end]}, at"
                 return self._words(jump, name if jump.entry == 0 else "boundary_constraints", steps, where)
         return ""
 
     def _words(self, jump: Jump, name: str, steps: list[str], where: str) -> str:
-        q = jax.tree.map(lambda a: np.array2string(np.asarray(a), precision=6), jump.state)
+        state, _, time = jump.point
+        q = jax.tree.map(lambda a: np.array2string(np.asarray(a), precision=6), state)
         return (
             f"{name} jumps by {jump.change:.3g} {where} q = {_join(q)}"
-            f"{f' near t = {jump.time:.6g}' if self.timed else ''}: it computes {' and '.join(steps)} from "
+            f"{f' near t = {float(time):.6g}' if self.timed else ''}: it computes {' and '.join(steps)} from "
             f"{'states and times' if self.timed else 'states'}, and no derivative tells of the jump; expected "
             "functions without jumps along the trajectory, because the costates jump there too, and these do not; try "
             "jnp.tanh(x / a) with a small a in place of a step, or solve_phases, with one phase on each side that ends "
             "where the jump is"
         )
 
-    def _segments(self, solution: Solution) -> Lines:
-        """The segments between points of the trajectory where they are known."""
+    def _pieces(self, solution: Solution) -> tuple[Curves, np.ndarray]:
+        """The polynomials of the steps, one for each piece of a step with the control of its stage, and its ends."""
         interpolant: Any = solution.interpolant
-        count = POINTS_BETWEEN * len(solution.stage_times) // solution.steps
-        found = interpolant.within(solution, np.linspace(STEP_EDGE, 1 - STEP_EDGE, DEGREE * count + 1), costates=False)
-        rows, of_controls = self.state.rows(found.states, 2), interpolant.control.rows(found.controls, 2)
-        # Within the steps, polynomials through points; from each step to the next one, all points are the last one.
-        inner = np.arange(count)[:, None] * DEGREE + np.arange(DEGREE + 1)
-        last = np.concatenate([rows[:-1, -1:], *DEGREE * [rows[1:, :1]]], axis=1)
-        through = np.concatenate([rows[:, inner].reshape(-1, DEGREE + 1, rows.shape[2]), last])
-        places = np.arange(1, DEGREE + 1) / DEGREE
-        coordinates = interpolant.chart.coordinates(through[:, :1], through[:, 1:])
-        ways = np.einsum("jd,kdn->kjn", np.linalg.inv(places[:, None] ** np.arange(1, DEGREE + 1)), coordinates)
-        ways[len(rows) * count :] = coordinates[len(rows) * count :, -1:] * np.eye(DEGREE)[0][:, None]
-        begin, end = inner[:, 0], inner[:, -1]
-        times = np.concatenate([found.times[:, begin].ravel(), found.times[:-1, -1]])
-        ends = np.concatenate([found.times[:, end].ravel(), found.times[1:, 0]])
-        u = np.concatenate([of_controls[:, begin].reshape(len(rows) * count, -1), of_controls[:-1, -1]])
-        parts = through[:, 0], ways.reshape(len(ways), -1), u
-        known = np.all([np.all(np.isfinite(part), axis=1) for part in parts], axis=0)
-        spans = ends - times if self.timed else 0 * times
-        lines = self._resting(through[:, 0], u, times)
-        return lines._replace(ways=ways, spans=spans, low=0 * times)[known]
-
-    def _resting(self, states: np.ndarray, controls: np.ndarray, times: np.ndarray) -> Lines:
-        """Lines that stay at points."""
-        n, m = self.problem.manifold.dimension, self.problem.controls.dimension
-        return Lines.through(states, controls, times, np.zeros((len(times), n)), np.zeros((len(times), m)))
+        steps, count = solution.steps, len(solution.stage_times) // solution.steps
+        through, centres, coordinates = interpolant.polynomials(solution)
+        ways = np.zeros((steps, len(through), self._coordinates))
+        powers = np.linalg.inv(np.vander(through, increasing=True))
+        ways[:, :, : coordinates.shape[2]] = np.einsum("jk,ikn->ijn", powers, coordinates)
+        ways[:, 1, -1] = np.diff(solution.times)
+        places = np.tile(np.linspace(-OVERLAP, 1 + OVERLAP, PIECES_OF_STAGES * count + 1), (steps, 1))
+        places[0, 0], places[-1, -1] = STEP_EDGE, 1 - STEP_EDGE
+        ends = np.stack([places[:, :-1], places[:, 1:]], axis=2).reshape(-1, 2)
+        of_steps = self.state.points(centres), solution.times[:-1], ways
+        states, times, ways = vec.taken(of_steps, np.repeat(np.arange(steps), PIECES_OF_STAGES * count))
+        controls = vec.taken(solution.controls, np.repeat(np.arange(steps * count), PIECES_OF_STAGES))
+        if not self.timed:  # no jump in time is passed
+            times, ways[:, 1, -1] = times + ends[:, 0] * ways[:, 1, -1], 0.0
+        rows = (leaf.reshape(len(ends), -1) for leaf in jax.tree.leaves((states, controls, ways)))
+        known = np.all([np.all(np.isfinite(row), axis=1) for row in rows], axis=0)
+        return vec.taken(Curves(states, controls, times, ways), known), ends[known]
 
     def _sizes(self, values: np.ndarray) -> np.ndarray:
         """The size of each entry of the functions along the trajectory, at least the rounding in its array."""

@@ -17,7 +17,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
-from ...problem_checks.smoothness.along_trajectory import Energy, Segments
+from ...problem_checks.smoothness.hamiltonian_jumps import Energy, Segments
 from ...reporting.results import Result
 from ...reporting.text import counted
 from ...singular import Classification, SingularIntegrator, singular_integrator

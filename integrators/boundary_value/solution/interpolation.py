@@ -19,7 +19,7 @@ from ...problem.point_layout import PointLayout
 from ...reporting.geometry_text import as_text, from_text
 from ...reporting.text import brief
 from ..guess import Guess
-from ..transcription.chart import Chart, lagrange
+from ..transcription.chart import Chart, Polynomials, lagrange
 
 if TYPE_CHECKING:
     from .record import Solution
@@ -188,11 +188,7 @@ class Interpolant:
 
         There is an empty array in place of the costates unless these are asked for.
         """
-        if len(steps.places) == 1:  # the base point of a discretization map, which may be at a node
-            centres, through = steps.states[:, 0], np.array([0.0, 1.0])
-            coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
-        else:
-            through, centres, coordinates = self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
+        through, centres, coordinates = self._polynomials(steps)
         shares, found = lagrange(through, places), np.zeros(0)
         c = np.einsum("tj,tjn->tn", shares, coordinates[where])
         states = self.chart.points(centres[where], c)
@@ -204,6 +200,19 @@ class Interpolant:
         (offsets,) = self._offset.at(2, bases[:, None], steps.controls)
         offset = np.einsum("tj,tjm->tm", lagrange(steps.places, places), offsets[where])
         return states, found, self._steered.at(1, bases[where], offset)[0]
+
+    def polynomials(self, record: "Solution") -> Polynomials:
+        """The polynomials of the states in all steps; entries are NaN where a step does not fit into a chart."""
+        with one_tracing(), np.errstate(all="ignore"):
+            return self._polynomials(self._steps(record, np.arange(len(record.times) - 1)))
+
+    def _polynomials(self, steps: _Step) -> Polynomials:
+        """The polynomials of the states in some steps."""
+        if len(steps.places) > 1:
+            return self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
+        centres = steps.states[:, 0]  # the base point of a discretization map, which may be at a node
+        coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
+        return Polynomials(np.array([0.0, 1.0]), centres, coordinates)
 
     def _momenta(self, steps: _Step, through: np.ndarray, centres: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
         """The covectors of the charts of steps at the places ``through`` which their polynomials go."""

@@ -1,8 +1,13 @@
-"""Derivatives that do not tell how a function changes, as where ``jax.lax.stop_gradient`` hides a state or a
-control."""
+"""Derivatives that do not tell how a function changes, as where ``jax.lax.stop_gradient`` hides a state or a control.
 
+Only functions with a derivative rule of their own are looked at. ``DifferenceQuotients`` moves one of two arguments
+along random lines near a point, over spans of many powers of ten, and compares the derivative with the quotients over
+the shortest spans that are clear of rounding.
+"""
+
+from collections.abc import Callable
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, final
+from typing import TYPE_CHECKING, Any, final
 
 import jax
 import jax.numpy as jnp
@@ -12,14 +17,17 @@ from jaxtyping import Array
 
 from ....compute.automatic import AutomaticEvaluator
 from ....compute.base import PointwiseFunction
+from ....index_bounds import require_indices
 from ....jaxpr_tools import is_in_scalars, name_of
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.tolerances import rounding_of, tolerance
-from ....retractions import default_retraction
+from ....retractions import Retraction, default_retraction
+from ....tracing import one_tracing
 from ...problem.boundary_conditions import boundary_words
-from ...problem.point_layout import PointLayout, parameter_layout
+from ...problem.point_layout import parameter_layout
+from ...problem.user_functions import real_number
 from .step_primitives import dependent_equations, program_of
 
 if TYPE_CHECKING:
@@ -42,137 +50,59 @@ RANDOM_BASES = 3
 TRAJECTORY_PLACES = 8  # along a trajectory
 
 
-class Line(NamedTuple):
-    """The values of all functions along a line, at distances ``-s`` and ``s`` from its middle, and the derivatives
-    there."""
-
-    below: Any
-    above: Any
-    slopes: Any
-
-
-def require_correct_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
-    """Raise if a function changes near ``q`` or ``u`` in a way that its derivative does not tell.
-
-    Only functions that have rules of their own for derivatives, or stop some, are looked at.
-    """
-    derivatives = DerivativeCheck(problem, None)
-    if derivatives:
-        points = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (q, u))
-        words = derivatives.words((*points, np.zeros(1)), None, [""])
-        if words:
-            raise InvalidInputError(words)
-
-
 @final
-class DerivativeCheck:
-    """Looks at some points whether the derivatives of a problem's functions tell of their values; traced once."""
+class DifferenceQuotients:
+    """Compares the derivatives of the entries of ``function(given, *point)`` with differences; traced once.
 
-    def __init__(self, problem: "OptimalControlProblem", parameters: Any) -> None:
-        self.problem, bound = problem, problem.with_parameters(parameters).at_time(0.0)
-        points = (
-            jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (problem.manifold, problem.controls)
-        )
-        self.rules = own_rules(program_of(partial(_values, bound), *points))
-        self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
-        self._given = parameter_layout(parameters)
+    ``move(point, way)``: the point moved by coordinates, of which the ``first`` ones of ``count`` move its first
+    argument. ``given``, which all points share, and ``point`` are examples.
+    """
 
-    def __bool__(self) -> bool:
-        """Whether a function has rules of its own, or stops derivatives."""
-        return bool(self.rules)
+    def __init__(
+        self, function: Callable[..., Array], move: Callable[..., Any], first: int, count: int, given: Any, point: Any
+    ) -> None:
+        self._function, self._move = function, move
+        self._moving = np.arange(count) < np.array([[first], [count]])
+        self._moving[1] &= ~self._moving[0]
+        self._given, self._point = parameter_layout(given), parameter_layout(point)
 
-    def __call__(self, states: Ambient, controls: Ambient, times: np.ndarray, parameters: Any) -> str:
-        """Words on the function whose derivative is off by most along a trajectory; empty if none is."""
-        known = np.all(
-            [np.isfinite(leaf.reshape(len(times), -1)).all(axis=1) for leaf in jax.tree.leaves((states, controls))],
-            axis=0,
-        )
-        stages = np.flatnonzero(known)
-        if not (self.rules and len(stages)):
-            return ""
-        stages = stages[np.linspace(0, len(stages) - 1, TRAJECTORY_PLACES).round().astype(int)]
-        points = vec.taken((states, controls, times), stages)
-        return self.words(points, parameters, [f" near t = {time:.6g}" for time in points[-1]])
+    def missed(self, given: Any, points: Any) -> np.ndarray:
+        """The share of the change of each entry that its derivative misses, by the first argument and by the second.
 
-    def words(self, points: tuple[Ambient, Ambient, np.ndarray], parameters: Any, places: list[str]) -> str:
-        """Words on that function at some states, controls and times, which have these names."""
-        bound, first = self.problem.with_parameters(parameters).at_time(0.0), vec.taken(points[0], 0)
-        for about, line in zip(("states", "controls"), self._lines(points, parameters), strict=True):
-            wrong = median_missed_share(line)
-            place, entry = np.unravel_index(np.argmax(wrong), wrong.shape)
-            if wrong[place, entry] > 0:
-                return (
-                    f"{_names(bound, first)[entry]} changes with the {about} at another rate than its "
-                    f"derivative{places[place]}, which is off by {wrong[place, entry]:.1e} of it, where the functions "
-                    f"use {' and '.join(self.rules)}; expected the derivatives of the values, because dH/du = 0 and "
-                    "the costates are made of them; try it without, or a rule that agrees with the values"
-                )
-        return ""
-
-    def _lines(self, points: tuple[Ambient, Ambient, np.ndarray], parameters: Any) -> list[Line]:
-        """Lines through several points near each state and control, along which the one, or the other, moves."""
-        draw, count = np.random.default_rng(0).standard_normal, len(points[-1])
-        rows = self.state.rows(points[0], 1), self.control.rows(points[1], 1), points[2][:, None]
-        moves = [draw((count, RANDOM_BASES, 2, m.dimension)) for m in (self.problem.manifold, self.problem.controls)]
+        The shape is ``(2, K, E)`` at K points: the median of several lines near each of them.
+        """
+        rows, draw = self._point.rows(points, 1)[:, None, None], np.random.default_rng(0).standard_normal
+        shape = len(rows), RANDOM_BASES, 1, self._moving.shape[1]
+        bases, ways = draw(shape), draw(shape) * self._moving[:, None, None, None]
         spans = np.concatenate([[0.0], -DIFFERENCE_SPANS, DIFFERENCE_SPANS])[:, None]
-        given = self._given.rows(parameters, 0)
-        own = *(a[:, None, None] for a in rows), *(a.reshape(count, RANDOM_BASES, 1, -1) for a in moves)
-        found = self._along.of_any(3, *own, spans[None, None], given[None, None, None])
-        found = [a.astype(self._along.precision, copy=False) for a in found]
-        below, above = slice(1, 1 + len(DIFFERENCE_SPANS)), slice(1 + len(DIFFERENCE_SPANS), None)
-        return [Line(a[:, :, below], a[:, :, above], b[:, :, 0]) for a, b in (found[:2], found[2:])]
+        flat = self._given.rows(given, 0)[None, None, None, None]
+        found = self._along.of_any(4, rows[None], bases[None], ways, spans[None, None, None], flat)
+        values, slopes = (np.moveaxis(a.astype(self._along.precision, copy=False), 3, 0) for a in found)
+        count = 1 + len(DIFFERENCE_SPANS)
+        return np.median(_missed_share(values[1:count], values[count:], slopes[0]), axis=2)
 
     @cached_property
     def _along(self) -> PointwiseFunction:
-        n, m = self.problem.manifold.dimension, self.problem.controls.dimension
-        sizes = self.state.size, self.control.size, 1, 2 * n, 2 * m, 1, self._given.size
-        return AutomaticEvaluator().values(self._values_along, *sizes)
+        n = self._moving.shape[1]
+        return AutomaticEvaluator().values(self._value_along, self._point.size, n, n, 1, self._given.size)
 
-    def _values_along(self, *line: Array) -> tuple[Array, ...]:
-        """The values of all functions, and their derivatives, at one place of a line of states and of one of
-        controls."""
-        state, control, time, ways, turns, place, given = line
-        way, turn, q, u = (
-            ways.reshape(2, -1),
-            turns.reshape(2, -1),
-            self.state.point(state),
-            self.control.point(control),
-        )
-        bound = self.problem.with_parameters(self._given.point(given)).at_time(time[0])
-        retraction, steered = default_retraction(self.problem.manifold), default_retraction(self.problem.controls)
-        base, beside = (
-            moved_along(retraction, q, POINT_DISTANCE * way[0]),
-            moved_along(steered, u, POINT_DISTANCE * turn[0]),
-        )
-
-        def by_state(s: Array) -> Array:
-            return _values(bound, moved_along(retraction, base, s * way[1]), beside)
-
-        def by_control(s: Array) -> Array:
-            return _values(bound, base, moved_along(steered, beside, s * turn[1]))
-
-        one = jnp.ones_like(place[0])
-        return *jax.jvp(by_state, (place[0],), (one,)), *jax.jvp(by_control, (place[0],), (one,))
-
-
-def own_rules(program: ClosedJaxpr) -> list[str]:
-    """The computations of a program from its arguments that have a derivative rule of their own, or none, each once."""
-    rules = (MADE_BY.get(name_of(own)) for own in dependent_equations(program.jaxpr) if not is_in_scalars(own))
-    return list(dict.fromkeys(filter(None, rules)))
-
-
-def median_missed_share(line: Any) -> np.ndarray:
-    """The share of the change of each function that its derivative misses, the median along several lines."""
-    below, above = (np.moveaxis(part, -2, 0).reshape(len(DIFFERENCE_SPANS), -1) for part in (line.below, line.above))
-    return np.median(_missed_share(below, above, np.ravel(line.slopes)).reshape(line.slopes.shape), axis=-2)
+    def _value_along(self, row: Array, base: Array, way: Array, place: Array, given: Array) -> tuple[Array, Array]:
+        """The values and their derivatives at one place of a line."""
+        own, beside = self._given.point(given), self._move(self._point.point(row), POINT_DISTANCE * base)
+        value = lambda s: self._function(own, *self._move(beside, s * way))  # noqa: E731
+        return jax.jvp(value, (place[0],), (jnp.ones_like(place[0]),))
 
 
 def _missed_share(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """The share of the change of each function that its derivative misses; 0 where that may be rounding."""
+    """The share of the change of each function that its derivative misses; 0 where that may be rounding.
+
+    ``below`` and ``above``: the values at both sides, for each span along the leading axis.
+    """
+    spans = DIFFERENCE_SPANS.reshape(-1, *[1] * slopes.ndim)
     with np.errstate(all="ignore"):
-        quotients = (above - below) / (2 * DIFFERENCE_SPANS[:, None])
+        quotients = (above - below) / (2 * spans)
         size = np.abs(slopes) + np.abs(quotients)
-        rounding = rounding_of(above) * np.maximum(np.abs(above), np.abs(below)) / DIFFERENCE_SPANS[:, None]
+        rounding = rounding_of(above) * np.maximum(np.abs(above), np.abs(below)) / spans
         apart = np.abs(quotients - slopes)
         clear = apart > rounding / SETTLED_QUOTIENT
         settled = clear[1:] & clear[:-1] & (np.abs(np.diff(quotients, axis=0)) < SETTLED_QUOTIENT * apart[1:])
@@ -185,7 +115,109 @@ def _missed_share(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> n
     return np.where(tells, shares, 0.0)
 
 
-def moved_along(retraction: Any, x: Ambient, way: Array) -> Ambient:
+def require_correct_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
+    """Raise if a function changes near ``q`` or ``u`` in a way that its derivative does not tell."""
+    derivatives = DerivativeCheck(problem, None)
+    if derivatives:
+        points = jax.tree.map(lambda leaf: np.asarray(leaf)[None], (q, u))
+        words = derivatives.words((*points, np.zeros(1)), None, [""])
+        if words:
+            raise InvalidInputError(words)
+
+
+@final
+class DerivativeCheck:
+    """Checks at some points whether the derivatives of a problem's functions tell of their values; traced once."""
+
+    def __init__(self, problem: "OptimalControlProblem", parameters: Any) -> None:
+        self.problem, bound, spaces = problem, problem.with_parameters(parameters), (problem.manifold, problem.controls)
+        point = (*(jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in spaces), 0.0)
+        self.rules = own_rules(program_of(partial(_values, bound.at_time(0.0)), *point[:2]))
+
+        def values(parameters: Any, q: Ambient, u: Ambient, time: Array) -> Array:
+            return _values(problem.with_parameters(parameters).at_time(time), q, u)
+
+        def move(point: Any, way: Array) -> Any:
+            retractions = default_retraction(problem.manifold), default_retraction(problem.controls)
+            (q, u, time), (along, turn) = point, jnp.split(way, [n])
+            return moved_along(retractions[0], q, along), moved_along(retractions[1], u, turn), time
+
+        n, m = (space.dimension for space in spaces)
+        self._quotients = DifferenceQuotients(values, move, n, n + m, parameters, point)
+
+    def __bool__(self) -> bool:
+        """Whether a function has rules of its own, or stops derivatives."""
+        return bool(self.rules)
+
+    def __call__(self, states: Ambient, controls: Ambient, times: np.ndarray, parameters: Any) -> str:
+        """Words on the function whose derivative is off by most along a trajectory; empty if none is."""
+        leaves = (leaf.reshape(len(times), -1) for leaf in jax.tree.leaves((states, controls)))
+        stages = np.flatnonzero(np.all([np.isfinite(leaf).all(axis=1) for leaf in leaves], axis=0))
+        if not (self.rules and len(stages)):
+            return ""
+        stages = stages[np.linspace(0, len(stages) - 1, TRAJECTORY_PLACES).round().astype(int)]
+        points = vec.taken((states, controls, times), stages)
+        return self.words(points, parameters, [f" near t = {time:.6g}" for time in points[-1]])
+
+    def words(self, points: tuple[Ambient, Ambient, np.ndarray], parameters: Any, places: list[str]) -> str:
+        """Words on that function at some states, controls and times, which have these names."""
+        for about, wrong in zip(("states", "controls"), self._quotients.missed(parameters, points), strict=True):
+            place, entry = np.unravel_index(np.argmax(wrong), wrong.shape)
+            if wrong[place, entry] > 0:
+                bound, first = self.problem.with_parameters(parameters).at_time(0.0), vec.taken(points[0], 0)
+                return (
+                    f"{_names(bound, first)[entry]} changes with the {about} at another rate than its "
+                    f"derivative{places[place]}, which is off by {wrong[place, entry]:.1e} of it, where the functions "
+                    f"use {' and '.join(self.rules)}; expected the derivatives of the values, because dH/du = 0 and "
+                    "the costates are made of them; try it without, or a rule that agrees with the values"
+                )
+        return ""
+
+
+def require_correct_hamiltonian_derivatives(
+    hamiltonian: Callable[[Ambient, Ambient], Any], retraction: Retraction, q: Ambient, p: Ambient
+) -> None:
+    """Raise if a Hamiltonian reads entries that its arguments do not have, or changes near ``(q, p)`` in a way that its
+    derivative does not tell."""
+
+    def read() -> tuple[list[str], Any]:
+        program = program_of(hamiltonian, q, p)
+        require_indices(program, "the Hamiltonian")
+        return own_rules(program), hamiltonian
+
+    with one_tracing() as reading:
+        rules = reading.once(("rules of", id(hamiltonian)), read)[0]
+    if not rules:
+        return
+
+    n = retraction.manifold.dimension
+
+    def move(point: Any, way: Array) -> Any:
+        q, p = point
+        frame = retraction.manifold.basis(q)
+        units = jnp.maximum(jnp.abs(vec.components(frame, p)), POINT_DISTANCE)
+        return moved_along(retraction, q, way[:n]), vec.add(p, vec.combine(frame, way[n:] * units))
+
+    def value(_: None, q: Ambient, p: Ambient) -> Array:
+        return real_number("the Hamiltonian", hamiltonian(q, p))[None]
+
+    missed = DifferenceQuotients(value, move, n, 2 * n, None, (q, p)).missed(None, vec.taken((q, p), None))
+    for about, wrong in zip(("states", "momenta"), missed[:, 0, 0], strict=True):
+        if wrong > 0:
+            raise InvalidInputError(
+                f"the Hamiltonian changes with the {about} at another rate than its derivative, which is off by "
+                f"{wrong:.1e} of it, where it uses {' and '.join(rules)}; expected the derivatives of the values, "
+                "because Hamilton's equations are made of them; try it without, or a rule that agrees with the values"
+            )
+
+
+def own_rules(program: ClosedJaxpr) -> list[str]:
+    """The computations of a program from its arguments that have a derivative rule of their own, or none, each once."""
+    rules = (MADE_BY.get(name_of(own)) for own in dependent_equations(program.jaxpr) if not is_in_scalars(own))
+    return list(dict.fromkeys(filter(None, rules)))
+
+
+def moved_along(retraction: Retraction, x: Ambient, way: Array) -> Ambient:
     """The point in a direction of the chart, in units of the sizes of the coordinates."""
     frame = retraction.manifold.basis(x)
     return retraction(x, vec.combine(frame, way * jnp.maximum(vec.coordinate_sizes(frame, x), POINT_DISTANCE)))

@@ -65,7 +65,7 @@ def _is_rounding(equation: Any) -> bool:
 
 
 def with_margins(function: Callable[..., Array], *arguments: Any) -> tuple[Array, Margins]:
-    """The value of a function, and the margins of its steps, without steps in loops of unknown length."""
+    """The value of a function, and the margins of its steps, without steps in the body of loops of unknown length."""
     closed = jax.make_jaxpr(function)(*arguments)
     found: list[Margins] = []
     value = _run(closed, jax.tree.leaves(arguments), found)[0]
@@ -87,8 +87,8 @@ def _run(closed: Any, arguments: list[Any], found: list[Margins]) -> list[Any]:
             found.extend(_margin(equation, inputs))
         if (inner := called_program(equation)) is not None:
             outputs = _run(inner, inputs, found)
-        elif name == "scan":
-            outputs = _scan(equation.params, inputs, found)
+        elif name in LOOPS:
+            outputs = LOOPS[name](equation.params, inputs, found)
         else:
             outputs = outputs_of(jaxpr, equation, known)
         # Of those that are not taken no output is used.
@@ -110,6 +110,33 @@ def _scan(params: dict[str, Any], inputs: list[Any], found: list[Margins]) -> li
     carry, (rows, own) = jax.lax.scan(body, begin, each, params["length"], params["reverse"])
     found.extend(own)
     return [*carry, *rows]
+
+
+def _while(params: dict[str, Any], inputs: list[Any], found: list[Margins]) -> list[Any]:
+    """The outputs of a loop of unknown length, and margins that change their signs with the number of rounds.
+
+    Of each comparison that ends the loop: the smaller one of its margins in the last round and behind it.
+    """
+    first, last = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+    of_test, of_body, begin = inputs[:first], inputs[first:last], inputs[last:]
+
+    def test(values: list[Any]) -> tuple[Any, list[Margins]]:
+        own: list[Margins] = []
+        return _run(params["cond_jaxpr"], [*of_test, *values], own)[0], own
+
+    def body(carry: tuple[Any, ...]) -> tuple[Any, ...]:
+        values, sign, _ = carry
+        return _run(params["body_jaxpr"], [*of_body, *values], []), -sign, test(values)[1]
+
+    endless = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), test(begin)[1])
+    values, sign, before = jax.lax.while_loop(lambda carry: test(carry[0])[0], body, (begin, 1, endless))
+    for last_round, behind in zip(before, test(values)[1], strict=True):
+        smaller = jnp.minimum(jnp.abs(last_round.values), jnp.abs(behind.values))
+        found.append(Margins(sign * smaller, behind.sizes))
+    return values
+
+
+LOOPS = {"scan": _scan, "while": _while}
 
 
 def _margin(equation: Any, inputs: list[Any]) -> list[Margins]:

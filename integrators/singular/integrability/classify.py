@@ -17,7 +17,7 @@ from ...problem.user_functions import require_concrete
 from ...problem_checks.costs import is_steep
 from ...problem_checks.inspection import Inspection
 from ...problem_checks.requirements import require_treated
-from ...problem_checks.smoothness.along_trajectory import Energy, Segments
+from ...problem_checks.smoothness.hamiltonian_jumps import Energy, Segments
 from ...reporting.results import warn_about_precision
 from ..integrability_result import Signature
 from .algorithm_stages import Level, PointRanks, point_ranks, summarise
