@@ -37,6 +37,7 @@ from .solution.batch import Solutions
 from .solution.builder import SolutionBuilder
 from .solution.diagnostics import add_compile_time
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
+from .solution.feedback import feedback
 from .solution.interpolation import Interpolant
 from .solution.record import Solution
 from .solution.resampling import Mesh
@@ -369,6 +370,7 @@ class Solver:
         )
 
     export_c = require_known_options(export_c)
+    feedback = require_known_options(feedback)
 
     def _solved(self, inputs: Inputs) -> Solutions:
         """Solutions of regular problems."""
