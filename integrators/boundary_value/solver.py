@@ -101,7 +101,7 @@ class Solver:
         self._reformulation = ReformulationSolver(self._reader, self._inner)
         self._regularity, self._audit = Regularity(self._transcription), Audit(problem)
         self._kept: WeakKeyDictionary[Solution, _LastSolution] = WeakKeyDictionary()
-        self._derivatives: dict[Any, Sensitivities] = {}
+        self._derivatives: dict[Any, Any] = {}  # the traced functions
         # Of a solver that is made where functions are read, whoever made it looks after that.
         self._unchanged = None if is_tracing() else ClosureGuard("Solver", problem._digest, HELD_WORDS)
         if self._unchanged is not None and not problem.takes_parameters:

@@ -20,6 +20,7 @@ from ...reporting.records import shapes, write_protect
 from ...reporting.text import brief
 from ..engine.augmented import of_lagrangian
 from ..engine.transcription import Nodes
+from ..inputs.arguments import structure_of
 from ..transcription.chart import lagrange
 from .interpolation import checked_times
 from .record import Solution
@@ -92,8 +93,7 @@ class Feedback:
             For times outside the horizon and arrays of other shapes; for states so far from the solution, such as half
             a turn, that the inverse of the retraction does not exist.
         """
-        interpolant, times = self.solution._between_nodes, checked_times(t, self.times)
-        rows = self._rows(q)
+        interpolant, times, rows = self.solution._between_nodes, checked_times(t, self.times), self._rows(q)
         shape = np.broadcast_shapes(times.shape, rows.shape[:-1])
         times = np.broadcast_to(times, shape).ravel()
         rows = np.broadcast_to(rows, (*shape, rows.shape[-1])).reshape(-1, rows.shape[-1])
@@ -115,8 +115,8 @@ class Feedback:
         """States as flat rows."""
         layout: PointLayout = self.solution._between_nodes.state
         try:
-            leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(q)]
-            own = jax.tree.map(lambda leaf, shape: leaf, q, layout.points(np.zeros(layout.size)))
+            own = jax.tree.map(lambda _, leaf: np.asarray(leaf), layout.points(np.zeros(layout.size)), q)
+            leaves = jax.tree.leaves(own)
             axes = leaves[0].ndim - len(layout.shapes[0])
             fits = [leaf.shape for leaf in leaves] == [(*leaves[0].shape[:axes], *shape) for shape in layout.shapes]
             rows = layout.rows(own, axes) if fits else None
@@ -165,30 +165,37 @@ def feedback(self: Any, solution: Solution) -> Feedback:
         A minimum of a regular problem that this solver found with a fixed horizon and fixed parameters;
         ``InvalidInputError`` for all others.
     """
-    kept = self._kept.get(solution) if isinstance(solution, Solution) else None
+    kept: Any = self._kept.get(solution) if isinstance(solution, Solution) else None
     _require_minimum(self.problem, kept, solution)
     with self._required(kept.parameters), np.errstate(all="ignore"):
-        return _feedback_of(kept, solution, self._evaluator)
+        key = "feedback", structure_of(kept.parameters)
+        if key not in self._derivatives:
+            self._derivatives[key] = Curvatures(kept.transcribed.traced.nodes, self.method.retraction, self._evaluator)
+        return _feedback_of(kept, solution, self._derivatives[key])
 
 
-def _feedback_of(kept: Any, solution: Solution, evaluator: Evaluator) -> Feedback:
+def _feedback_of(kept: Any, solution: Solution, curvatures: "Curvatures") -> Feedback:
     """The feedback along a solution whose system the solver has kept."""
     conditions, iterate, assembled = kept.found.system(kept.place)
-    nodes, interpolant = kept.transcribed.traced.nodes, solution._between_nodes
+    nodes = kept.transcribed.traced.nodes
     blocks, units = of_lagrangian(conditions, iterate, assembled), conditions.measured
-    held = [np.zeros((0, blocks.hessian.shape[-1]))] * len(blocks.hessian[0])
-    limits = kept.found.inequalities
+    held, limits = [np.zeros((0, blocks.hessian.shape[-1]))] * len(blocks.hessian[0]), kept.found.inequalities
     if limits is not None:
         rows = conditions.transcription.limits(blocks, conditions.data.steps)[0]
         active = (limits.active & (limits.weights > 0))[kept.place].reshape(rows.shape[:2])
         held = [own[which] for own, which in zip(rows, active, strict=True)]
     sizes = units.unknowns[0], units.nodes[0], float(units.cost[0])
     law = recursion((blocks.hessian[0], blocks.left[0], blocks.right[0]), held, conditions.fixed_ends[1][0], sizes)
-    last = int(np.flatnonzero(law.complete)[-1]) if law.complete.any() else 0
+    if not law.complete.any():
+        raise InvalidInputError(
+            "there is no node from which the controls can correct every deviation before the prescribed end; try more "
+            "steps, or leave the coordinates of the end free that no control moves"
+        )
+    last = int(np.flatnonzero(law.complete)[-1])
     n, frames = nodes.problem.manifold.dimension, assembled.frames[0]
     count, stages = iterate.unknowns.controls.shape[1:3]
     gains = law.response[:, n:].reshape(count, stages, -1, n)
-    curvature = law.curvature + _bends(nodes, interpolant.retraction, evaluator, assembled, conditions.data.parameters)
+    curvature = law.curvature + curvatures(assembled, conditions.data.parameters)
     whole = gains
     if nodes._directions is not None:
         (directions,) = nodes._directions.at(3, iterate.unknowns.controls)
@@ -201,38 +208,43 @@ def _feedback_of(kept: Any, solution: Solution, evaluator: Evaluator) -> Feedbac
         curvature,
         float(solution.times[last]),
         solution,
-        _both_ends(first, last),
+        _both_ends(first),
         nodes.problem.control_bounds,
     )
 
 
-def _both_ends(first: np.ndarray, last: int) -> np.ndarray:
-    """The gains at both ends of each step; constant next to a bound, and in the step behind the last node."""
+def _both_ends(first: np.ndarray) -> np.ndarray:
+    """The gains at both ends of each step; constant next to a bound, and in the last step."""
     following = np.concatenate([first[1:], first[-1:]])
-    following[last - 1 : last] = first[last - 1 : last] if last == len(first) else following[last - 1 : last]
     blended = np.any(first != 0, axis=2) & np.any(following != 0, axis=2)
     return np.stack([first, np.where(blended[..., None], following, first)], axis=1)
 
 
-def _bends(nodes: Nodes, retraction: Retraction, evaluator: Evaluator, assembled: Any, parameters: Any) -> np.ndarray:
-    """Second derivatives that belong to the retraction, and of the terminal cost at the last node, (N + 1, n, n)."""
-    n, e = nodes.problem.manifold.dimension, nodes.layout.size
+@final
+class Curvatures:
+    """Second derivatives that a retraction adds to those of the optimal cost, traced once."""
 
-    def at(d: Array, q: Array) -> Any:
-        point = nodes.layout.point(q)
-        return retraction(point, vec.combine(retraction.manifold.basis(point), d))
+    def __init__(self, nodes: Nodes, retraction: Retraction, evaluator: Evaluator) -> None:
+        self.nodes, self.retraction = nodes, retraction
+        n, e, problem = nodes.problem.manifold.dimension, nodes.layout.size, nodes.problem
+        self._pulled = evaluator.derivatives(self._pulled_of, n, e, e)
+        cost = problem.terminal_cost
+        self._paid = None if cost is None else evaluator.derivatives(self._paid_of, n, e, nodes.parameter.size)
 
-    def pulled(d: Array, q: Array, p: Array) -> tuple[Array, Array]:
-        return -vec.pairing(nodes.layout.point(p), at(d, q)), jnp.zeros(0)
+    def __call__(self, assembled: Any, parameters: np.ndarray) -> np.ndarray:
+        """The second derivatives at the nodes, and those of the terminal cost at the last node, (N + 1, n, n)."""
+        covectors = np.einsum("kn,kne->ke", assembled.coordinates[0], assembled.frames[0])
+        found = np.array(self._pulled.at(1, assembled.nodes[0], covectors)[0])
+        found[-1] = 0.0 if self._paid is None else self._paid.at(1, assembled.nodes[:, -1], parameters)[0][0]
+        return found
 
-    def paid(d: Array, q: Array, given: Array) -> tuple[Array, Array]:
-        bound: Any = nodes.problem.with_parameters(nodes.parameter.point(given))
-        return bound.terminal_cost(at(d, q)), jnp.zeros(0)
+    def _at(self, d: Array, q: Array) -> Any:
+        point = self.nodes.layout.point(q)
+        return self.retraction(point, vec.combine(self.retraction.manifold.basis(point), d))
 
-    covectors = np.einsum("kn,kne->ke", assembled.coordinates[0], assembled.frames[0])
-    found = evaluator.derivatives(pulled, n, e, e).at(1, assembled.nodes[0], covectors)[0].copy()
-    found[-1] = 0.0
-    if nodes.problem.terminal_cost is not None:
-        cost = evaluator.derivatives(paid, n, e, nodes.parameter.size)
-        found[-1] = cost.at(1, assembled.nodes[:, -1], parameters)[0][0]
-    return found
+    def _pulled_of(self, d: Array, q: Array, p: Array) -> tuple[Array, Array]:
+        return -vec.pairing(self.nodes.layout.point(p), self._at(d, q)), jnp.zeros(0)
+
+    def _paid_of(self, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
+        bound: Any = self.nodes.problem.with_parameters(self.nodes.parameter.point(parameters))
+        return bound.terminal_cost(self._at(d, q)), jnp.zeros(0)
