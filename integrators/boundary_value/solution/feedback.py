@@ -20,13 +20,11 @@ from ...reporting.records import shapes, write_protect
 from ...reporting.text import brief
 from ..engine.augmented import of_lagrangian
 from ..engine.transcription import Nodes
-from ..inputs.arguments import structure_of
+from ..inputs.arguments import LIMITS, structure_of
 from ..transcription.chart import lagrange
 from .interpolation import checked_times
 from .record import Solution
 from .riccati import recursion
-
-LIMITS = "control bounds", "constraints", "node constraints"
 
 
 @final
@@ -45,6 +43,8 @@ class Feedback:
         Second derivatives :math:`P` of the optimal cost of the remaining steps, in the basis at each node.
     until : float
         The last node from which the controls can correct every deviation; the last time if the end is free.
+    solution, maps, bounds : Solution, array, pair of arrays or None
+        The minimum; gains of ambient vectors at both ends of each step, ``(N, 2, U, E)``; bounds of the controls.
 
     Notes
     -----
@@ -67,7 +67,7 @@ class Feedback:
     cost_hessians: np.ndarray
     until: float
     solution: Solution = field(repr=False)
-    maps: np.ndarray = field(repr=False)  # (N, 2, U, E): gains of ambient vectors at both ends of each step
+    maps: np.ndarray = field(repr=False)
     bounds: tuple[np.ndarray, np.ndarray] | None = field(repr=False)
 
     def __post_init__(self) -> None:
@@ -141,7 +141,7 @@ def _require_near(apart: np.ndarray, times: np.ndarray) -> None:
 
 
 def _require_minimum(problem: OptimalControlProblem, kept: Any, solution: Any) -> None:
-    """Raise unless feedback is defined along a solution; ``kept``: the solver's system of the solution, if any."""
+    """Raise unless feedback is defined along a solution, whose system the solver has ``kept``."""
     require_treated(problem, "feedback", *LIMITS)
     if kept is None:
         raise InvalidInputError(
@@ -222,17 +222,16 @@ def _both_ends(first: np.ndarray) -> np.ndarray:
 
 @final
 class Curvatures:
-    """Second derivatives that a retraction adds to those of the optimal cost, traced once."""
+    """Share of a retraction in the second derivatives of the optimal cost, traced once."""
 
     def __init__(self, nodes: Nodes, retraction: Retraction, evaluator: Evaluator) -> None:
         self.nodes, self.retraction = nodes, retraction
-        n, e, problem = nodes.problem.manifold.dimension, nodes.layout.size, nodes.problem
+        n, e, cost = nodes.problem.manifold.dimension, nodes.layout.size, nodes.problem.terminal_cost
         self._pulled = evaluator.derivatives(self._pulled_of, n, e, e)
-        cost = problem.terminal_cost
         self._paid = None if cost is None else evaluator.derivatives(self._paid_of, n, e, nodes.parameter.size)
 
     def __call__(self, assembled: Any, parameters: np.ndarray) -> np.ndarray:
-        """The second derivatives at the nodes, and those of the terminal cost at the last node, (N + 1, n, n)."""
+        """The share at the nodes, with the terminal cost at the last node, (N + 1, n, n)."""
         covectors = np.einsum("kn,kne->ke", assembled.coordinates[0], assembled.frames[0])
         found = np.array(self._pulled.at(1, assembled.nodes[0], covectors)[0])
         found[-1] = 0.0 if self._paid is None else self._paid.at(1, assembled.nodes[:, -1], parameters)[0][0]
