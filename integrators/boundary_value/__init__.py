@@ -14,6 +14,7 @@ from .solution.batch import Solutions
 from .solution.batch_file import load_solutions
 from .solution.diagnostics import Checks, RegularChecks, SingularChecks
 from .solution.differentiable_solution import DifferentiableSolution
+from .solution.feedback import Feedback
 from .solution.multiphase_solution import PhasedSolution
 from .solution.record import SingularArc, Solution, Statistics, load_solution
 from .solution.sensitivity import Derivative, Sensitivity
@@ -27,6 +28,7 @@ __all__ = [
     "Derivative",
     "DifferentiableSolution",
     "DiscretizationError",
+    "Feedback",
     "Guess",
     "Phase",
     "PhaseEnds",

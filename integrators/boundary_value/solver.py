@@ -37,6 +37,7 @@ from .solution.batch import Solutions
 from .solution.builder import SolutionBuilder
 from .solution.diagnostics import add_compile_time
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
+from .solution.feedback import feedback
 from .solution.interpolation import Interpolant
 from .solution.record import Solution
 from .solution.resampling import Mesh
@@ -100,7 +101,7 @@ class Solver:
         self._reformulation = ReformulationSolver(self._reader, self._inner)
         self._regularity, self._audit = Regularity(self._transcription), Audit(problem)
         self._kept: WeakKeyDictionary[Solution, _LastSolution] = WeakKeyDictionary()
-        self._derivatives: dict[Any, Sensitivities] = {}
+        self._derivatives: dict[Any, Any] = {}  # the traced functions
         # Of a solver that is made where functions are read, whoever made it looks after that.
         self._unchanged = None if is_tracing() else ClosureGuard("Solver", problem._digest, HELD_WORDS)
         if self._unchanged is not None and not problem.takes_parameters:
@@ -369,6 +370,7 @@ class Solver:
         )
 
     export_c = require_known_options(export_c)
+    feedback = require_known_options(feedback)
 
     def _solved(self, inputs: Inputs) -> Solutions:
         """Solutions of regular problems."""

@@ -240,6 +240,14 @@ class Interpolant:
                     found[which, place] = np.einsum("j,kjn->kn", shares, momenta[which, kept])
         return found
 
+    def apart(self, bases: np.ndarray, states: np.ndarray) -> np.ndarray:
+        """The tangent vectors at points ``bases`` whose retractions are the states, all flat, shape (K, E)."""
+        return self._apart.at(1, bases, states)[0]
+
+    def turned(self, controls: np.ndarray, turns: np.ndarray) -> np.ndarray:
+        """The controls moved by ambient vectors, all flat, shape (K, U)."""
+        return self._turned.at(1, controls, turns)[0]
+
     @cached_property
     def chart(self) -> Chart:
         """The charts of the retraction."""
@@ -252,6 +260,23 @@ class Interpolant:
     @cached_property
     def _steered(self) -> PointwiseFunction:
         return AutomaticEvaluator().values(self._steered_of, self.control.size, self.controls.dimension)
+
+    @cached_property
+    def _apart(self) -> PointwiseFunction:
+        return AutomaticEvaluator().values(self._apart_of, self.state.size, self.state.size)
+
+    @cached_property
+    def _turned(self) -> PointwiseFunction:
+        return AutomaticEvaluator().values(self._turned_of, self.control.size, self.control.size)
+
+    def _apart_of(self, base: Array, state: Array) -> tuple[Array]:
+        point = self.state.point(base)
+        return (self.state.flat(self.retraction.preimage(point, self.state.point(state))),)
+
+    def _turned_of(self, control: Array, turn: Array) -> tuple[Array]:
+        u = self.control.point(control)
+        moved = default_retraction(self.controls)(u, self.controls.projection(u, self.control.point(turn)))
+        return (self.control.flat(moved),)
 
     def _offset_of(self, base: Array, control: Array) -> tuple[Array]:
         u = self.control.point(base)
