@@ -249,7 +249,7 @@ class Propagator:
         for part in range(parts):
 
             def control(place: float, part: int = part) -> tuple[np.ndarray, np.ndarray]:
-                return bases, offsets @ lagrange(given.places, (part + place) / parts)
+                return bases, offsets @ lagrange(given.places, np.asarray((part + place) / parts))
 
             c = self._method.step(x, c, given.begins[k, None] + steps * part, steps, control, given.parameters)
         return self.points(x, c)
