@@ -13,8 +13,8 @@ from ....compute.binding.search import Search, SearchResult, SearchStatus
 from ....compute.binding.tape_machine import MachineProgram
 from ....compute.binding.transcription import Transcription
 from ....manifolds.numerics.ambient import joined
-from ..transcription.core_search import iterate_of, made, put
-from ..transcription.iteration import Iteration, stops
+from ..transcription.core_search import Watch, iterate_of, made, put
+from ..transcription.iteration import Iteration
 from .acceptance import WIDE
 from .barrier import Barrier
 from .core_restarts import _units
@@ -72,8 +72,8 @@ class CorePhases:
         firm: float = 1.0,
     ) -> None:
         self.conditions, self.tolerance, self.max_iterations = conditions, tolerance, max_iterations
-        self.callback, self.width, self.firm = callback, width, firm
-        self.lost, self.stopped = np.zeros(0, bool), False  # no guess is moved aside
+        self.callback, self.width, self.firm, self._watch = callback, width, firm, Watch(callback)
+        self.lost = np.zeros(0, bool)  # no guess is moved aside
 
     def ended(self, guess: JointIterate) -> Found:
         """The result of the searches from the guesses, which an interrupt ends."""
@@ -91,7 +91,7 @@ class CorePhases:
     ) -> tuple[list[SearchResult], JointIterate, JointIterate]:
         """The results of a member for all phases, its last iterate and its first one."""
         own = self.tolerance, self.max_iterations, self.width, self.firm
-        search = Search(problem, *own, looks=False, report=partial(self._report, k))
+        search = Search(problem, *own, looks=False, report=partial(self._watch.told, k))
         search.multipliers()[...] = guess.multipliers[k]
         for j, (phase, part) in enumerate(zip(self.conditions.phases, guess.parts, strict=True)):
             put(search.phase(j), phase, part, k)
@@ -100,7 +100,8 @@ class CorePhases:
         except KeyboardInterrupt:
             status = SearchStatus.STOPPED
         results = [search.read(j) for j in range(len(guess.parts))]
-        self.stopped |= status is SearchStatus.STOPPED or results[0].stopped
+        if status is SearchStatus.STOPPED or results[0].stopped:
+            self._watch.stop()
         both = []
         for name in ("trajectory", "first"):
             arrays = [getattr(own, name) for own in results]
@@ -129,13 +130,10 @@ class CorePhases:
         nodes = np.concatenate([*(phase.judging.nodes for phase in joint.phases), rows], axis=1)
         joint.units = JointUnits(nodes, joint.phases[0].judging.cost)
 
-    def _report(self, k: int, iteration: Any) -> bool:
-        """Show an iteration to the callback; whether that, or an interrupt before, asks to stop."""
-        if self.stopped or self.callback is None:
-            return self.stopped
-        names = "cost", "defect", "stationarity", "shift", "fraction", "descends", "violation", "barrier"
-        seen = (np.array([getattr(iteration, name)]) for name in names)
-        return stops(self.callback(Iteration(iteration.number, np.array([k]), *seen)))
+    @property
+    def stopped(self) -> bool:
+        """Whether the callback, or an interrupt, has asked for an end."""
+        return self._watch.stopped
 
     def first(self) -> tuple[JointIterate, JointAssembled]:
         """The guesses with their first multipliers and slacks, and their systems."""
@@ -153,7 +151,7 @@ class CorePhases:
         own = {name: np.array([getattr(one, name) for one in told]) for name in names}
         strict, claimed = own["strict"], own["claimed"]
         if iterate.slacks is not None:
-            strict = conditions.is_isolated_minimum(iterate, assembled)
+            strict = strict & conditions.is_isolated_minimum(iterate, assembled)
         missing = assembled.extent.lacking / conditions.judging.nodes
         ended = strict, own["iterations"], own["limited"], claimed, own["solvable"]
         facts = self.stopped, missing, own["infeasible"], conditions.judging.cost, own["falls"]
