@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.compute.binding.multiphase import CoupledEnds, Multiphase
+from retrax.compute.binding.transcription import Transcription
 from retrax.integrators import Free, OptimalControlProblem, Phase, solve, solve_phases
 from retrax.integrators.boundary_value.engine import core_phases
 from retrax.integrators.boundary_value.engine.conditions import Conditions
@@ -174,6 +175,23 @@ def test_a_search_from_what_it_has_found_takes_no_time(monkeypatch):
     again, *_ = watched(CorePhases, joint, found.iterate)
     assert again.claimed.all()
     assert again.iterations <= 1
+
+
+@pytest.mark.parametrize("content", [np.nan, 1e300])
+def test_the_memory_of_a_search_may_have_any_content(content, monkeypatch):
+    joint, guess = posed("limits in one of two phases", monkeypatch)
+    expected = CorePhases(fresh(joint), 1e-10, 100, None).ended(guess)
+    take = Transcription.search_room
+
+    def filled(own, size):
+        room = take(own, size)
+        room[...] = content
+        return room
+
+    monkeypatch.setattr(Transcription, "search_room", filled)
+    found = CorePhases(fresh(joint), 1e-10, 100, None).ended(guess)
+    assert found.iterations == expected.iterations
+    np.testing.assert_array_equal(found.assembled.cost, expected.assembled.cost)
 
 
 def test_a_callback_stops_a_search(monkeypatch):

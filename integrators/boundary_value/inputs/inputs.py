@@ -227,11 +227,11 @@ class Inputs:
         if np.any(near & (beside > default_tolerance())):
             _warn_of_rounding(reader.problem.manifold, np.max(beside[near]))
         off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
-        reader.require_retraction(reader.restored(start[:1])[0] if off[0] else start[0])
+        for _ in range(RESTORING if off.any() else 0):  # no trajectory ends beside its manifold
+            points[off] = reader.restored(points[off])
+        reader.require_retraction(points[0])
         if not off.any():
             return self
-        for _ in range(RESTORING):  # no trajectory ends beside its manifold
-            points[off] = reader.restored(points[off])
         return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
 
     def again(self, reader: InputReader, given: BoundaryData, guess: Any) -> "Inputs":
