@@ -30,8 +30,8 @@ OPERANDS = 8  # registers of an instruction: its result and at most seven argume
 OK = 0
 BYTES = 8  # of a number
 
-# Private: parts that run on the core, "tape" and "elimination", while what Numba compiles is still there.
-PARTS_ON_CORE = frozenset(os.environ.get("RETRAX_CORE", "").split(","))
+# Private: parts that run on the core, while the engine is still there.
+PARTS_ON_CORE = frozenset(os.environ.get("RETRAX_CORE", "search,tape,elimination").split(","))
 
 
 class MissingCoreError(RetraxError, ImportError):
