@@ -44,7 +44,7 @@ extern "C" {
  * ------------------------------------------------------------------------------------------------------ */
 
 /* Version of the interface below; it changes whenever a struct or a function does. */
-#define RETRAX_CORE_VERSION 5
+#define RETRAX_CORE_VERSION 6
 
 /* Counts and places in arrays; signed, as wide as a pointer. */
 typedef ptrdiff_t retrax_index;
@@ -767,7 +767,10 @@ typedef struct {
     retrax_scale steps;         /* those of steps */
     const double *limits;       /* [c + d] of the inequalities */
     double rate;                /* unit of the barrier */
-    const double *equations;    /* [r] natural sizes of the equations between the ends */
+    const double *residuals;    /* [RETRAX_RESIDUALS] of all trajectories together */
+    const double *equations;    /* [r] natural sizes of the equations between the ends; NULL where nothing couples them */
+    const double *values;       /* [r] of these equations */
+    const double *jacobian;     /* [r][Z] their derivatives by coordinates of all ends */
     retrax_index iterations;
     bool limited;               /* whether it has made as many iterations as it may */
     bool claimed;               /* whether the iterate is an extremal */

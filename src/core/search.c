@@ -153,7 +153,8 @@ double *retrax_search_multipliers(retrax_search *search, bool first) {
 retrax_search_result retrax_search_read(const retrax_search *search, retrax_index phase) {
     const retrax_direction *const step = &search->direction;
     const retrax_phase *const own = &search->phases[phase];
-    const bool extremal = retrax_is_extremal(search);
+    const bool extremal = retrax_is_extremal(search), coupled = retrax_is_coupled(search);
+    const retrax_index *const first = search->coupling.first;
     return (retrax_search_result){
         .trajectory = search->at + own->place,
         .first = search->first + own->place,
@@ -161,7 +162,10 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
         .steps = own->steps,
         .limits = own->limit_sizes,
         .rate = own->limits.rate,
-        .equations = retrax_is_coupled(search) ? search->coupling.sizes : NULL,
+        .residuals = search->at + search->residuals,
+        .equations = coupled ? search->coupling.sizes : NULL,
+        .values = coupled ? search->at + first[RETRAX_COUPLED_VALUES] : NULL,
+        .jacobian = coupled ? search->at + first[RETRAX_COUPLED_JACOBIAN] : NULL,
         .iterations = search->trials - 1,
         .limited = search->trials > search->options.max_iterations,
         .claimed = extremal,

@@ -25,7 +25,7 @@ from ...errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-HEADER_VERSION = 5  # of the header that the structs below repeat
+HEADER_VERSION = 6  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -323,7 +323,10 @@ class SearchResultStruct(Structure):
         ("steps", ScaleStruct),
         ("limits", c_void_p),
         ("rate", c_double),
+        ("residuals", c_void_p),
         ("equations", c_void_p),
+        ("values", c_void_p),
+        ("jacobian", c_void_p),
         ("iterations", c_ssize_t),
         *(
             (fact, c_bool)

@@ -13,7 +13,16 @@ from weakref import ref
 import numpy as np
 
 from ...errors import InvalidInputError
-from .library import BYTES, FLOAT, REPORT, IterationStruct, OptionsStruct, address_of, library
+from .library import (
+    BYTES,
+    FLOAT,
+    REPORT,
+    IterationStruct,
+    OptionsStruct,
+    SearchResultStruct,
+    address_of,
+    library,
+)
 from .multiphase import Multiphase
 from .transcription import PLACES, Scale, Sizes, Trajectory, Transcription
 
@@ -44,7 +53,10 @@ class SearchResult(NamedTuple):
     steps: Scale
     limits: np.ndarray
     rate: float
+    residuals: np.ndarray
     equations: np.ndarray
+    values: np.ndarray
+    jacobian: np.ndarray  # (r, Z)
     iterations: int
     limited: bool
     claimed: bool
@@ -164,10 +176,18 @@ class Search:
             Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
             for own in (found.judging, found.steps)
         )
-        limits = self._part(found.limits, sizes.limits)
-        equations = self._part(found.equations, self._phases.equations) if found.equations else np.zeros(0)
-        told = (getattr(found, name) for name in SearchResult._fields[7:])
-        return SearchResult(at, first, judging, steps, limits, found.rate, equations, *told)
+        limits, residuals = self._part(found.limits, sizes.limits), self._part(found.residuals, len(at["RESIDUALS"]))
+        told = (getattr(found, name) for name in SearchResult._fields[SearchResult._fields.index("iterations") :])
+        coupled = self._coupled(found)
+        return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, *told)
+
+    def _coupled(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Natural sizes, values and derivatives of the equations between the ends."""
+        r, coordinates = self._phases.equations, 2 * sum(of.sizes.state_size for of in self._of)
+        if not found.equations:
+            return np.zeros(0), np.zeros(0), np.zeros((0, coordinates))
+        jacobian = self._part(found.jacobian, r * coordinates).reshape(r, coordinates)
+        return self._part(found.equations, r), self._part(found.values, r), jacobian
 
     def _part(self, place: int, count: int) -> np.ndarray:
         """Numbers of the memory of the search from an address on."""
