@@ -1,54 +1,56 @@
-"""The extremals of regular problems by Newton's method, with coupled ends if they are."""
+"""The extremals of regular problems by Newton's method, in phases, with coupled ends if they are."""
 
 from collections.abc import Sequence
 from typing import Any
 
-from ...compute.binding.library import PARTS_ON_CORE
-from .audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
-from .engine.adaptor import adapted
-from .engine.found import Found
+import numpy as np
+
+from .audit.independence_of_boundary_conditions import dependence_notes, equation_words, require_independent
 from .engine.joint import JointConditions
-from .engine.newton import newton
-from .engine.parallel import newton_of_all
 from .inputs.arguments import Options
-from .transcription.core_search import find_on_core, is_on_core
+from .reformulations.restarts import search_all
+from .transcription.core_search import extremals_of
 from .transcription.discrete_extremals import DiscreteExtremals
+from .transcription.iterate import Iterate
 from .transcription.linkages import PhaseProblem
+from .transcription.member_search import MultiphaseGuess, MultiphaseProblem, Watch
 
 
 def find_extremals(transcribed: Any, options: Options) -> DiscreteExtremals:
     """The extremals of a batch of trajectories, with coupled ends if they are."""
     traced = transcribed.traced
-    if traced.coupling is None:
-        conditions, guess = transcribed.conditions, transcribed.guess
-        if "search" in PARTS_ON_CORE and is_on_core(conditions):
-            return find_on_core(conditions, guess, options)
-        return adapted(conditions, _find(transcribed, conditions, guess, options))
-    joint: Any = JointConditions((transcribed.conditions,), traced.coupling)
-    guess = joint.guess((transcribed.guess,))
-    names = equation_words([traced.own])
-    require_independent(joint, guess, names)
-    found: Any = _find(transcribed, joint, guess, options)
-    return phase_of(joint, check_independence(joint, found, names), 0, [traced.own])
+    problem, names = MultiphaseProblem((transcribed.conditions,), traced.coupling), list[str]()
+    if traced.coupling is not None:
+        names = equation_words([traced.own])
+    return find_phases(problem, (transcribed.guess,), [traced.own], names, options)[0][0]
 
 
-def _find(transcribed: Any, conditions: Any, guess: Any, options: Options) -> Found:
-    """The result of Newton's method, by parts of the batch if nothing needs the whole batch.
+def find_phases(
+    problem: MultiphaseProblem,
+    parts: tuple[Iterate, ...],
+    owns: Sequence[PhaseProblem],
+    names: Sequence[str],
+    options: Options,
+) -> tuple[list[DiscreteExtremals], np.ndarray]:
+    """The extremals of a batch for each phase, and the multipliers of what couples the ends, shape (B, M).
 
-    A callback watches all of it, and XLA, which has threads of its own, would compile for each size of a part.
+    ``parts``: guesses of the phases; ``names`` of the equations between the ends.
     """
-    if options.callback is not None or transcribed.traced.evaluator.name != "tape":
-        return newton(conditions, guess, *options)
-    steps, shape = transcribed.traced.steps, transcribed.conditions.data.steps.shape
-    return newton_of_all(conditions, guess, (shape[0], shape[1] * steps.stages), *options[:2])
-
-
-def phase_of(conditions: JointConditions, found: Found, k: int, phases: Sequence[PhaseProblem]) -> DiscreteExtremals:
-    """The result for a phase, with the multipliers of its boundary constraints by their names."""
-    joint: Any = found
-    begin, boundary = sum(sum(phase.sizes.values()) for phase in phases[:k]), {}
-    for name, size in phases[k].sizes.items():
-        boundary[name] = joint.assembled.coupled.multipliers[:, begin : begin + size]
-        begin += size
-    own = found._replace(iterate=joint.iterate.parts[k], assembled=joint.assembled.parts[k], boundary=boundary)
-    return adapted(conditions.phases[k], own)
+    guess, watch = MultiphaseGuess(parts), Watch(options.callback)
+    if problem.coupling is not None:
+        guess = MultiphaseGuess(parts, JointConditions(*problem).guess(parts).multipliers)
+        require_independent(problem, guess, names)
+    records, notes = search_all(problem, guess, options[:2], watch), None
+    if problem.coupling is not None:
+        notes = dependence_notes(problem, records, names)
+        pairs = zip(records, notes, strict=True)
+        records = [own._replace(strict=own.strict and not words) for own, words in pairs]
+    multipliers, found, begin = np.stack([own.multipliers for own in records]), list[DiscreteExtremals](), 0
+    for j, (phase, part, own) in enumerate(zip(problem.phases, parts, owns, strict=True)):
+        boundary = dict[str, np.ndarray]()
+        for name, size in own.sizes.items() if problem.coupling is not None else ():
+            boundary[name] = multipliers[:, begin : begin + size]
+            begin += size
+        extremals = extremals_of(phase, part, records, watch.stopped, j)
+        found.append(extremals._replace(boundary=boundary or None, notes=notes))
+    return found, multipliers

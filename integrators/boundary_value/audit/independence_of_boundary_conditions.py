@@ -11,8 +11,9 @@ from ....manifolds.numerics.tolerances import EPS, HALF
 from ...problem.boundary_conditions import PERIODIC, boundary_words
 from ...problem.point_layout import PointLayout
 from ...reporting.text import counted
-from ..engine.joint import JointConditions
 from ..transcription.linkages import PhaseProblem
+from ..transcription.member_search import MultiphaseProblem
+from ..transcription.search_record import SearchRecord
 
 RANDOM_ENDS = 4  # random ends at which equations are looked at
 
@@ -28,21 +29,18 @@ def equation_words(phases: Sequence[PhaseProblem]) -> list[str]:
     ]
 
 
-def check_independence(joint: JointConditions, found: Any, names: Sequence[str]) -> Any:
-    """The found extremal, with a note if equations between the ends depend on each other.
+def dependence_notes(joint: MultiphaseProblem, found: Sequence[SearchRecord], names: Sequence[str]) -> list[str]:
+    """Words on equations between the ends that depend on each other at the ends that each member reached, if they do.
 
     The inertia of the KKT matrix, which is then singular, shows no minimum.
     """
-    notes = [_dependent_words(joint, found, k, names) for k in range(len(found.claimed))]
-    determined = np.array([not words for words in notes])
-    return found._replace(notes=notes, strict_minimum=found.strict_minimum & determined)
+    return [_dependent_words(joint, member, names) for member in found]
 
 
-def _dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
-    """Words on equations between the ends that depend on each other at the ends that a member reached; otherwise
-    empty."""
-    rows = found.assembled.coupled.jacobian[k][:, joint.free]
-    power = HALF if found.claimed[k] else HALF / 2  # on the way to ends where they depend on each other they nearly do
+def _dependent_words(joint: MultiphaseProblem, found: SearchRecord, names: Sequence[str]) -> str:
+    """The words on one member; otherwise empty."""
+    rows = found.jacobian[:, joint.free]
+    power = HALF if found.claimed else HALF / 2  # on the way to ends where they depend on each other they nearly do
     if not np.all(np.isfinite(rows)) or len(independent := independent_rows(_scale(rows), power)) == len(rows):
         return ""
     every = enumerate(_all(joint, names))
@@ -54,7 +52,7 @@ def _dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence
     )
 
 
-def _all(joint: JointConditions, names: Sequence[str]) -> list[str]:
+def _all(joint: MultiphaseProblem, names: Sequence[str]) -> list[str]:
     """Names of all equations, and of the links."""
     link = "the link between phases" if len(joint.phases) > 1 else PERIODIC
     return [*names, *(link for _ in range(joint.coupling.rows - len(names)))]
@@ -66,7 +64,7 @@ def _scale(rows: np.ndarray) -> np.ndarray:
     return rows / np.where(sizes > 0, sizes, 1.0)[:, None]
 
 
-def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]) -> None:
+def require_independent(joint: MultiphaseProblem, guess: Any, names: Sequence[str]) -> None:
     """Raise if equations between the ends depend on each other, at the guess and at random ends too.
 
     Where ends are prescribed, in what is free of them.
@@ -92,7 +90,7 @@ def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]
         )
 
 
-def _samples(joint: JointConditions, guess: Any) -> list[list[np.ndarray]]:
+def _samples(joint: MultiphaseProblem, guess: Any) -> list[list[np.ndarray]]:
     """The ends of the guess of the first member, and random ends where these are free."""
     found = [end[:1] for phase, part in zip(joint.phases, guess.parts, strict=True) for end in phase.reached(part)]
     samples = [found]

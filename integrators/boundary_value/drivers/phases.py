@@ -19,17 +19,16 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import require_concrete
 from ...reporting.text import brief, counted
 from ..audit import status
-from ..audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
+from ..audit.independence_of_boundary_conditions import equation_words
 from ..engine.coupling import Link
-from ..engine.joint import JointConditions
-from ..engine.newton import newton
 from ..inputs.arguments import Method, Options, check_problem
 from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
-from ..regular_extremals import phase_of
+from ..regular_extremals import find_phases
 from ..solution.diagnostics import add_compile_time
 from ..solution.multiphase_solution import PhasedSolution
 from ..transcription.iteration import Iteration
 from ..transcription.linkages import PhaseProblem, linkages_of
+from ..transcription.member_search import MultiphaseProblem
 from .phase_guess import guess_phases
 from .phase_transcription import PhaseEnds, PhaseTranscription, TranscribedPhase, transcribe_phase
 
@@ -214,24 +213,22 @@ class _Task:
         coupling = linkages_of(
             owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at)
         )
-        joint = JointConditions(tuple(part.transcribed.conditions for part in parts), coupling)
-        first = joint.guess(tuple(part.transcribed.guess for part in parts))
+        problem = MultiphaseProblem(tuple(part.transcribed.conditions for part in parts), coupling)
+        guess = tuple(part.transcribed.guess for part in parts)
         names = [*equation_words(owns), *(f"{name}[{i}]" for name, size in sizes.items() for i in range(size))]
-        require_independent(joint, first, names)
         tracing = time.perf_counter() - began
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
-            found = check_independence(joint, newton(joint, first, *self.options), names)  # pyright: ignore[reportArgumentType]
+            found, multipliers = find_phases(problem, guess, owns, names, self.options)
             compiling, running = watch.seconds()
             seconds = tracing + compiling, running
-            solutions = [part.recorded(phase_of(joint, found, k, owns), seconds) for k, part in enumerate(parts)]
+            solutions = [part.recorded(own, seconds) for part, own in zip(parts, found, strict=True)]
             free = any(is_free(phase.duration) for phase in phases)
             solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]
             solutions = [add_compile_time(solution, watch.seconds()[0] - compiling) for solution in solutions]
-        joined: Any = found.assembled
-        rows = joined.coupled.multipliers[0, sum(sum(own.sizes.values()) for own in owns) : coupling.count]
+        rows = multipliers[0, sum(sum(own.sizes.values()) for own in owns) : coupling.count]
         cuts = np.cumsum([0, *sizes.values()])
-        multipliers = {name: rows[a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
-        return PhasedSolution.of(solutions, multipliers, *status.phases_status(solutions))
+        named = {name: rows[a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
+        return PhasedSolution.of(solutions, named, *status.phases_status(solutions))
 
     def _is_repeated(self, k: int, phases: Sequence[Phase]) -> bool:
         """Whether a phase begins at the last node of one with the same problem and parameters."""

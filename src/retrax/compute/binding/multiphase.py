@@ -12,6 +12,7 @@ from .library import (
     LinkStruct,
     MultiphaseStruct,
 )
+from .problem_functions import CallbackFunction
 from .tape_machine import MachineProgram
 
 
@@ -22,7 +23,7 @@ class CoupledEnds(NamedTuple):
     covector stands, its equations and its numbers.
     """
 
-    program: MachineProgram
+    program: MachineProgram | CallbackFunction
     equations: int
     links: Sequence[tuple[int, int, int]]
 
@@ -59,11 +60,16 @@ class Multiphase:
                 f"a function of the ends of {len(self.transcriptions)} phases: got {program.sizes[0]} inputs and "
                 f"{program.sizes[1]} outputs, expected {expected[0]} and {expected[1]}"
             )
-        registers = aligned(program.sizes[2] * program.lanes(1))
-        best = self.transcriptions[0].instruction_set
-        self._struct.function, context = program.as_function(registers, program.lanes(1), best)
+        first = self.transcriptions[0]
+        if isinstance(program, CallbackFunction):
+            self._struct.function = program.as_function(first.failure)
+        else:
+            registers = aligned(program.sizes[2] * program.lanes(1))
+            own = registers, program.lanes(1), first.instruction_set
+            self._struct.function, context = program.as_function(*own)
+            self._kept += [registers, context]
         self._struct.equations, self._struct.links, self._struct.link = coupled.equations, len(links), links
-        self._kept += [links, registers, context]
+        self._kept += [links, program]
 
     def _sizes(self) -> tuple[int, int]:
         """The numbers that the function of the ends reads, and writes."""

@@ -1,0 +1,154 @@
+"""Restarts: other searches for a member of a batch, where the search from its guess has found no minimum.
+
+Each restart sets out from an iterate of its own. Its result counts if it is an extremal that costs less, and the
+iterations of all searches add up.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ....compute.threads import each_in_threads
+from ....manifolds.numerics.ambient import taken
+from ..transcription.member_search import MemberSearch, MultiphaseGuess, MultiphaseProblem, Watch
+from ..transcription.rollout import rolled_out
+from ..transcription.search_record import MemberIterate, SearchRecord
+
+LARGEST = 8  # place of the largest residual
+LARGER = 1e2  # times the usual first penalty of excesses
+NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
+NARROW = 1e-2  # width of the funnel of a search from a trajectory without infeasibility
+
+
+def search_all(
+    problem: MultiphaseProblem, guess: MultiphaseGuess, options: tuple[float, int], watch: Watch
+) -> list[SearchRecord]:
+    """The results for all members, in threads side by side, or one after the other where a callback watches them."""
+
+    def run(k: int) -> SearchRecord:
+        return search_member(MemberSearch(problem, guess, k, options, watch))
+
+    count = len(guess.parts[0].costates)
+    if count == 1 or watch.callback is not None:
+        return [run(k) for k in range(count)]
+    return each_in_threads(run, count, watch.stop)
+
+
+def search_member(member: MemberSearch) -> SearchRecord:
+    """The result of the search from the guess of a member, or of the best restart."""
+    found = first = member.from_guess()
+    for restart in RESTARTS:
+        if member.watch.stopped or (found.claimed and found.strict and not first.perturbed):
+            break
+        try:
+            found = restart(member, first, found)
+        except KeyboardInterrupt:
+            member.watch.stop()
+    return found
+
+
+def from_degenerate_guess(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
+    """Degenerate guess as it is: the perturbed one may have led to an extremal that costs more."""
+    return _better(member, found, member.guess, _says_nothing(found)) if first.perturbed else found
+
+
+def from_perturbed_guess(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
+    """Perturbed guess: the guess may run through the middle of an obstacle, or where its controls move nothing that has
+    to move."""
+    if first.perturbed or first.first is None or not _says_nothing(found):
+        return found
+    perturbed, worth = member.perturb(first.first)
+    return _better(member, found, perturbed, True) if worth else found
+
+
+def from_least_violation(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
+    """Trajectory of the least violation as a guess, with new slacks: the step lengths may have become too short for the
+    slacks, not for the trajectory."""
+    stuck = found.infeasible and not found.claimed
+    return _better(member, found, found.iterate.bare) if stuck else found
+
+
+def from_slow_convergence(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
+    """Newton's step without regularisation, where the iteration limit came near to an extremal that is no minimum:
+    regularised steps converge to it linearly."""
+    return _better(member, found, found.iterate) if _is_near(found) and not found.right_inertia else found
+
+
+def from_feasible_trajectory(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
+    """Feasibility restoration phase [Waechter, Biegler 2006, 3.3]: a search in a narrow funnel from a trajectory near
+    the guess on which the equations hold, whatever it costs. Inequalities that hold there do not contradict each other.
+
+    Without controls there is one feasible trajectory for each start and parameters, and only a minimum fits best.
+    """
+    controlled = any(phase.transcription.controls.dimension for phase in member.problem.phases)
+    settled = found.claimed or _is_near(found) if controlled else found.claimed and found.strict
+    if settled or found.falls:
+        return found
+    restored, iterate = member.restore(member.guess.bare)
+    found = found._replace(iterations=found.iterations + restored.trials)
+    if restored.feasible:
+        found = _better(member, found, iterate.bare, width=NARROW)
+    return found._replace(infeasible=found.infeasible and not restored.holds)
+
+
+def from_forward_simulation(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
+    """Forward simulation of the controls of the guess: there only the end is missed. States that do not fit the
+    controls, such as a constant height, may lie where no control acts."""
+    if not _is_open(found):
+        return found
+    place = np.array([member.k])
+    phases = [phase.of(place) for phase in member.problem.phases]
+    parts = [rolled_out(phase, taken(part, place)) for phase, part in zip(phases, member.parts, strict=True)]
+    if not all(part is not None for part in parts):
+        return found
+    return _better(member, found, member.iterate_of(phases, parts, 0))
+
+
+def with_larger_penalty(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
+    """Larger penalty and barrier: with the usual ones the cost may drive free quantities to their bounds before the
+    equations hold, and the excesses grow."""
+    limited = any(phase.transcription.inequalities for phase in member.problem.phases)
+    return _better(member, found, member.guess.bare, firm=LARGER) if limited and _is_open(found) else found
+
+
+RESTARTS: tuple[Callable[[MemberSearch, SearchRecord, SearchRecord], SearchRecord], ...] = (
+    from_degenerate_guess,
+    from_perturbed_guess,
+    from_least_violation,
+    from_slow_convergence,
+    from_feasible_trajectory,
+    from_forward_simulation,
+    with_larger_penalty,
+)
+
+
+def _better(
+    member: MemberSearch,
+    found: SearchRecord,
+    start: MemberIterate,
+    anything: bool = False,
+    width: float = 1.0,
+    firm: float = 1.0,
+) -> SearchRecord:
+    """The result of a search from an iterate if it is an extremal that costs less, or ``anything``; else the result so
+    far."""
+    if member.watch.stopped:
+        return found
+    again = member.from_iterate(start, width, firm)
+    better = anything or (again.claimed and not (found.claimed and again.cost >= found.cost))
+    return (again if better else found)._replace(iterations=found.iterations + again.iterations)
+
+
+def _says_nothing(found: SearchRecord) -> bool:
+    """Whether a result is neither an extremal nor infeasible: then that of any other search says as much."""
+    return not (found.claimed or found.infeasible)
+
+
+def _is_near(found: SearchRecord) -> bool:
+    """Whether the iteration limit came near to an extremal."""
+    return not found.claimed and found.limited and bool(found.residuals[LARGEST] <= NEAR)
+
+
+def _is_open(found: SearchRecord) -> bool:
+    """Whether no search has found anything, and the cost has a lower bound."""
+    return not (found.claimed or _is_near(found) or found.falls)

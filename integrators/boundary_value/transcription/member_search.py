@@ -1,0 +1,175 @@
+"""Searches of the compiled core for one member of a batch, each from one iterate."""
+
+from collections.abc import Sequence
+from functools import cached_property, partial
+from typing import Any, NamedTuple, final
+
+import numpy as np
+
+from ....compute.binding.multiphase import Multiphase
+from ....compute.binding.search import Feasibility, Search, SearchResult, SearchStatus
+from ..engine.conditions import Conditions
+from ..engine.coupling import Coupling
+from .core_search import coupled_ends, numbers_of, put, transcription_of
+from .iterate import Iterate
+from .iteration import Iteration, stops
+from .search_record import MemberIterate, PhaseRecord, SearchRecord
+
+
+class MultiphaseProblem(NamedTuple):
+    """The conditions of a batch of trajectories in phases, usually of one, with the coupling of the ends, if any."""
+
+    phases: tuple[Conditions, ...]
+    coupling: Coupling | None = None
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which coordinates of all ends are free."""
+        masks = ((phase.ends.start_coordinates, phase.ends.end_coordinates) for phase in self.phases)
+        return np.concatenate([mask == 0 for pair in masks for mask in pair])
+
+
+class MultiphaseGuess(NamedTuple):
+    """Guesses of all phases of a batch, with multipliers of what couples the ends, shape (B, M)."""
+
+    parts: tuple[Iterate, ...]
+    multipliers: np.ndarray | None = None
+
+
+@final
+class Watch:
+    """The callback of searches, and whether that, or an interrupt, has asked for an end."""
+
+    def __init__(self, callback: Any) -> None:
+        self.callback, self.stopped = callback, False
+
+    def stop(self) -> None:
+        """All searches are to end with their iterates."""
+        self.stopped = True
+
+    def told(self, k: int, iteration: Any) -> bool:
+        """Show an iteration of a member to the callback; whether the search is to end."""
+        if self.stopped or self.callback is None:
+            return self.stopped
+        names = "cost", "defect", "stationarity", "shift", "fraction", "descends", "violation", "barrier"
+        seen = (np.array([getattr(iteration, name)]) for name in names)
+        return stops(self.callback(Iteration(iteration.number, np.array([k]), *seen)))
+
+
+@final
+class MemberSearch:
+    """The searches of one member of a batch, in one thread.
+
+    ``tolerance``, ``max_iterations`` of each of them; ``watch``: of the whole batch.
+    """
+
+    def __init__(
+        self, problem: MultiphaseProblem, guess: MultiphaseGuess, k: int, options: tuple[float, int], watch: Watch
+    ) -> None:
+        self.problem, self.k, self.watch, self.parts = problem, k, watch, guess.parts
+        self._multipliers, self._options = guess.multipliers, options
+        transcriptions, coupling = list(map(transcription_of, problem.phases)), problem.coupling
+        self._multiphase = Multiphase(transcriptions, None if coupling is None else coupled_ends(coupling))
+
+    @cached_property
+    def guess(self) -> MemberIterate:
+        """The guess of the member."""
+        return self.iterate_of(self.problem.phases, self.parts, self.k)
+
+    def iterate_of(self, phases: Sequence[Conditions], guess: Sequence[Iterate], k: int) -> MemberIterate:
+        """The iterate of the member that has place k in conditions and guesses of all phases."""
+        own = tuple(numbers_of(phase, part, k) for phase, part in zip(phases, guess, strict=True))
+        return MemberIterate(own, self._known)
+
+    @property
+    def _known(self) -> np.ndarray:
+        """The multipliers of what couples the ends in the guess, zero where it does not know them."""
+        known = self._multipliers
+        return np.zeros(self._multiphase.multipliers) if known is None else known[self.k]
+
+    def from_guess(self) -> SearchRecord:
+        """The result of a search from the guess, or from a perturbed one where the guess is degenerate."""
+        search = self._search(looks=True)
+        for j, (phase, part) in enumerate(zip(self.problem.phases, self.parts, strict=True)):
+            put(search.phase(j), phase, part, self.k)
+        if self.problem.coupling is not None:
+            search.multipliers()[...] = self._known
+        return self._record(search, self._run(search) is SearchStatus.DEGENERATE)
+
+    def from_iterate(self, start: MemberIterate, width: float = 1.0, firm: float = 1.0) -> SearchRecord:
+        """The result of a search from an iterate; ``width``, ``firm``: see ``Search``."""
+        search = self._search(start, width, firm)
+        self._run(search)
+        return self._record(search, False)
+
+    def perturb(self, first: MemberIterate) -> tuple[MemberIterate, bool]:
+        """The first iterate of a search, perturbed; and whether another search from there is worth it."""
+        search = self._search(first)
+        worth = search.perturb()
+        return self._iterate(search).bare, worth
+
+    def restore(self, start: MemberIterate) -> tuple[Feasibility, MemberIterate]:
+        """The result of a feasibility phase from an iterate, and the trajectory that it ended with."""
+        search = self._search(start)
+        found = search.restore(self._options[1])
+        if found.stopped:
+            self.watch.stop()
+        return found, self._iterate(search)
+
+    def _search(
+        self, start: MemberIterate | None = None, width: float = 1.0, firm: float = 1.0, looks: bool = False
+    ) -> Search:
+        """A search that begins at an iterate, if there is one."""
+        search = Search(self._multiphase, *self._options, width, firm, looks, partial(self.watch.told, self.k))
+        if start is not None:
+            for j, own in enumerate(start.phases):
+                search.phase(j).set_iterate(own)
+            if self.problem.coupling is not None:
+                search.multipliers()[...] = start.multipliers
+        return search
+
+    def _run(self, search: Search) -> SearchStatus:
+        """The first status of a search, which goes on from a perturbed guess where the guess is degenerate."""
+        try:
+            status = last = search.run()
+            if status is SearchStatus.DEGENERATE:
+                search.perturb()
+                last = search.run()
+        except KeyboardInterrupt:
+            status = last = SearchStatus.STOPPED
+        if last is SearchStatus.STOPPED or search.read().stopped:
+            self.watch.stop()
+        return status
+
+    def _iterate(self, search: Search, first: bool = False) -> MemberIterate:
+        """A copy of the iterate of a search, or of its first one."""
+        coupled = self.problem.coupling is not None
+        results = map(search.read, range(len(self.problem.phases)))
+        own = tuple((result.first if first else result.trajectory).iterate for result in results)
+        return MemberIterate(own, search.multipliers(first).copy() if coupled else np.zeros(0))
+
+    def _record(self, search: Search, perturbed: bool) -> SearchRecord:
+        """The record of a search that has ended."""
+        results = [search.read(j) for j in range(len(self.problem.phases))]
+        found = results[0]
+        missing = [own.trajectory["LACKING"] / own.judging.nodes for own in results]
+        if self.problem.coupling is not None:
+            missing.append(np.abs(found.values) / found.equations)
+        return SearchRecord(
+            tuple(map(_phase_record, results)),
+            search.multipliers().copy() if self.problem.coupling is not None else np.zeros(0),
+            found.residuals.copy(),
+            missing[0] if len(missing) == 1 else np.concatenate(missing),
+            found.jacobian.copy(),
+            None if found.claimed and found.strict else self._iterate(search, first=True),
+            perturbed,
+            *(getattr(found, name) for name in SearchRecord._fields[SearchRecord._fields.index("iterations") :]),
+        )
+
+
+def _phase_record(found: SearchResult) -> PhaseRecord:
+    """The record of a phase, whose arrays no other search overwrites."""
+    at = found.trajectory
+    arrays = (at[name].copy() for name in ("NODES", "NODE_COSTATES", "TOTALS", "LIMITS"))
+    sizes = found.judging.copy, found.steps.copy, found.limits.copy(), found.rate
+    return PhaseRecord(*arrays, at.iterate, *sizes)

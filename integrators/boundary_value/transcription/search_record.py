@@ -1,0 +1,68 @@
+"""Records of the searches of the compiled core for a member of a batch; ``retrax_core.h`` explains the arrays."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ....compute.binding.transcription import IterateNumbers, Scale
+
+
+class MemberIterate(NamedTuple):
+    """An iterate of a member in the order of the core: of each phase, and the multipliers of what couples the ends."""
+
+    phases: tuple[IterateNumbers, ...]
+    multipliers: np.ndarray
+
+    @property
+    def bare(self) -> "MemberIterate":
+        """The same without the multipliers of inequalities."""
+        phases = tuple(IterateNumbers(own.numbers.copy(), own.parts) for own in self.phases)
+        for own in phases:
+            own.array("LIMIT_MULTIPLIERS")[...] = 0.0
+        return self._replace(phases=phases)
+
+
+class PhaseRecord(NamedTuple):
+    """The result of a search for a phase, in arrays of its own."""
+
+    nodes: np.ndarray
+    costates: np.ndarray
+    totals: np.ndarray
+    limits: np.ndarray
+    iterate: IterateNumbers
+    judging: Scale  # natural sizes that success was judged by
+    steps: Scale  # natural sizes of steps
+    limit_sizes: np.ndarray  # natural sizes of inequalities
+    rate: float  # unit of the barrier
+
+
+class SearchRecord(NamedTuple):
+    """The result of a search for all phases, in arrays of its own; flags as in ``SearchResult``."""
+
+    phases: tuple[PhaseRecord, ...]
+    multipliers: np.ndarray  # of what couples the ends
+    residuals: np.ndarray
+    missing: np.ndarray  # largest defects of the nodes of all phases, and of the ends, in natural sizes
+    jacobian: np.ndarray  # of the equations between the ends, by coordinates of all ends
+    first: MemberIterate | None  # the guess with first multipliers and slacks, where no minimum was found
+    perturbed: bool  # whether the guess was degenerate and was moved aside
+    iterations: int  # of this search and of those before it
+    limited: bool
+    claimed: bool
+    strict: bool
+    convex: bool
+    solvable: bool
+    infeasible: bool
+    falls: bool
+    stopped: bool
+    right_inertia: bool
+
+    @property
+    def iterate(self) -> MemberIterate:
+        """The last iterate."""
+        return MemberIterate(tuple(own.iterate for own in self.phases), self.multipliers)
+
+    @property
+    def cost(self) -> float:
+        """The cost of all phases."""
+        return sum(float(own.totals[0]) for own in self.phases)
