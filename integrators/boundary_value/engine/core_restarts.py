@@ -13,7 +13,6 @@ from ..transcription.iterate import Iterate
 from ..transcription.iteration import Iteration
 from .acceptance import WIDE
 from .adaptor import adapted
-from .aside import violates
 from .barrier import Barrier
 from .conditions import Conditions
 from .found import Found
@@ -101,10 +100,7 @@ class CoreSearch:
 
     def moved_aside(self) -> tuple[Iterate, np.ndarray]:
         """The guesses moved aside; and which members are worth a search from there, shape (B,)."""
-        conditions, guess = self.conditions, self._guess
-        moved, held = perturbed(conditions, guess, self._first)
-        slacks = joined([iterate_of(first, guess, conditions.transcription) for first in self._first]).slacks
-        return moved, held | violates(slacks, held)
+        return perturbed(self.conditions, self._guess, self._first)
 
     def failed(self, found: Found) -> np.ndarray:
         """Which members have ended without success from guesses that nothing moved aside."""

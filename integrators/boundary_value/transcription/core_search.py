@@ -239,15 +239,15 @@ def search(conditions: Conditions, guess: Iterate, k: int, options: SearchOption
 
 
 def perturbed(conditions: Conditions, guess: Iterate, firsts: list[IterateNumbers]) -> tuple[Iterate, np.ndarray]:
-    """The guesses of members moved aside, from the first iterates of searches; and whether that hardly moves something,
-    shape (B,). ``guess``: a batch of iterates."""
-    steps, moved, held = conditions.transcription, list[Iterate](), list[bool]()
+    """The guesses of members moved aside, from the first iterates of searches; and which are worth a search
+    from there, shape (B,). ``guess``: a batch of iterates."""
+    steps, moved, worth = conditions.transcription, list[Iterate](), list[bool]()
     for first in firsts:
         own = Search(transcription_of(conditions), 1.0, 1)
         own.trajectory.set_iterate(first)
-        held.append(own.perturb())
+        worth.append(own.perturb())
         moved.append(iterate_of(own.trajectory.iterate, guess, steps))
-    return joined(moved).bare, np.array(held)
+    return joined(moved).bare, np.array(worth)
 
 
 def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
@@ -294,7 +294,7 @@ def extremals_of(conditions: Conditions, guess: Iterate, members: list[Member], 
         return linear_steps(own, assembled, 0)
 
     flags = [np.array(own) for own in zip(*(member.result[FLAGS] for member in members), strict=True)]
-    iterations, limited, claimed, strict, convex, solvable, infeasible, falling, _ = flags
+    iterations, limited, claimed, strict, convex, solvable, infeasible, falling, *_ = flags
     nodes, costates, residuals, totals, missing = map(_rows, zip(*(member[ARRAYS] for member in members), strict=True))
     return DiscreteExtremals(
         nodes.reshape(shape),

@@ -25,7 +25,7 @@ from ...errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-HEADER_VERSION = 5  # of the header that the structs below repeat
+HEADER_VERSION = 6  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -329,7 +329,15 @@ class SearchResultStruct(Structure):
             (fact, c_bool)
             for fact in ("limited", "claimed", "strict", "convex", "solvable", "infeasible", "falls", "stopped")
         ),
+        ("right_inertia", c_bool),
     )
+
+
+@final
+class FeasibilityStruct(Structure):
+    """``retrax_feasibility``."""
+
+    _fields_ = (("trials", c_ssize_t), ("feasible", c_bool), ("holds", c_bool), ("stopped", c_bool))
 
 
 STEP_FUNCTIONS, STEP_ROWS = 4, 9  # functions of a method, and parts of the memory of its steps
@@ -431,6 +439,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_search_trajectory": (c_void_p, [c_void_p, c_ssize_t]),
     "retrax_search_multipliers": (c_void_p, [c_void_p, c_bool]),
     "retrax_search_perturb": (c_bool, [c_void_p, c_void_p]),
+    "retrax_search_restore": (FeasibilityStruct, [c_void_p, c_ssize_t]),
     "retrax_search_run": (c_int, [c_void_p]),
     "retrax_search_read": (SearchResultStruct, [c_void_p, c_ssize_t]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
