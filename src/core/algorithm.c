@@ -86,14 +86,12 @@ void retrax_move_iterate(const retrax_search *search, double part, double *itera
     }
 }
 
-/* Writes the unknowns of the trial after the fraction of the step that is tried, and assesses it. */
-static void try_step(retrax_search *search) {
+void retrax_move_trial(const retrax_search *search) {
     const double part = search->fraction * search->direction.reach;
     retrax_move_iterate(search, part, search->trial);
     EACH_PHASE(phase) {
         retrax_move_inequalities(phase->layout, search->at + phase->place, part, phase->dual, search->trial + phase->place);
     }
-    retrax_assess(search, search->trial);
 }
 
 /* Begins anew with the funnel and the best residual, as where the barrier has changed. */
@@ -177,7 +175,8 @@ static void iterate(retrax_search *search) {
     const double length = retrax_step_length(search);
     const bool was_isolated = search->isolated, limited = search->limited;
     bool again;
-    try_step(search);
+    retrax_move_trial(search);
+    retrax_assess(search, search->trial);
     search->accepted = retrax_judge_trial(search, search->trials == 1 && !limited, &again);
     if (!search->accepted && retrax_reset_slacks(search, search->trial)) {
         search->direction = before;
@@ -280,8 +279,7 @@ static double largest_barrier(const retrax_search *search) {
     return found;
 }
 
-/* Tells where the search is; whether it is asked to stop. */
-static bool report(const retrax_search *search) {
+bool retrax_report(const retrax_search *search) {
     const double *const at = search->at;
     const retrax_direction *const step = &search->direction;
     const retrax_iteration iteration = {
@@ -310,7 +308,7 @@ retrax_search_status retrax_search_run(retrax_search *search) {
             renew(search);
             status = status_of(search);
         }
-        search->stopped = status != RETRAX_DEGENERATE && report(search);
+        search->stopped = status != RETRAX_DEGENERATE && retrax_report(search);
         if (status != RETRAX_GOING_ON || search->stopped) {
             retrax_conclude(search);
             return status == RETRAX_GOING_ON ? RETRAX_STOPPED : status;

@@ -242,11 +242,21 @@ static bool is_strict(const retrax_search *search) {
     return softer.negative == equations && retrax_is_clear(softer.smallest, equations);
 }
 
+/* Whether the linear system of the iterate has the inertia of a minimum without a shift. */
+static bool has_right_inertia(retrax_search *search) {
+    const retrax_direction step = search->direction;
+    retrax_newton_step(search, 0.0);
+    const bool found = search->direction.convex;
+    search->direction = step;
+    return found;
+}
+
 void retrax_conclude(retrax_search *search) {
     const retrax_direction *const step = &search->direction;
     const bool extremal = retrax_is_extremal(search), augments = search->limited && !retrax_is_coupled(search);
     search->convex = extremal;
     EACH_PHASE(phase) { search->convex = search->convex && is_convex(phase, search->at + phase->place); }
     const bool positive = search->limited || (step->strict && step->shift == 0.0);
+    search->right_inertia = !extremal && search->trials > search->options.max_iterations && has_right_inertia(search);
     search->strict = extremal && search->isolated && (augments ? is_strict(search) : positive);
 }

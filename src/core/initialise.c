@@ -331,17 +331,15 @@ static void measure_guess(retrax_search *search) {
     search->first_cost = search->phases->judging.cost;
 }
 
-/* Takes all multipliers from the guess. */
-static void forget(retrax_search *search) {
+void retrax_forget_multipliers(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
-        double *const trajectory = search->at + phase->place;
+        double *const trajectory = iterate + phase->place;
         memset(ARRAY(COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_COSTATES]);
         memset(ARRAY(POINT_COSTATES), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_POINT_COSTATES]);
-        phase->knows = false;
     }
     if (retrax_is_coupled(search)) {
-        memset(retrax_search_multipliers(search, false), 0,
+        memset(iterate + search->coupling.first[RETRAX_COUPLED_MULTIPLIERS], 0,
                sizeof(double) * (size_t)search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
     }
 }
@@ -355,9 +353,8 @@ static void start_slacks(retrax_search *search) {
     }
 }
 
-/* Finds the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. Known multipliers
- * that do not fit tell nothing, nor do the costates that came with them: then the guess has none. */
-static void begin(retrax_search *search) {
+/* Known multipliers that do not fit tell nothing, nor do the costates that came with them: then the guess has none. */
+void retrax_begin(retrax_search *search) {
     bool known = false;
     EACH_PHASE(phase) {
         phase->knows = knows_multipliers(phase->layout, search->at + phase->place);
@@ -372,7 +369,8 @@ static void begin(retrax_search *search) {
     }
     start_slacks(search);
     if (known && !retrax_warm_start(search, search->spare)) {
-        forget(search);
+        retrax_forget_multipliers(search, search->at);
+        EACH_PHASE(phase) { phase->knows = false; }
         measure_guess(search);
         start_slacks(search);
     }
@@ -382,7 +380,7 @@ static void begin(retrax_search *search) {
 void retrax_initialise(retrax_search *search) {
     const bool linear = !search->limited;
     bool flat_controls = false;
-    begin(search);
+    retrax_begin(search);
     retrax_measure(search, search->at);
     EACH_PHASE(phase) { flat_controls = flat_controls || has_flat_controls(phase->layout, search->at + phase->place); }
     /* The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal. */

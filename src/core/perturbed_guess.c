@@ -207,12 +207,23 @@ static bool perturb(retrax_search *search, const double *draws, bool last, bool 
     return still;
 }
 
+/* Whether a guess violates inequalities, by its first slacks. */
+static bool violates(const retrax_layout *layout, const double *trajectory) {
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PENALTIES]; i++) {
+        if (ARRAY(PENALTIES)[i] < INFINITY) {
+            return true;
+        }
+    }
+    return false;
+}
+
 bool retrax_search_perturb(retrax_search *search, const double *draws) {
     const size_t size = sizeof(double) * (size_t)search->numbers;
     bool found, held, still;
     if (retrax_is_coupled(search)) {
         return false;
     }
+    const bool violated = violates(search->phases->layout, search->at);
     memcpy(search->trial, search->at, size);
     memcpy(search->spare, search->at, size);
     retrax_evaluate(search, search->at);
@@ -223,5 +234,5 @@ bool retrax_search_perturb(retrax_search *search, const double *draws) {
         still = perturb(search, draws, round == ROUNDS, &held);
     }
     search->options.looks = false;
-    return found;
+    return found || violated;
 }

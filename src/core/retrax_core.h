@@ -750,10 +750,11 @@ RETRAX_API double *retrax_search_trajectory(retrax_search *search, retrax_index 
  * written and read as the iterate is. */
 RETRAX_API double *retrax_search_multipliers(retrax_search *search, bool first);
 
-/* Moves the guess aside, where a run has ended as RETRAX_DEGENERATE or found nothing: by waves of the controls, and by the
- * states to which these lead to first order. draws: [3][s m] amplitudes of size one, such as normal random numbers.
- * Returns whether that hardly moves something that changes along the guess: then a guess is worth moving that is not
- * degenerate. No later run calls a guess degenerate. Phases whose ends are coupled are not moved. */
+/* Moves the guess aside: by waves of the controls, and by the states to which these lead to first order. The iterate is
+ * the guess with its first multipliers and slacks, as a run leaves it that ends as RETRAX_DEGENERATE. draws: [3][s m]
+ * amplitudes of size one, such as normal random numbers. Returns whether a guess that is not degenerate is worth a run
+ * from there: where the waves hardly move something that changes along it, or it violates inequalities. No later run
+ * calls a guess degenerate. Phases whose ends are coupled are not moved. */
 RETRAX_API bool retrax_search_perturb(retrax_search *search, const double *draws);
 
 /* Searches an extremal from the guess. */
@@ -782,10 +783,25 @@ typedef struct {
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
     bool falls;                 /* whether it is no extremal and the cost falls as if it had no lower bound */
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
+    bool right_inertia;         /* where it is limited and no extremal: whether the linear system of the iterate has,
+                                 * without a shift, the inertia of a minimum; else false */
 } retrax_search_result;
 
 /* Returns what the last run has found, with the arrays of a phase. */
 RETRAX_API retrax_search_result retrax_search_read(const retrax_search *search, retrax_index phase);
+
+/* What a feasibility phase has found. */
+typedef struct {
+    retrax_index trials;
+    bool feasible;        /* whether the sum of what equations and inequalities lack is within the root of the tolerance */
+    bool holds;           /* whether all of them hold, to the tolerance */
+    bool stopped;         /* whether the report has asked to stop */
+} retrax_feasibility;
+
+/* Searches a feasible trajectory near to the guess, whatever it costs, by at most so many trials: steps that are the
+ * least that the equations ask for, each shortened until the infeasibility decreases. It is the iterate then, without
+ * multipliers, from which a run may set out. */
+RETRAX_API retrax_feasibility retrax_search_restore(retrax_search *search, retrax_index max_trials);
 
 /* ------------------------------------------------------------------------------------------------------
  * 11. Integration: implicit steps of trajectories, many of them side by side

@@ -175,5 +175,6 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
         .infeasible = retrax_is_infeasible(search),
         .falls = !extremal && retrax_cost_falls(search),
         .stopped = search->stopped,
+        .right_inertia = search->right_inertia,
     };
 }

@@ -99,6 +99,7 @@ struct retrax_search {
     bool claimed;      /* whether the iterate counts as an extremal */
     bool strict;       /* whether the extremal that was found is a strict minimum of the discrete problem */
     bool convex;       /* whether the cost is strictly convex in the controls there, at each point by itself */
+    bool right_inertia; /* whether the limit ended the search where the inertia is that of a minimum */
     bool done;
     bool accepted;     /* whether the last trial was */
     bool stopped;      /* whether the report has asked to stop, be it in the last iteration */
@@ -212,6 +213,12 @@ bool retrax_is_hard(const retrax_search *search);
 /* initialise.c: natural sizes, first slacks and first multipliers of the guess, and the first step. */
 void retrax_initialise(retrax_search *search);
 
+/* initialise.c: the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. */
+void retrax_begin(retrax_search *search);
+
+/* initialise.c: takes the multipliers of the equations from an iterate. */
+void retrax_forget_multipliers(const retrax_search *search, double *iterate);
+
 /* initialise.c: writes the natural sizes of an evaluated trajectory to phase->fresh; least: [n] what the coordinates of
  * its nodes have to move by at least, or NULL. */
 void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double *trajectory, const double *least);
@@ -236,6 +243,12 @@ void retrax_measure(retrax_search *search, double *iterate);
 
 /* algorithm.c: both of these. */
 void retrax_assess(retrax_search *search, double *iterate);
+
+/* algorithm.c: writes the unknowns of the trial after the fraction of the step that is tried. */
+void retrax_move_trial(const retrax_search *search);
+
+/* algorithm.c: tells where the search is; returns whether it is asked to stop. */
+bool retrax_report(const retrax_search *search);
 
 /* algorithm.c: writes the unknowns of an iterate after a fraction of the step from search->at. */
 void retrax_move_iterate(const retrax_search *search, double part, double *iterate);

@@ -194,11 +194,21 @@ static int try_search(generator *g) {
         broken = status == RETRAX_DEGENERATE ? 4 : 0;
     }
     broken = status <= RETRAX_GOING_ON || status > RETRAX_STOPPED ? 1 : broken;
+    const bool restores = below(g, 3) == 0;
     for (retrax_index k = 0; k < count; k++) {
         const retrax_search_result found = retrax_search_read(search, k);
         const double final = found.trajectory[layouts[k]->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_FINAL];
         broken = found.claimed && !(final <= TOLERANCE) ? 2 : broken;
         broken = found.iterations < 0 || found.iterations > options.max_iterations + 5 ? 3 : broken;
+    }
+    if (restores && !broken) { /* from the iterate; a search may set out from what is found */
+        const retrax_index most = below(g, 30);
+        const retrax_feasibility found = retrax_search_restore(search, most);
+        broken = found.trials < 0 || found.trials > most || (found.holds && !found.feasible) ? 5 : 0;
+        status = retrax_search_run(search);
+        broken = status <= RETRAX_GOING_ON || status > RETRAX_STOPPED ? 1 : broken;
+    }
+    for (retrax_index k = 0; k < count; k++) {
         free(phases[k].places);
     }
     free(memory);

@@ -332,7 +332,15 @@ class SearchResultStruct(Structure):
             (fact, c_bool)
             for fact in ("limited", "claimed", "strict", "convex", "solvable", "infeasible", "falls", "stopped")
         ),
+        ("right_inertia", c_bool),
     )
+
+
+@final
+class FeasibilityStruct(Structure):
+    """``retrax_feasibility``."""
+
+    _fields_ = (("trials", c_ssize_t), ("feasible", c_bool), ("holds", c_bool), ("stopped", c_bool))
 
 
 STEP_FUNCTIONS, STEP_ROWS = 4, 9  # functions of a method, and parts of the memory of its steps
@@ -434,6 +442,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_search_trajectory": (c_void_p, [c_void_p, c_ssize_t]),
     "retrax_search_multipliers": (c_void_p, [c_void_p, c_bool]),
     "retrax_search_perturb": (c_bool, [c_void_p, c_void_p]),
+    "retrax_search_restore": (FeasibilityStruct, [c_void_p, c_ssize_t]),
     "retrax_search_run": (c_int, [c_void_p]),
     "retrax_search_read": (SearchResultStruct, [c_void_p, c_ssize_t]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),

@@ -66,6 +66,17 @@ class SearchResult(NamedTuple):
     infeasible: bool
     falls: bool
     stopped: bool
+    right_inertia: bool
+
+
+@final
+class Feasibility(NamedTuple):
+    """The result of a feasibility phase; ``retrax_core.h`` explains the fields."""
+
+    trials: int
+    feasible: bool
+    holds: bool
+    stopped: bool
 
 
 @final
@@ -117,23 +128,36 @@ class Search:
         return self._part(place, self._phases.multipliers)
 
     def perturb(self) -> bool:
-        """Move the guess aside, always in the same way; whether that hardly moves something that is spread along it."""
+        """Move the guess, the first iterate of a search, aside, always in the same way; whether a guess that is not
+        degenerate is worth a search from there."""
         draws = wave_amplitudes(self._of[0].sizes)
         place = address_of(draws, FLOAT, draws.shape, "amplitudes of waves")
-        held = self._library.retrax_search_perturb(self._search, place)
+        worth = self._library.retrax_search_perturb(self._search, place)
         self._check()
-        return held
+        return worth
 
     def run(self) -> SearchStatus:
         """Search an extremal from the guess; an error of the report or of a function, or an interrupt, is raised when
         the search has ended."""
+        return SearchStatus(self._watched(self._library.retrax_search_run))
+
+    def restore(self, max_trials: int) -> Feasibility:
+        """Search a feasible trajectory near the guess, whatever it costs, which is the iterate then.
+
+        Errors and interrupts are raised as by ``run``.
+        """
+        found = self._watched(self._library.retrax_search_restore, max_trials)
+        return Feasibility(*(getattr(found, name) for name in Feasibility._fields))
+
+    def _watched(self, function: Callable[..., Any], *arguments: Any) -> Any:
+        """The result of a function of the core that reports its trials."""
         self._interrupted = False
         with self._interrupts():
-            status = SearchStatus(self._library.retrax_search_run(self._search))
+            found = function(self._search, *arguments)
         self._check()
         if self._interrupted:
             raise KeyboardInterrupt
-        return status
+        return found
 
     @contextmanager
     def _interrupts(self) -> Iterator[None]:
