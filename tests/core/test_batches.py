@@ -4,65 +4,49 @@ import threading
 from collections import Counter
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from retrax.compute import threads
 from retrax.integrators import Result
-from retrax.integrators.boundary_value import regular_extremals
-from retrax.integrators.boundary_value.engine import newton
-from retrax.integrators.boundary_value.transcription import core_search
+from retrax.integrators.boundary_value.reformulations import restarts
 
-from ..integrators.test_parts_of_a_batch import COUNT, HORIZON, START, assert_same, slews
-
-
-@pytest.fixture(autouse=True)
-def on_core(monkeypatch):
-    for module in (regular_extremals, newton):
-        monkeypatch.setattr(module, "PARTS_ON_CORE", frozenset({"search"}))
+from ..integrators.test_parts_of_a_batch import COUNT, HORIZON, START, slews
 
 
 @pytest.fixture
 def seen(monkeypatch):
     """The threads of the searches."""
-    names, alone = list[str](), core_search.search
+    names, alone = list[str](), restarts.search_member
 
-    def search(*arguments: Any) -> Any:
+    def search(member: Any) -> Any:
         names.append(threading.current_thread().name)
-        return alone(*arguments)
+        return alone(member)
 
-    monkeypatch.setattr(core_search, "search", search)
+    monkeypatch.setattr(restarts, "search_member", search)
     monkeypatch.setattr("os.cpu_count", lambda: 3)
     return names
 
 
-def test_members_are_those_of_single_solves_bit_by_bit(seen):
+def test_members_are_searched_in_several_threads(seen):
     solver, ends = slews()
     found = solver.solve_many(START, ends, HORIZON)
-    assert len(seen) >= COUNT
-    assert "MainThread" not in seen[:COUNT]
+    assert len(seen) == COUNT
+    assert "MainThread" not in seen
     assert list(found.success) == [True] * (COUNT - 1) + [False]
-    for k in range(COUNT):
-        alone = solver.solve(START, tuple(part[k] for part in ends), HORIZON, throw=False)
-        assert_same(found[k], alone)
-        if alone.success:
-            both = (vars(solver.sensitivity(one).end) for one in (found[k], alone))
-            for a, b in zip(*map(jax.tree.leaves, both), strict=True):
-                np.testing.assert_array_equal(a, b)
 
 
 def test_an_interrupt_leaves_every_member_with_what_it_has(seen, monkeypatch):
-    begun, alone = threading.Event(), core_search.search
+    begun, alone = threading.Event(), restarts.search_member
 
-    def search(*arguments: Any) -> Any:
+    def search(member: Any) -> Any:
         begun.set()
-        return alone(*arguments)
+        return alone(member)
 
     def interrupted(*_: Any, **__: Any) -> None:
         begun.wait()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(core_search, "search", search)
+    monkeypatch.setattr(restarts, "search_member", search)
     monkeypatch.setattr(threads, "wait", interrupted)
     solver, ends = slews()
     found = solver.solve_many(START, ends, HORIZON)
@@ -73,15 +57,15 @@ def test_an_interrupt_leaves_every_member_with_what_it_has(seen, monkeypatch):
 
 
 def test_an_error_of_a_member_is_raised_when_all_have_ended(seen, monkeypatch):
-    ended, alone = list[int](), core_search.search
+    ended, alone = list[int](), restarts.search_member
 
-    def search(*arguments: Any) -> Any:
-        if arguments[2] == 4:
+    def search(member: Any) -> Any:
+        if member.k == 4:
             raise FloatingPointError("of one member")
-        ended.append(arguments[2])
-        return alone(*arguments)
+        ended.append(member.k)
+        return alone(member)
 
-    monkeypatch.setattr(core_search, "search", search)
+    monkeypatch.setattr(restarts, "search_member", search)
     solver, ends = slews()
     with pytest.raises(FloatingPointError, match="of one member"):
         solver.solve_many(START, ends, HORIZON)

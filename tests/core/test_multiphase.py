@@ -8,14 +8,19 @@ import numpy as np
 import pytest
 from retrax.compute.binding.multiphase import CoupledEnds, Multiphase
 from retrax.compute.binding.transcription import Transcription
-from retrax.integrators import Free, OptimalControlProblem, Phase, solve, solve_phases
-from retrax.integrators.boundary_value.engine import core_phases
+from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
+from retrax.integrators.boundary_value import regular_extremals
 from retrax.integrators.boundary_value.engine.conditions import Conditions
-from retrax.integrators.boundary_value.engine.core_phases import CorePhases
 from retrax.integrators.boundary_value.engine.descent import Descent
 from retrax.integrators.boundary_value.engine.joint import JointConditions
+from retrax.integrators.boundary_value.engine.joint_system import JointIterate
+from retrax.integrators.boundary_value.reformulations import restarts
+from retrax.integrators.boundary_value.transcription.core_search import coupled_ends, iterate_of, transcription_of
+from retrax.integrators.boundary_value.transcription.member_search import MemberSearch, MultiphaseProblem, Watch
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
+
+from .test_problem_functions import called
 
 LINE, PLANE, TURN, GLOBE = Euclidean(1), Euclidean(2), SO(3), Sphere(2)
 AXIS = np.array([0.0, 0.6, 0.8])
@@ -109,78 +114,84 @@ CASES: dict[str, Callable[[], Any]] = {
 }
 
 
-def fresh(joint: JointConditions) -> JointConditions:
-    """The conditions before a search."""
-    phases = tuple(Conditions(own.transcription, own.at_nodes, own.ends, own.data) for own in joint.phases)
-    return JointConditions(phases, joint.coupling)
+Posed = tuple[MultiphaseProblem, Any]
 
 
-def posed(case: str, monkeypatch: Any) -> tuple[JointConditions, Any]:
+def posed(case: str, monkeypatch: Any) -> Posed:
     """The conditions of a problem, and its guess."""
-    seen = []
-    for search in (Descent, CorePhases):
-        ended = search.ended
+    seen, search = [], restarts.search_all
 
-        def watched(self: Any, guess: Any, ended: Any = ended) -> Any:
-            seen.append((fresh(self.conditions), guess))
-            return ended(self, guess)
+    def searched(*given: Any) -> Any:
+        seen.append(given[:2])
+        return search(*given)
 
-        monkeypatch.setattr(search, "ended", watched)
+    monkeypatch.setattr(regular_extremals, "search_all", searched)
     CASES[case]()
     monkeypatch.undo()
     return seen[0]
 
 
-def watched(search: Any, joint: JointConditions, guess: Any) -> tuple[Any, JointConditions, np.ndarray]:
-    """What a search finds, its conditions, and what it tells of its iterations.
+def told_to(told: list[Any]) -> Callable[[Any], Any]:
+    """A callback that keeps what a search tells of its iterations.
 
     But for the stationarity: where points have defects, the engine measures the slope by which these are mended.
     """
-    told, joint = [], fresh(joint)
+    return lambda one: told.append([one.cost[0], one.defect[0], one.shift[0], one.fraction[0], one.barrier[0]])
 
-    def see(one: Any) -> None:
-        told.append([one.cost[0], one.defect[0], one.shift[0], one.fraction[0], one.barrier[0]])
 
+def by_engine(problem: MultiphaseProblem, guess: Any) -> tuple[Any, JointConditions, np.ndarray]:
+    """The result of a search of the engine, its conditions, and its iterations."""
+    phases = tuple(Conditions(own.transcription, own.at_nodes, own.ends, own.data) for own in problem.phases)
+    joint, told = JointConditions(phases, problem.coupling), []
     with np.errstate(all="ignore"):
-        return search(joint, 1e-10, 100, see).ended(guess), joint, np.array(told)
+        return Descent(joint, 1e-10, 100, told_to(told)).ended(JointIterate(*guess)), joint, np.array(told)
+
+
+def by_core(problem: MultiphaseProblem, guess: Any, callback: Any = None) -> Any:
+    """The result of a search of the core."""
+    return MemberSearch(problem, guess, 0, (1e-10, 100), Watch(callback)).from_guess()
 
 
 @pytest.mark.parametrize("case", list(CASES))
 def test_searches_go_and_end_where_those_of_the_engine_do(case, monkeypatch):
-    joint, guess = posed(case, monkeypatch)
-    assert core_phases.is_on_core(joint)
-    expected, of_engine, way = watched(Descent, joint, guess)
-    found, of_core, own_way = watched(CorePhases, joint, guess)
-    assert found.claimed.all()
+    problem, guess = posed(case, monkeypatch)
+    expected, of_engine, way = by_engine(problem, guess)
+    own_way = list[Any]()
+    found = by_core(problem, guess, told_to(own_way))
+    assert found.claimed
     assert expected.claimed.all()
-    assert found.strict_minimum == expected.strict_minimum
+    assert found.strict == expected.strict_minimum[0]
     assert found.iterations == expected.iterations
-    np.testing.assert_allclose(own_way, way, rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(found.iterate.multipliers, expected.iterate.multipliers, rtol=1e-7, atol=1e-9)
-    for part, like in zip(found.iterate.parts, expected.iterate.parts, strict=True):
-        for array, own in zip((part.costates, *part.unknowns), (like.costates, *like.unknowns), strict=True):
-            np.testing.assert_allclose(array, own, rtol=1e-7, atol=1e-8)
+    np.testing.assert_allclose(np.array(own_way), way, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(found.multipliers, expected.iterate.multipliers[0], rtol=1e-7, atol=1e-9)
+    for own, phase, like in zip(found.phases, problem.phases, expected.iterate.parts, strict=True):
+        part = iterate_of(own.iterate, like, phase.transcription)
+        for array, other in zip((part.costates, *part.unknowns), (like.costates, *like.unknowns), strict=True):
+            np.testing.assert_allclose(array, other, rtol=1e-7, atol=1e-8)
         if like.slacks is not None:
-            for array, own in zip(part.slacks, like.slacks, strict=True):
-                np.testing.assert_allclose(array, own, rtol=1e-5, atol=1e-9)
-    np.testing.assert_allclose(of_core.units.nodes, of_engine.units.nodes, rtol=1e-7)
-    for phase, like in zip(of_core.phases, of_engine.phases, strict=True):
-        for array, own in zip(phase.units, like.units, strict=True):
-            np.testing.assert_allclose(array, own, rtol=1e-7)
+            for array, other in zip(part.slacks, like.slacks, strict=True):
+                np.testing.assert_allclose(array, other, rtol=1e-5, atol=1e-9)
+    lacking, residuals = expected.missing[0], expected.residuals
+    np.testing.assert_allclose(found.missing, lacking, rtol=1e-3, atol=1e-12)
+    np.testing.assert_allclose(found.residuals[:2], [residuals.gap[0], residuals.stationarity[0]], atol=1e-11)
+    np.testing.assert_allclose(found.jacobian, expected.assembled.coupled.jacobian[0], rtol=1e-7, atol=1e-8)
+    for own, like in zip(found.phases, of_engine.phases, strict=True):
+        for array, other in zip(own.judging, like.units, strict=True):
+            np.testing.assert_allclose(array, np.ravel(other), rtol=1e-7)
 
 
 def test_a_search_from_what_it_has_found_takes_no_time(monkeypatch):
-    joint, guess = posed("three phases of one horizon", monkeypatch)
-    found, *_ = watched(CorePhases, joint, guess)
-    again, *_ = watched(CorePhases, joint, found.iterate)
-    assert again.claimed.all()
+    problem, guess = posed("three phases of one horizon", monkeypatch)
+    member = MemberSearch(problem, guess, 0, (1e-10, 100), Watch(None))
+    again = member.from_iterate(member.from_guess().iterate)
+    assert again.claimed
     assert again.iterations <= 1
 
 
 @pytest.mark.parametrize("content", [np.nan, 1e300])
 def test_the_memory_of_a_search_may_have_any_content(content, monkeypatch):
-    joint, guess = posed("limits in one of two phases", monkeypatch)
-    expected = CorePhases(fresh(joint), 1e-10, 100, None).ended(guess)
+    problem, guess = posed("limits in one of two phases", monkeypatch)
+    expected = by_core(problem, guess)
     take = Transcription.search_room
 
     def filled(own, size):
@@ -189,23 +200,47 @@ def test_the_memory_of_a_search_may_have_any_content(content, monkeypatch):
         return room
 
     monkeypatch.setattr(Transcription, "search_room", filled)
-    found = CorePhases(fresh(joint), 1e-10, 100, None).ended(guess)
+    found = by_core(problem, guess)
     assert found.iterations == expected.iterations
-    np.testing.assert_array_equal(found.assembled.cost, expected.assembled.cost)
+    assert found.cost == expected.cost
 
 
 def test_a_callback_stops_a_search(monkeypatch):
-    joint, guess = posed("three phases of one horizon", monkeypatch)
-    found = CorePhases(fresh(joint), 1e-10, 100, lambda one: one.number == 2).ended(guess)
+    found = by_core(*posed("three phases of one horizon", monkeypatch), lambda one: one.number == 2)
     assert found.stopped
-    assert not found.claimed.any()
+    assert not found.claimed
     assert found.iterations == 2
 
 
+UNTRACEABLE = {  # a constraint of the ends, and a cost of an end, that no tape computes
+    "constraint": {"boundary_constraints": {"sine": lambda a, b: called(b[0]) - 0.5 + b[1]}},
+    "cost": {"boundary_constraints": {"line": lambda a, b: b[0] - 1}, "terminal_cost": lambda q: called(q[1]) + q @ q},
+}
+
+
+@pytest.mark.parametrize("name", UNTRACEABLE)
+def test_ends_without_a_tape_are_called_back(name):
+    """The same iterations, costs and multipliers as where a tape computes them."""
+    options = UNTRACEABLE[name]
+    found = []
+    for sine in (called, jnp.sin):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setitem(globals(), "called", sine)
+            problem = OptimalControlProblem(PLANE, cart, effort, 1, **options)
+            solver = Solver(problem, Gauss(2, Addition(PLANE)), 5)
+            found.append(solver.solve(np.zeros(2), Free(np.array([1.0, 0.2])), 1.0, tolerance=1e-10))
+        assert solver.evaluator == ("xla" if sine is called else "tape"), solver.reason
+    one, other = found
+    assert one.statistics.iterations == other.statistics.iterations
+    assert one.cost == pytest.approx(other.cost, rel=1e-12)
+    assert one.checks.strict_minimum == other.checks.strict_minimum
+    for constraint, multipliers in other.multipliers.items():
+        np.testing.assert_allclose(one.multipliers[constraint], multipliers, rtol=1e-9)
+
+
 def test_what_does_not_fit_is_refused(monkeypatch):
-    joint, _ = posed("an end on a set", monkeypatch)
-    ends = core_phases._coupled_ends(joint.coupling)
-    phases = [core_phases._transcription_of(phase) for phase in joint.phases]
+    problem, _ = posed("an end on a set", monkeypatch)
+    ends, phases = coupled_ends(problem.coupling), list(map(transcription_of, problem.phases))
     with pytest.raises(InvalidInputError, match="ends of 2 phases"):
         Multiphase(phases * 2, ends)
     with pytest.raises(InvalidInputError, match="expected"):

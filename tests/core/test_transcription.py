@@ -8,10 +8,11 @@ from retrax.compute.binding.library import best_instruction_set
 from retrax.compute.binding.search import Search, SearchStatus
 from retrax.compute.binding.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
 from retrax.integrators.boundary_value import regular_extremals
-from retrax.integrators.boundary_value.engine import beginning, newton
+from retrax.integrators.boundary_value.engine import beginning
 from retrax.integrators.boundary_value.engine import first_units as engine_units
 from retrax.integrators.boundary_value.engine.barrier import PRICES
 from retrax.integrators.boundary_value.engine.conditions import Conditions
+from retrax.integrators.boundary_value.engine.descent import Descent
 from retrax.integrators.boundary_value.engine.inequalities import BOUNDARY
 from retrax.integrators.boundary_value.engine.transcription import Moves
 from retrax.integrators.boundary_value.transcription import core_search
@@ -23,18 +24,6 @@ SETS = range(best_instruction_set() + 1)
 NAMES = list(CASES)
 
 
-def run_on_core(monkeypatch: Any, *parts: str) -> None:
-    """Run these parts on the core, and all others by the engine."""
-    for module in (newton, regular_extremals):
-        monkeypatch.setattr(module, "PARTS_ON_CORE", frozenset(parts))
-
-
-@pytest.fixture(autouse=True)
-def engine(monkeypatch):
-    """Solves by the engine, which these tests compare with, whatever runs on the core."""
-    run_on_core(monkeypatch)
-
-
 def transcription(conditions: Conditions, own: int) -> Transcription:
     """The engine's transcription for the core, which runs an instruction set."""
     return core_search.made(conditions, own)
@@ -42,17 +31,22 @@ def transcription(conditions: Conditions, own: int) -> Transcription:
 
 def posed(solver: Any, way: tuple, monkeypatch: Any, **options: Any) -> tuple[Conditions, Any]:
     """The conditions of a solve, and its guess."""
-    seen, begin = [], Conditions.begin
+    seen, search = [], regular_extremals.search_all
 
-    def begun(self: Conditions, guess: Any, firm: float = 1.0) -> Any:
-        seen.append((self, guess))
-        return begin(self, guess, firm)
+    def searched(problem: Any, guess: Any, *others: Any) -> Any:
+        seen.append((problem.phases[0], guess.parts[0]))
+        return search(problem, guess, *others)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Conditions, "begin", begun)
-        patch.setattr(Conditions, "setting", None)
+        patch.setattr(regular_extremals, "search_all", searched)
         solver.solve(*way, **options)
     return seen[0]
+
+
+def by_engine(conditions: Conditions, guess: Any, tolerance: float = 1e-10) -> Any:
+    """The result of a search of the engine."""
+    with np.errstate(all="ignore"):
+        return Descent(conditions, tolerance, 100, None).ended(guess)
 
 
 def put(found: Trajectory, conditions: Conditions, iterate: Any) -> Trajectory:
@@ -102,6 +96,7 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
     """Along a solve, at all iterates and for all steps and parts of steps; the cases share out the instruction sets."""
     own = SETS[NAMES.index(name) % len(SETS)]
     solver, way, options = CASES[name]()
+    conditions, guess = posed(solver, way, monkeypatch, **options)
     made, moves, given = [0, 0, 0, 0], {}, []
     natural_units, units_of = engine_units.natural_units, engine_units.first_units
     assemble, move, appraise = Conditions.assemble, Conditions.move, Conditions.appraised
@@ -201,7 +196,7 @@ def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
     monkeypatch.setattr(engine_units, "natural_units", measured)
     monkeypatch.setattr(beginning, "first_units", first_units)
     monkeypatch.setattr(Conditions, "setting", None)
-    assert solver.solve(*way, **options).success
+    assert by_engine(conditions, guess).claimed.all()
     assert min(made) > 0
 
 
@@ -251,16 +246,16 @@ def test_what_does_not_fit_is_refused(monkeypatch):
 @pytest.mark.parametrize("name", NAMES)
 def test_searches_end_where_those_of_the_engine_do(name, monkeypatch):
     solver, way, options = CASES[name]()
-    expected = solver.solve(*way, tolerance=1e-10, **options)
     conditions, guess = posed(solver, way, monkeypatch, **options)
+    expected = by_engine(conditions, guess)
     search = Search(transcription(conditions, SETS[-1]), 1e-10, 100)
     put(search.trajectory, conditions, guess._replace(slacks=None))
     status = search.run()
     assert status is SearchStatus.CONVERGED, status
-    assert search.trajectory["TOTALS"][0] == pytest.approx(expected.cost, rel=1e-9)
+    assert search.trajectory["TOTALS"][0] == pytest.approx(expected.assembled.cost[0], rel=1e-9)
     found = search.read()
     assert found.claimed
-    assert found.iterations == expected.statistics.iterations
+    assert found.iterations == expected.iterations
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -3,8 +3,8 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax.compute.binding.search import Search
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.engine import newton
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Midpoint
 
@@ -14,20 +14,20 @@ PLANE = Euclidean(2)
 @pytest.mark.parametrize("speed", [0.9, 1.2])
 def test_iterations_of_searches_without_success_are_counted(speed, monkeypatch):
     """One metre in a second takes a mean speed of 1: below, every search fails."""
-    counts, ended, run = [], newton.Descent.ended, newton.Restoration.run
+    counts, run, restore = [], Search.run, Search.restore
 
-    def counted(search, guess):
-        found = ended(search, guess)
-        counts.append(found.iterations.sum())
+    def counted(search):
+        status = run(search)
+        counts.append(search.read().iterations)
+        return status
+
+    def counted_phase(search, most):
+        found = restore(search, most)
+        counts.append(found.trials)
         return found
 
-    def counted_phase(phase, most):
-        met = run(phase, most)
-        counts.append(np.sum(phase.trials))
-        return met
-
-    monkeypatch.setattr(newton.Descent, "ended", counted)
-    monkeypatch.setattr(newton.Restoration, "run", counted_phase)
+    monkeypatch.setattr(Search, "run", counted)
+    monkeypatch.setattr(Search, "restore", counted_phase)
     problem = OptimalControlProblem(
         PLANE,
         lambda q, u: jnp.stack([q[1], u[0]]),

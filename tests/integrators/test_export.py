@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from retrax.compute.binding import transcription
 from retrax.integrators import Free, OptimalControlProblem, Solver, default_guess
-from retrax.integrators.boundary_value.engine import newton
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 
@@ -101,11 +100,9 @@ CASES = {
 
 @pytest.fixture(autouse=True)
 def _searches_of_the_core(monkeypatch):
-    """Python searches on the core, with the instruction set of the program: rounding of products and sums moves the
+    """Searches with the instruction set of the program: rounding of products and sums moves the
     costates of least time, which the tolerance hardly determines, by 1e-6."""
     monkeypatch.setattr(transcription, "best_instruction_set", lambda: 0)
-    if hasattr(newton, "PARTS_ON_CORE"):
-        monkeypatch.setattr(newton, "PARTS_ON_CORE", frozenset({"search"}))
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,8 @@
-"""Parts of a batch, solved side by side: nobody can tell from what is found."""
+"""Members of a batch, solved side by side: nobody can tell from the results."""
 
 import os
 import subprocess
 import sys
-import threading
 from dataclasses import fields
 from functools import cache
 from pathlib import Path
@@ -12,9 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.compute.threads import one_thread, parts_of
+from retrax.compute import threads
 from retrax.integrators import Free, OptimalControlProblem, Result, Solver
-from retrax.integrators.boundary_value.engine import parallel
 from retrax.manifolds import Euclidean, hat
 from retrax.retractions import Cayley, Gauss, Midpoint, default_retraction
 
@@ -52,20 +50,10 @@ def levels():
     return Solver(problem, Gauss(2, default_retraction(PLANE)), 6)
 
 
-@pytest.fixture
-def in_parts(monkeypatch):
-    """Three parts of a batch, whatever the machine; of each the thread in which it was solved, which may be that of
-    another that has ended."""
-    seen, alone = [], parallel.newton
-
-    def newton(*arguments):
-        seen.append(threading.current_thread().name)
-        return alone(*arguments)
-
-    parts = [range(4), range(4, 7), range(7, COUNT)]
-    monkeypatch.setattr(parallel, "parts_of", lambda count, *_: parts if count == COUNT else [range(count)])
-    monkeypatch.setattr(parallel, "newton", newton)
-    return seen
+@pytest.fixture(autouse=True)
+def processors(monkeypatch):
+    """Three threads, whatever the machine."""
+    monkeypatch.setattr("os.cpu_count", lambda: 3)
 
 
 def assert_same(one, other):
@@ -77,115 +65,41 @@ def assert_same(one, other):
     assert one.statistics.iterations == other.statistics.iterations
 
 
-def test_limited_slews_are_the_same_in_parts(in_parts):
+def test_limited_slews_are_those_of_single_solves():
     solver, ends = slews()
     found = solver.solve_many(START, ends, HORIZON)
-    assert len(in_parts) == 3
-    assert "MainThread" not in in_parts
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(parallel, "parts_of", lambda count, *_: [range(count)])
-        whole = solver.solve_many(START, ends, HORIZON)
-    assert list(whole.success) == [True] * (COUNT - 1) + [False]
-    for one, other in zip(found, whole, strict=True):
+    assert list(found.success) == [True] * (COUNT - 1) + [False]
+    for k, one in enumerate(found):
+        other = solver.solve(START, tuple(part[k] for part in ends), HORIZON, throw=False)
         assert_same(one, other)
-    # The units that a part has found belong to its members.
-    for k in (0, 5, 9):
-        one, other = (vars(solver.sensitivity(many[k]).start) for many in (found, whole))
-        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-            np.testing.assert_array_equal(a, b)
+        if other.success:
+            both = (vars(solver.sensitivity(solution).start) for solution in (one, other))
+            for a, b in zip(*map(jax.tree.leaves, both), strict=True):
+                np.testing.assert_array_equal(a, b)
 
 
-def test_ends_on_a_set_are_the_same_in_parts(in_parts):
+def test_ends_on_a_set_are_those_of_single_solves():
     solver, given = levels(), np.linspace(0.2, 1.4, COUNT)
     found = solver.solve_many(np.zeros(2), Free(np.zeros(2)), 1.5, parameters=given)
-    assert len(in_parts) == 3
     for solution, level in zip(found, given, strict=True):
         alone = solver.solve(np.zeros(2), Free(np.zeros(2)), 1.5, parameters=level)
         assert solution.states[-1, 0] == pytest.approx(level, abs=1e-9)
         assert_same(solution, alone)
 
 
-def test_an_interrupt_leaves_every_part_with_what_it_has(in_parts, monkeypatch):
-    begun = threading.Event()
-
-    def interrupted(*_, **__):
-        begun.wait()
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(parallel, "wait", interrupted)
-    solver, ends = slews()
-    alone = parallel.newton
-
-    def newton(*arguments):
-        begun.set()
-        return alone(*arguments)
-
-    monkeypatch.setattr(parallel, "newton", newton)
-    found = solver.solve_many(START, ends, HORIZON)
-    assert len(found) == COUNT
-    assert np.isfinite(found.cost).all()
-    left = [words == Result[Result.stopped] for words in found.result]
-    assert list(found.success | left) == [True] * COUNT
-    assert any(left)
-
-
-def test_an_interrupt_is_not_lost_where_all_parts_have_ended(in_parts, monkeypatch):
-    ended = parallel.wait
+def test_an_interrupt_is_not_lost_where_all_members_have_ended(monkeypatch):
+    ended = threads.wait
 
     def interrupted(*arguments, **options):
         ended(*arguments, **options)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(parallel, "wait", interrupted)
+    monkeypatch.setattr(threads, "wait", interrupted)
     solver, ends = slews()
     found = solver.solve_many(START, ends, HORIZON, max_iterations=1)
     assert (found.converged, found.distinct) == (0, 0)
     assert f"{len(found)}, 0 of them converged, 0 distinct" in repr(found)
     assert found.result == [Result[Result.stopped]] * COUNT
-
-
-def test_what_a_part_raises_ends_the_others(in_parts, monkeypatch):
-    seen, alone = [], parallel.newton
-
-    def newton(conditions, guess, tolerance, iterations, callback):
-        if len(guess.costates) == 3:
-            raise FloatingPointError("of one part")
-        seen.append(alone(conditions, guess, tolerance, iterations, callback))
-        return seen[-1]
-
-    monkeypatch.setattr(parallel, "newton", newton)
-    solver, ends = slews()
-    with pytest.raises(FloatingPointError, match="of one part"):
-        solver.solve_many(START, ends, HORIZON)
-    assert all(own.stopped or own.claimed.any() for own in seen)
-
-
-def test_a_callback_sees_the_whole_batch(in_parts):
-    solver, ends = slews()
-    seen = []
-    solver.solve_many(START, ends, HORIZON, callback=lambda iteration: seen.append(len(iteration.members)))
-    assert seen[0] == COUNT
-    assert not in_parts
-
-
-@pytest.mark.parametrize("locked", [0.01, 4.0])
-@pytest.mark.parametrize("count", [1, 7, 8, 9, 16, 100, 1000])
-def test_parts_are_all_items_in_their_order_and_as_many_as_are_fast(count, locked, monkeypatch):
-    for processors in (1, 2, 3, 64):
-        monkeypatch.setattr("os.cpu_count", lambda processors=processors: processors)
-        parts = parts_of(count, locked, 100)
-        assert [k for part in parts for k in part] == list(range(count))
-        assert max(map(len, parts)) <= 100
-        if len(parts) <= processors:
-            times = [count / n + locked * n for n in range(1, min(processors, count) + 1)]
-            assert times[len(parts) - 1] <= 1.1 * min(times) or len(parts) == -(-count // 100)
-        with one_thread():
-            assert parts_of(count, locked, 100) == [range(count)]
-
-
-def test_the_system_is_not_asked_for_processors_where_there_is_one_part(monkeypatch):
-    monkeypatch.setattr("os.cpu_count", None)
-    assert parts_of(7, 4.0, 100) == [range(7)]
 
 
 IN_A_FORK = """
@@ -195,10 +109,9 @@ import warnings
 import jax
 jax.config.update("jax_enable_x64", True)
 import numpy as np
-from retrax.integrators.boundary_value.engine import parallel
 from tests.integrators.test_parts_of_a_batch import HORIZON, START, slews
 
-parallel.parts_of = lambda count, *_: [range(0, 5), range(5, count)]
+os.cpu_count = lambda: 2
 solver, ends = slews()
 whole = solver.solve_many(START, ends, HORIZON)
 warnings.simplefilter("ignore")  # JAX warns of forks

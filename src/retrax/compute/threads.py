@@ -1,7 +1,6 @@
 """Threads that share the loops of compiled kernels, which run without Python's lock."""
 
 import itertools
-import math
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
@@ -51,20 +50,6 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
 def worth_threads(count: int, work: float) -> bool:
     """Whether ``count`` items, each of them ``work`` operations, are enough for a second thread."""
     return count * work >= 2 * WORTH_A_THREAD
-
-
-def parts_of(count: int, locked: float, most: int) -> list[range]:
-    """Ranges of ``count`` items for ``on_its_own``, none with more than ``most``.
-
-    ``locked``: the number of items that take as long as what a part does under Python's lock. Parts do that one after
-    the other and the rest side by side, in a time ``count / parts + locked parts``: so many are the fastest, but no
-    more than there are processors. There is a single one where other processors are busy.
-    """
-    if _alone.get():
-        return _ranges(count, 1)
-    fastest = max(1, round(math.sqrt(count / locked)))
-    parts = fastest if fastest == 1 else min(os.cpu_count() or 1, fastest)  # the system is asked only where it matters
-    return _ranges(count, max(1, min(count, max(parts, -(-count // most)))))
 
 
 def _ranges(count: int, parts: int, unit: int = 1) -> list[range]:
