@@ -7,12 +7,12 @@ from ...compute.binding.library import PARTS_ON_CORE
 from .audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
 from .engine.adaptor import adapted
 from .engine.found import Found
-from .engine.joint import JointConditions
 from .engine.newton import newton
 from .engine.parallel import newton_of_all
 from .inputs.arguments import Options
 from .transcription.core_search import find_on_core, is_on_core
 from .transcription.discrete_extremals import DiscreteExtremals
+from .transcription.discrete_phase import LinkedPhases
 from .transcription.linkages import PhaseProblem
 
 
@@ -24,7 +24,7 @@ def find_extremals(transcribed: Any, options: Options) -> DiscreteExtremals:
         if "search" in PARTS_ON_CORE and is_on_core(conditions):
             return find_on_core(conditions, guess, options)
         return adapted(conditions, _find(transcribed, conditions, guess, options))
-    joint: Any = JointConditions((transcribed.conditions,), traced.coupling)
+    joint: Any = LinkedPhases((transcribed.conditions,), traced.coupling)
     guess = joint.guess((transcribed.guess,))
     names = equation_words([traced.own])
     require_independent(joint, guess, names)
@@ -43,7 +43,7 @@ def _find(transcribed: Any, conditions: Any, guess: Any, options: Options) -> Fo
     return newton_of_all(conditions, guess, (shape[0], shape[1] * steps.stages), *options[:2])
 
 
-def phase_of(conditions: JointConditions, found: Found, k: int, phases: Sequence[PhaseProblem]) -> DiscreteExtremals:
+def phase_of(conditions: LinkedPhases, found: Found, k: int, phases: Sequence[PhaseProblem]) -> DiscreteExtremals:
     """The result for a phase, with the multipliers of its boundary constraints by their names."""
     joint: Any = found
     begin, boundary = sum(sum(phase.sizes.values()) for phase in phases[:k]), {}

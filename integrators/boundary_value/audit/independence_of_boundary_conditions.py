@@ -11,7 +11,7 @@ from ....manifolds.numerics.tolerances import EPS, HALF
 from ...problem.boundary_conditions import PERIODIC, boundary_words
 from ...problem.point_layout import PointLayout
 from ...reporting.text import counted
-from ..engine.joint import JointConditions
+from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.linkages import PhaseProblem
 
 RANDOM_ENDS = 4  # random ends at which equations are looked at
@@ -28,7 +28,7 @@ def equation_words(phases: Sequence[PhaseProblem]) -> list[str]:
     ]
 
 
-def check_independence(joint: JointConditions, found: Any, names: Sequence[str]) -> Any:
+def check_independence(joint: LinkedPhases, found: Any, names: Sequence[str]) -> Any:
     """The found extremal, with a note if equations between the ends depend on each other.
 
     The inertia of the KKT matrix, which is then singular, shows no minimum.
@@ -38,7 +38,7 @@ def check_independence(joint: JointConditions, found: Any, names: Sequence[str])
     return found._replace(notes=notes, strict_minimum=found.strict_minimum & determined)
 
 
-def _dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence[str]) -> str:
+def _dependent_words(joint: LinkedPhases, found: Any, k: int, names: Sequence[str]) -> str:
     """Words on equations between the ends that depend on each other at the ends that a member reached; otherwise
     empty."""
     rows = found.assembled.coupled.jacobian[k][:, joint.free]
@@ -54,7 +54,7 @@ def _dependent_words(joint: JointConditions, found: Any, k: int, names: Sequence
     )
 
 
-def _all(joint: JointConditions, names: Sequence[str]) -> list[str]:
+def _all(joint: LinkedPhases, names: Sequence[str]) -> list[str]:
     """Names of all equations, and of the links."""
     link = "the link between phases" if len(joint.phases) > 1 else PERIODIC
     return [*names, *(link for _ in range(joint.coupling.rows - len(names)))]
@@ -66,7 +66,7 @@ def _scale(rows: np.ndarray) -> np.ndarray:
     return rows / np.where(sizes > 0, sizes, 1.0)[:, None]
 
 
-def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]) -> None:
+def require_independent(joint: LinkedPhases, guess: Any, names: Sequence[str]) -> None:
     """Raise if equations between the ends depend on each other, at the guess and at random ends too.
 
     Where ends are prescribed, in what is free of them.
@@ -92,7 +92,7 @@ def require_independent(joint: JointConditions, guess: Any, names: Sequence[str]
         )
 
 
-def _samples(joint: JointConditions, guess: Any) -> list[list[np.ndarray]]:
+def _samples(joint: LinkedPhases, guess: Any) -> list[list[np.ndarray]]:
     """The ends of the guess of the first member, and random ends where these are free."""
     found = [end[:1] for phase, part in zip(joint.phases, guess.parts, strict=True) for end in phase.reached(part)]
     samples = [found]

@@ -20,14 +20,14 @@ from ...problem.user_functions import require_concrete
 from ...reporting.text import brief, counted
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import check_independence, equation_words, require_independent
-from ..engine.coupling import Link
-from ..engine.joint import JointConditions
 from ..engine.newton import newton
 from ..inputs.arguments import Method, Options, check_problem
 from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
 from ..regular_extremals import phase_of
 from ..solution.diagnostics import add_compile_time
 from ..solution.multiphase_solution import PhasedSolution
+from ..transcription.discrete_phase import LinkedPhases
+from ..transcription.functions.linked_ends import Link
 from ..transcription.iteration import Iteration
 from ..transcription.linkages import PhaseProblem, linkages_of
 from .phase_guess import guess_phases
@@ -214,7 +214,7 @@ class _Task:
         coupling = linkages_of(
             owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at)
         )
-        joint = JointConditions(tuple(part.transcribed.conditions for part in parts), coupling)
+        joint = LinkedPhases(tuple(part.transcribed.conditions for part in parts), coupling)
         first = joint.guess(tuple(part.transcribed.guess for part in parts))
         names = [*equation_words(owns), *(f"{name}[{i}]" for name, size in sizes.items() for i in range(size))]
         require_independent(joint, first, names)

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from ....manifolds.numerics.ambient import taken
-from ..transcription.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, LinearSteps, Residuals
+from ..transcription.discrete_extremals import DiscreteExtremals, Inequalities, LinearSteps, Residuals
+from ..transcription.functions.steps import AtStages
 from ..transcription.iterate import Iterate
 from .conditions import Conditions
 from .found import Found

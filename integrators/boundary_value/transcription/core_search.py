@@ -11,13 +11,13 @@ import numpy as np
 from ....compute.binding.problem_functions import CallbackFunction
 from ....compute.binding.search import Search, SearchResult, SearchStatus
 from ....compute.binding.tape_machine import MachineProgram
-from ....compute.binding.transcription import FunctionName, IterateNumbers, Sizes, Trajectory, Transcription
+from ....compute.binding.transcription import IterateNumbers, Sizes, Trajectory, Transcription
 from ....compute.threads import each_in_threads
 from ....manifolds.numerics.ambient import joined, taken
 from ...problem.point_layout import PointLayout
-from ..engine.collocation import Collocation
-from ..engine.conditions import Conditions
-from .discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
+from .discrete_extremals import DiscreteExtremals, Inequalities, Residuals
+from .discrete_phase import DiscretePhase
+from .functions.steps import AtStages
 from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
 from .iteration import Iteration, stops
 
@@ -40,21 +40,7 @@ def is_on_core(conditions: Any) -> bool:
     return not conditions.joint
 
 
-def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
-    """The functions of the problem."""
-    steps, nodes, name = conditions.transcription, conditions.at_nodes, FunctionName
-    found = {name.ENDS: steps._ends, name.FRAMES: nodes._in_frame, name.MIDDLE: nodes._middle}
-    costs = {"first_cost": name.START_COST, "final_cost": name.END_COST}
-    found |= {costs[key]: function for key, function in nodes._paid.items()}
-    if nodes._directions is not None:
-        found[name.CONTROL_FRAMES] = nodes._directions
-    if isinstance(steps, Collocation):
-        found |= {name.POINTS: steps._point, name.BOTH_ENDS: steps._both, name.MOVE: steps._centre}
-        return found | {name.MOVE_CONTROLS: steps._control}
-    return found | {name.POINTS: steps._row, name.MOVE: steps._move}
-
-
-def transcription_of(conditions: Conditions) -> Transcription:
+def transcription_of(conditions: DiscretePhase) -> Transcription:
     """The transcription of a problem for the core; the last transcriptions are kept."""
     count = conditions.data.steps.shape[1]
     known = _known.of.setdefault(conditions.transcription, {})
@@ -65,20 +51,19 @@ def transcription_of(conditions: Conditions) -> Transcription:
     return known[count]
 
 
-def made(conditions: Conditions, instruction_set: int | None = None) -> Transcription:
+def made(conditions: DiscretePhase, instruction_set: int | None = None) -> Transcription:
     """The transcription of a problem for the core, by the processor's best instruction set or a lesser one."""
-    steps, nodes, tableau = conditions.transcription, conditions.at_nodes, (np.ones((1, 1)), np.ones(1))
-    if isinstance(steps, Collocation):
-        tableau = steps.tableau.matrix, steps.tableau.weights
+    steps, nodes = conditions.transcription, conditions.at_nodes
     sizes = Sizes(
         conditions.data.steps.shape[1], steps.stages, steps.manifold.dimension, steps.state.size,
-        steps.controls.dimension, steps.control.size, steps.parameter.size, *_limits(steps),
+        steps.controls.dimension, steps.control.size, steps.parameter.size, *steps.limit_sizes,
     )  # fmt: skip
     groups, of_controls = _groups(nodes.layout), None if nodes.flat_controls else _groups(nodes.control)
     bounds = sum(map(len, nodes.problem._limits.bounded.values()))
-    functions = {name: _function(own, instruction_set) for name, own in _functions(conditions).items()}
+    traced = steps.functions | nodes.functions
+    functions = {name: _function(own, instruction_set) for name, own in traced.items()}
     return Transcription(
-        sizes, tableau, groups, of_controls, steps.kept.astype(float), bounds, functions, instruction_set
+        sizes, steps.tableau, groups, of_controls, steps.kept.astype(float), bounds, functions, instruction_set
     )
 
 
@@ -95,14 +80,9 @@ def _groups(layout: PointLayout) -> tuple[np.ndarray, np.ndarray]:
     return layout.columns.astype(np.intp), layout.arrays.astype(np.intp)
 
 
-def _limits(steps: Any) -> tuple[int, int]:
-    """Numbers of inequalities of a point, and of the ends of a collocation step."""
-    return (steps.own, steps.at_nodes) if isinstance(steps, Collocation) else (steps.inequalities, 0)
-
-
 def flat_limits(steps: Any, array: np.ndarray) -> np.ndarray:
     """The core's order of an array of inequalities, shape ``(N, r, c)``."""
-    own, at_nodes = _limits(steps)
+    own, at_nodes = steps.limit_sizes
     if not at_nodes:
         return array.ravel()
     return np.concatenate([array[:, : steps.stages, :own].ravel(), array[:, steps.stages, own:].ravel()])
@@ -113,7 +93,7 @@ def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np
 
     ``unasked``: the number where there is none.
     """
-    own, at_nodes = _limits(steps)
+    own, at_nodes = steps.limit_sizes
     if not at_nodes:
         return flat.reshape(1, count, steps.places, steps.inequalities).copy()
     found, of_points = np.full((1, count, steps.places, steps.inequalities), unasked), count * steps.stages * own
@@ -122,7 +102,7 @@ def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np
     return found
 
 
-def put(to: Trajectory, conditions: Conditions, iterate: Iterate, k: int) -> None:
+def put(to: Trajectory, conditions: DiscretePhase, iterate: Iterate, k: int) -> None:
     """Write what is given of a member and the unknowns of its iterate."""
     data, ends = conditions.data, conditions.ends
     given = {
@@ -192,7 +172,7 @@ class Watch:
         return stops(self.callback(Iteration(iteration.number, np.array([k]), *seen)))
 
 
-def search_all(conditions: Conditions, guess: Iterate, options: SearchOptions, watch: Watch) -> list[Member]:
+def search_all(conditions: DiscretePhase, guess: Iterate, options: SearchOptions, watch: Watch) -> list[Member]:
     """The results of the searches of all members, side by side unless a callback watches them."""
 
     def run(k: int) -> Member:
@@ -204,7 +184,9 @@ def search_all(conditions: Conditions, guess: Iterate, options: SearchOptions, w
     return each_in_threads(run, count, watch.stop)
 
 
-def search(conditions: Conditions, guess: Iterate, k: int, options: SearchOptions, watch: Watch, number: int) -> Member:
+def search(
+    conditions: DiscretePhase, guess: Iterate, k: int, options: SearchOptions, watch: Watch, number: int
+) -> Member:
     """The result of the search of a member from its guess, or from beside a degenerate one.
 
     ``number``: of the member for the callback.
@@ -238,7 +220,7 @@ def search(conditions: Conditions, guess: Iterate, k: int, options: SearchOption
     )
 
 
-def perturbed(conditions: Conditions, guess: Iterate, firsts: list[IterateNumbers]) -> tuple[Iterate, np.ndarray]:
+def perturbed(conditions: DiscretePhase, guess: Iterate, firsts: list[IterateNumbers]) -> tuple[Iterate, np.ndarray]:
     """The guesses of members moved aside, from the first iterates of searches; and whether that hardly moves something,
     shape (B,). ``guess``: a batch of iterates."""
     steps, moved, held = conditions.transcription, list[Iterate](), list[bool]()
@@ -274,7 +256,7 @@ def _slacks(found: IterateNumbers, steps: Any, count: int) -> Slacks | None:
     return Slacks(*arrays, barrier=found.array("BARRIER"))
 
 
-def extremals_of(conditions: Conditions, guess: Iterate, members: list[Member], stopped: bool) -> DiscreteExtremals:
+def extremals_of(conditions: DiscretePhase, guess: Iterate, members: list[Member], stopped: bool) -> DiscreteExtremals:
     """The results of the members of a batch together."""
     steps, shape = conditions.transcription, guess.costates.shape
     iterate = joined([iterate_of(member.iterate, guess, steps) for member in members])
@@ -323,7 +305,7 @@ def _rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
-def _inequalities(conditions: Conditions, slacks: Slacks | None, members: list[Member]) -> Inequalities | None:
+def _inequalities(conditions: DiscretePhase, slacks: Slacks | None, members: list[Member]) -> Inequalities | None:
     """The inequalities along all members, if there are any."""
     if slacks is None:
         return None
@@ -334,7 +316,7 @@ def _inequalities(conditions: Conditions, slacks: Slacks | None, members: list[M
     return Inequalities(values, steps.weights(conditions.data), slacks.slacks, slacks.multipliers, sizes, rate)
 
 
-def find_on_core(conditions: Conditions, guess: Iterate, options: Any) -> DiscreteExtremals:
+def find_on_core(conditions: DiscretePhase, guess: Iterate, options: Any) -> DiscreteExtremals:
     """The extremals of a batch; from where a search found no minimum, other searches follow."""
     watch = Watch(options.callback)
     members = search_all(conditions, guess, SearchOptions(options.tolerance, options.max_iterations), watch)
