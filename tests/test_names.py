@@ -49,7 +49,6 @@ EXCEPTIONS: dict[str, frozenset[str]] = {
     "integrators/boundary_value/engine/augmented.py": frozenset({"file"}),
     "integrators/boundary_value/engine/border.py": frozenset({"Solved"}),
     "integrators/boundary_value/engine/condensing.py": frozenset({"Condensed", "Expanded"}),
-    "integrators/boundary_value/engine/coupling.py": frozenset({"Coupled"}),
     "integrators/boundary_value/engine/found.py": frozenset({"file", "Found"}),
     "integrators/boundary_value/engine/inequalities.py": frozenset({"Held", "Surveyed"}),
     "integrators/boundary_value/engine/joint_system.py": frozenset({"JointAssembled"}),

@@ -6,27 +6,27 @@ from typing import Any
 import numpy as np
 
 from .audit.independence_of_boundary_conditions import dependence_notes, equation_words, require_independent
-from .engine.joint import JointConditions
 from .inputs.arguments import Options
 from .reformulations.restarts import search_all
 from .transcription.core_search import extremals_of
 from .transcription.discrete_extremals import DiscreteExtremals
+from .transcription.discrete_phase import LinkedPhases
 from .transcription.iterate import Iterate
 from .transcription.linkages import PhaseProblem
-from .transcription.member_search import MultiphaseGuess, MultiphaseProblem, Watch
+from .transcription.member_search import Watch
 
 
 def find_extremals(transcribed: Any, options: Options) -> DiscreteExtremals:
     """The extremals of a batch of trajectories, with coupled ends if they are."""
     traced = transcribed.traced
-    problem, names = MultiphaseProblem((transcribed.conditions,), traced.coupling), list[str]()
+    problem, names = LinkedPhases((transcribed.conditions,), traced.coupling), list[str]()
     if traced.coupling is not None:
         names = equation_words([traced.own])
     return find_phases(problem, (transcribed.guess,), [traced.own], names, options)[0][0]
 
 
 def find_phases(
-    problem: MultiphaseProblem,
+    problem: LinkedPhases,
     parts: tuple[Iterate, ...],
     owns: Sequence[PhaseProblem],
     names: Sequence[str],
@@ -36,9 +36,8 @@ def find_phases(
 
     ``parts``: guesses of the phases; ``names`` of the equations between the ends.
     """
-    guess, watch = MultiphaseGuess(parts), Watch(options.callback)
+    guess, watch = problem.guess(parts), Watch(options.callback)
     if problem.coupling is not None:
-        guess = MultiphaseGuess(parts, JointConditions(*problem).guess(parts).multipliers)
         require_independent(problem, guess, names)
     records, notes = search_all(problem, guess, options[:2], watch), None
     if problem.coupling is not None:

@@ -11,8 +11,8 @@ from ....manifolds.numerics.tolerances import EPS, HALF
 from ...problem.boundary_conditions import PERIODIC, boundary_words
 from ...problem.point_layout import PointLayout
 from ...reporting.text import counted
+from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.linkages import PhaseProblem
-from ..transcription.member_search import MultiphaseProblem
 from ..transcription.search_record import SearchRecord
 
 RANDOM_ENDS = 4  # random ends at which equations are looked at
@@ -29,7 +29,7 @@ def equation_words(phases: Sequence[PhaseProblem]) -> list[str]:
     ]
 
 
-def dependence_notes(joint: MultiphaseProblem, found: Sequence[SearchRecord], names: Sequence[str]) -> list[str]:
+def dependence_notes(joint: LinkedPhases, found: Sequence[SearchRecord], names: Sequence[str]) -> list[str]:
     """Words on equations between the ends that depend on each other at the ends that each member reached, if they do.
 
     The inertia of the KKT matrix, which is then singular, shows no minimum.
@@ -37,7 +37,7 @@ def dependence_notes(joint: MultiphaseProblem, found: Sequence[SearchRecord], na
     return [_dependent_words(joint, member, names) for member in found]
 
 
-def _dependent_words(joint: MultiphaseProblem, found: SearchRecord, names: Sequence[str]) -> str:
+def _dependent_words(joint: LinkedPhases, found: SearchRecord, names: Sequence[str]) -> str:
     """The words on one member; otherwise empty."""
     rows = found.jacobian[:, joint.free]
     power = HALF if found.claimed else HALF / 2  # on the way to ends where they depend on each other they nearly do
@@ -52,7 +52,7 @@ def _dependent_words(joint: MultiphaseProblem, found: SearchRecord, names: Seque
     )
 
 
-def _all(joint: MultiphaseProblem, names: Sequence[str]) -> list[str]:
+def _all(joint: LinkedPhases, names: Sequence[str]) -> list[str]:
     """Names of all equations, and of the links."""
     link = "the link between phases" if len(joint.phases) > 1 else PERIODIC
     return [*names, *(link for _ in range(joint.coupling.rows - len(names)))]
@@ -64,7 +64,7 @@ def _scale(rows: np.ndarray) -> np.ndarray:
     return rows / np.where(sizes > 0, sizes, 1.0)[:, None]
 
 
-def require_independent(joint: MultiphaseProblem, guess: Any, names: Sequence[str]) -> None:
+def require_independent(joint: LinkedPhases, guess: Any, names: Sequence[str]) -> None:
     """Raise if equations between the ends depend on each other, at the guess and at random ends too.
 
     Where ends are prescribed, in what is free of them.
@@ -90,7 +90,7 @@ def require_independent(joint: MultiphaseProblem, guess: Any, names: Sequence[st
         )
 
 
-def _samples(joint: MultiphaseProblem, guess: Any) -> list[list[np.ndarray]]:
+def _samples(joint: LinkedPhases, guess: Any) -> list[list[np.ndarray]]:
     """The ends of the guess of the first member, and random ends where these are free."""
     found = [end[:1] for phase, part in zip(joint.phases, guess.parts, strict=True) for end in phase.reached(part)]
     samples = [found]

@@ -13,7 +13,8 @@ from ....manifolds.numerics.rank import null_space
 from ....manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
-from ..transcription.discrete_extremals import AtStages, DiscreteExtremals
+from ..transcription.discrete_extremals import DiscreteExtremals
+from ..transcription.functions.steps import AtStages
 from ..transcription.transcribed_problem import TranscribedProblem
 
 SWITCH = 2  # steps: as long as a control may take from bound to bound, where its ends determine it

@@ -20,15 +20,15 @@ from ...problem.user_functions import require_concrete
 from ...reporting.text import brief, counted
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import equation_words
-from ..engine.coupling import Link
 from ..inputs.arguments import Method, Options, check_problem
 from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
 from ..regular_extremals import find_phases
 from ..solution.diagnostics import add_compile_time
 from ..solution.multiphase_solution import PhasedSolution
+from ..transcription.discrete_phase import LinkedPhases
+from ..transcription.functions.linked_ends import Link
 from ..transcription.iteration import Iteration
 from ..transcription.linkages import PhaseProblem, linkages_of
-from ..transcription.member_search import MultiphaseProblem
 from .phase_guess import guess_phases
 from .phase_transcription import PhaseEnds, PhaseTranscription, TranscribedPhase, transcribe_phase
 
@@ -213,7 +213,7 @@ class _Task:
         coupling = linkages_of(
             owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at)
         )
-        problem = MultiphaseProblem(tuple(part.transcribed.conditions for part in parts), coupling)
+        problem = LinkedPhases(tuple(part.transcribed.conditions for part in parts), coupling)
         guess = tuple(part.transcribed.guess for part in parts)
         names = [*equation_words(owns), *(f"{name}[{i}]" for name, size in sizes.items() for i in range(size))]
         tracing = time.perf_counter() - began

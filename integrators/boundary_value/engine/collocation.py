@@ -1,27 +1,28 @@
 """The steps of Gauss's method: several points in the chart of each step, condensed to its centre and its controls."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, final
+from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
 
-from ....compute.base import Arrays, Evaluator
-from ....manifolds.numerics import ambient as vec
-from ....manifolds.numerics.ambient import Ambient
-from ....retractions import CollocationMethod, default_retraction
-from ...problem.optimal_control_problem import OptimalControlProblem
-from ...problem.point_layout import PointLayout, parameter_layout
-from ..transcription.chart import Chart
-from ..transcription.iterate import CollocationUnknowns, Data, Known, Slacks
+from ....compute.base import Arrays
+from ....compute.binding.problem_functions import FunctionName
+from ..transcription.functions.collocation import CollocationFunctions
+from ..transcription.iterate import CollocationUnknowns, Data, Slacks
 from .arrays import plain
-from .condensing import Condensed, Ends, Points, Tableau, condense, expand, full_slope, slopes
+from .condensing import Condensed, Ends, Points, condense, expand, full_slope, slopes
 from .extent import OF_POINTS
 from .inequalities import Held, raised
 from .scaling import Units
-from .transcription import AtStages, Blocks, Moves, Nodes, inequalities_of, is_kept, kept_of
+from .transcription import Blocks, Moves, Nodes, _of_core, extend, is_kept
+
+FUNCTIONS = (
+    FunctionName.ENDS,
+    FunctionName.POINTS,
+    FunctionName.BOTH_ENDS,
+    FunctionName.MOVE,
+    FunctionName.MOVE_CONTROLS,
+)
 
 
 class Inner(NamedTuple):
@@ -40,69 +41,15 @@ class Inner(NamedTuple):
     kept: tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
-@final
-class Collocation:
+class Collocation(CollocationFunctions):  # pyright: ignore[reportGeneralTypeIssues]
     """The steps of a Gauss method with at least two points.
 
     Where there are inequalities at nodes, a step has those of its ends behind those of its points, as of one more
     point, whose unknowns are ``(dx, deta)``: ``eta = h sum_j b_j nu_j``.
     """
 
-    def __init__(
-        self, problem: OptimalControlProblem, method: CollocationMethod, parameters: Any, evaluator: Evaluator
-    ) -> None:
-        self.problem, self.method, self.stages = problem, method, method.stages
-        self.manifold, self.controls = problem.manifold, problem.controls
-        # Of a product they are sums that are taken again each time.
-        n, m = self.manifold.dimension, self.controls.dimension
-        self.directions = n
-        self.dimension = n + self.stages * m
-        self.tableau = Tableau(np.array(method.centred), np.array(method.weights))
-        self.state, self.control, self.parameter = (
-            PointLayout.of(self.manifold),
-            PointLayout.of(self.controls),
-            parameter_layout(parameters),
-        )
-        e, u, k = self.state.size, self.control.size, self.parameter.size
-        self._ends = evaluator.values(self._ends_of, e, n)
-        bound = problem.with_parameters(parameters)
-        self.inequalities, self.own = inequalities_of(bound), len(bound._inequality_names)
-        self.kept = kept_of(bound)
-        self.at_nodes = self.inequalities - self.own
-        self.places = self.stages + (self.at_nodes > 0)
-        self._point = evaluator.derivatives(self._point_of, 3 * n + m, e, n, n, u, e, 1, k, self.own)
-        pulled = (1, k, self.at_nodes) if self.at_nodes else ()
-        self._both = evaluator.derivatives(self._both_of, 2 * n, e, n, e, e, e, e, *pulled)
-        self._centre = evaluator.values(self._centre_moved, e, n)
-        self._control = evaluator.values(self._control_moved, u, m)
-        self._state = evaluator.values(self._state_at, e, n, e)
-        self._velocity = evaluator.values(self._velocity_at, e, e, u, k)
-        self._middle = evaluator.values(self._middle_of, e, e)
-        self._chart = Chart(method.retraction, evaluator)
-        self._trial: tuple[int, Any] | None = None
-
-    def begin(
-        self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
-    ) -> CollocationUnknowns:
-        """Unknowns from states and controls at the points, shape (B, N, s, ...), and costates at the nodes.
-
-        The velocities are those of the polynomials through the points and the nodes that are ``known``, else of the
-        dynamics.
-        """
-        if known is not None:
-            nodes, places = known.nodes, np.array(self.method.nodes)
-            through = self._chart.polynomials(places, nodes[:, :-1], states, nodes[:, 1:])
-            velocities = through.slopes(places) / data.steps[:, :, None, None]
-            if np.all(np.isfinite(velocities)):  # else a step does not fit into a chart
-                return CollocationUnknowns(through.centres, velocities, controls, known.stage_costates)
-        half = self.stages // 2
-        centres = states[:, :, half]
-        if self.stages % 2 == 0:
-            (centres,) = self._middle.at(2, states[:, :, half - 1], states[:, :, half])
-        (velocities,) = self._velocity.at(3, centres[:, :, None], states, controls, data.parameters[:, None, None])
-        place = self.method.nodes[:, None]
-        between = (1 - place) * costates[:, :-1, None] + place * costates[:, 1:, None]
-        return CollocationUnknowns(centres, velocities, controls, between)
+    _trial: tuple[int, Any] | None = None
+    _ends, _point, _both, _centre, _control = map(_of_core, FUNCTIONS)
 
     def trial(self, nodes: Nodes, count: int) -> Any:
         """The compiled pass of a trial of one trajectory of so many steps, if there is one; the last one is kept."""
@@ -114,10 +61,6 @@ class Collocation:
 
             known = self._trial = count, CollocationTrial.of(self, nodes, count)
         return known[1]
-
-    def ends(self, unknowns: CollocationUnknowns, data: Data) -> Arrays:
-        """Beginnings and ends of the steps, shape (B, N, E)."""
-        return self._ends.at(2, unknowns.centres, self._eta(unknowns, data))
 
     def blocks(
         self,
@@ -151,11 +94,6 @@ class Collocation:
         if held is None:
             return blocks
         return blocks._replace(slope=whole, held=held, pushed=parts.slope)
-
-    def weights(self, data: Data) -> np.ndarray:
-        """Weights of the inequalities, shape (B, N, r, c)."""
-        own = np.array([*self.tableau.weights, 1.0][: self.places])
-        return data.steps[:, :, None, None] * own[:, None] * data.held(self.inequalities, self.places)
 
     def _held(self, of_points: tuple[np.ndarray, np.ndarray], of_ends: Sequence[np.ndarray], data: Data) -> Held:
         """The inequalities of the points, and of the ends if there are some, from their values and derivatives."""
@@ -284,85 +222,8 @@ class Collocation:
         found[..., :z] += np.concatenate([full[:, :, :n], full[:, :, n + s * n :]], axis=2).mT
         return found
 
-    def at_stages(
-        self, unknowns: CollocationUnknowns, costates: np.ndarray, data: Data, slacks: Slacks | None
-    ) -> AtStages:
-        """States, controls and costates at the points, (B, N s, ...)."""
-        del costates, slacks
-        xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
-        states, covectors = self._state.at(3, unknowns.centres[:, :, None], xi, unknowns.costates)
-        states, controls, covectors = (
-            a.reshape(len(a), a.shape[1] * self.stages, a.shape[-1]) for a in (states, unknowns.controls, covectors)
-        )
-        return states, controls, covectors
-
     def _eta(self, unknowns: CollocationUnknowns, data: Data) -> np.ndarray:
         return np.einsum("bk,j,bkja->bka", data.steps, self.tableau.weights, unknowns.velocities)
 
-    def _moved(self, x: Array, dx: Array) -> tuple[Ambient, Any]:
-        """The centre moved in its chart, and its frame carried along."""
-        centre = self.state.point(x)
-        frame = self.manifold.basis(centre)
-        moved = self.method.retraction(centre, vec.combine(frame, dx))
-        return moved, lambda c: self.manifold.projection(moved, vec.combine(frame, c))
 
-    def _ends_of(self, x: Array, eta: Array) -> tuple[Array, ...]:
-        centre = self.state.point(x)
-        ends = self.method.retraction.both_ways(centre, vec.combine(self.manifold.basis(centre), eta / 2))
-        return tuple(map(self.state.flat, ends))
-
-    def _point_of(self, z: Array, x: Array, *given: Array) -> tuple[Any, ...]:
-        xi, nu, control, costate, weight, parameters, pull = given
-        n, u = self.directions, self.control.point(control)
-        bound = self.problem.with_parameters(self.parameter.point(parameters))
-        here = self.state.point(x)
-        e = self.manifold.basis(self.method.retraction(here, vec.combine(self.manifold.basis(here), xi)))
-        centre, carried = self._moved(x, z[:n])
-        a, v = carried(xi + z[n : 2 * n]), carried(nu + z[2 * n : 3 * n])
-        q, velocity = jax.jvp(lambda a: self.method.retraction(centre, a), (a,), (v,))
-        turn = default_retraction(self.controls)
-        moved = turn.chart(u, turn.frame(u), z[3 * n :])
-        defect = weight[0] * vec.components(e, vec.subtract(velocity, bound.velocity(q, moved)))
-        cost, limits = weight[0] * bound.cost_rate(q, moved), bound.inequalities(q, moved)
-        multipliers = vec.components(e, self.state.point(costate))
-        lagrangian = cost + multipliers @ defect + weight[0] * pull @ limits
-        return lagrangian, (defect, cost[None], limits), self.state.flat_frame(e), multipliers
-
-    def _both_of(self, z: Array, x: Array, eta: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
-        q0, q1, p0, p1 = map(self.state.point, given[:4])
-        n = self.directions
-        centre, carried = self._moved(x, z[:n])
-        begin, finish = self.method.retraction.both_ways(centre, carried((eta + z[n:]) / 2))
-        values = vec.components(self.manifold.basis(q0), begin), vec.components(self.manifold.basis(q1), finish)
-        lagrangian = vec.pairing(p0, begin) - vec.pairing(p1, finish)
-        if not self.at_nodes:
-            return lagrangian, values
-        step, parameters, pull = given[4:]
-        bound = self.problem.with_parameters(self.parameter.point(parameters))
-        limits = jnp.concatenate([bound.node_inequalities(end) for end in (finish, begin)])
-        return lagrangian + step[0] * pull @ limits, (*values, limits)
-
-    def _centre_moved(self, x: Array, dx: Array) -> tuple[Array, Array]:
-        moved, carried = self._moved(x, dx)
-        frame = self.manifold.basis(moved)
-        turns = jax.vmap(lambda c: vec.components(frame, carried(c)))(jnp.eye(self.directions))
-        return self.state.flat(moved), turns.T
-
-    def _control_moved(self, u: Array, du: Array) -> tuple[Array]:
-        turn, control = default_retraction(self.controls), self.control.point(u)
-        return (self.control.flat(turn.chart(control, turn.frame(control), du)),)
-
-    def _state_at(self, x: Array, xi: Array, costate: Array) -> tuple[Array, Array]:
-        centre = self.state.point(x)
-        q = self.method.retraction(centre, vec.combine(self.manifold.basis(centre), xi))
-        return self.state.flat(q), self.state.flat(self.manifold.projection(q, self.state.point(costate)))
-
-    def _velocity_at(self, x: Array, q: Array, u: Array, parameters: Array) -> tuple[Array]:
-        bound = self.problem.with_parameters(self.parameter.point(parameters))
-        velocity = bound.velocity(self.state.point(q), self.control.point(u))
-        return (vec.components(self.manifold.basis(self.state.point(x)), velocity),)
-
-    def _middle_of(self, a: Array, b: Array) -> tuple[Array]:
-        x, y = self.state.point(a), self.state.point(b)
-        half = self.manifold.projection(x, vec.scale(0.5, vec.subtract(y, x)))
-        return (self.state.flat(self.method.retraction(x, half)),)
+extend(CollocationFunctions, Collocation)

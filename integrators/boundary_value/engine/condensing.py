@@ -14,16 +14,9 @@ from jaxtyping import Float
 
 from ....aligned import aligned, scratch
 from ....compute.threads import in_threads
+from ..transcription.functions.steps import Tableau
 from .arrays import plain, whole
 from .elimination import BlockSystem
-
-
-@final
-class Tableau(NamedTuple):
-    """A Gauss tableau about the middle of the step: ``matrix = A - 1 b' / 2``, ``weights = b``."""
-
-    matrix: Float[np.ndarray, "s s"]
-    weights: Float[np.ndarray, " s"]
 
 
 @final

@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, ClassVar, final
+from typing import Any
 
 import numpy as np
 
 from ....manifolds.numerics.ambient import joined, taken
+from ..transcription.discrete_phase import DiscretePhase
 from ..transcription.iterate import Data, Ends, Iterate, Slacks
 from .augmented import is_isolated_minimum
 from .barrier import DEARER, Barrier
@@ -20,21 +21,18 @@ from .meeting import meeting
 from .residuals import Appraisal, appraisal
 from .scaling import SHARE, Units, typical_curvatures
 from .share import followed
-from .transcription import Blocks, Moves, Nodes, Paid
+from .transcription import Blocks, Moves, Nodes, Paid, extend
 from .trial import Setting, Tried
 
 LEAST = 1e6  # the shift with which a step is the least that the constraints ask for
 
 
-@final
-class Conditions:
+class Conditions(DiscretePhase):  # pyright: ignore[reportGeneralTypeIssues]
     """The conditions of a batch of trajectories.
 
     ``units``, and the ``barrier`` of the inequalities, if there are any, are those of the iterates that it began with;
     ``wider``: units that steps are measured in since, if any.
     """
-
-    joint: ClassVar[bool] = False  # of phases
 
     def __init__(
         self,
@@ -46,7 +44,7 @@ class Conditions:
         barrier: Barrier | None = None,
         wider: Units | None = None,
     ) -> None:
-        self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data
+        self.transcription, self.at_nodes, self.ends, self.data = transcription, nodes, ends, data  # pyright: ignore
         self.units, self.barrier, self.wider = units, barrier, wider
         self._survey: tuple[Held, Slacks, np.ndarray] | None = None  # the last one, and of what
         self._appraisal: tuple[tuple, Appraisal] | None = None
@@ -90,12 +88,6 @@ class Conditions:
     def paid(self, nodes: np.ndarray) -> Paid:
         """The costs of the first and of the last node."""
         return self.at_nodes.paid(nodes[:, 0], nodes[:, -1], self.data.parameters)
-
-    def reached(self, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
-        """The first and the last node of an iterate."""
-        begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
-        first = np.where(self.ends.start_entries, self.ends.start, begins[:, 0])
-        return first, np.where(self.ends.end_entries, self.ends.end, finishes[:, -1])
 
     def assemble(self, iterate: Iterate, paid: Paid | None = None) -> Assembled:
         """The KKT system at an iterate; ``paid``: what the first and the last node cost, if not the costs of the
@@ -365,18 +357,6 @@ class Conditions:
         start, end = (np.array(points, order="C") for points in ends[:2])  # members of one for all lie in another order
         return start, end, np.array(ends.start_entries), np.array(ends.end_entries)
 
-    @cached_property
-    def fixed(self) -> np.ndarray:
-        """1 for the coordinates of the nodes that are prescribed or have to meet, 0 for those of free ends."""
-        fixed = np.ones((len(self.data.steps), self.data.steps.shape[1] + 1, len(self.ends.start_coordinates)))
-        fixed[:, 0], fixed[:, -1] = self.ends.start_coordinates, self.ends.end_coordinates
-        return fixed
-
-    @property
-    def fixed_ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """1 for the coordinates of the first node that are prescribed, and for those of the last, shape (B, n)."""
-        return self.fixed[:, 0], self.fixed[:, -1]
-
     def system(self, iterate: Iterate, assembled: Assembled) -> BlockSystem:
         """The equations of Newton's step."""
         blocks, fixed = assembled.blocks, self.fixed_ends
@@ -397,3 +377,6 @@ class Conditions:
     def control_sizes(self, iterate: Iterate) -> np.ndarray:
         """Sizes of the controls, shape (B, s m)."""
         return self.at_nodes.control_sizes(iterate.unknowns.controls)
+
+
+extend(DiscretePhase, Conditions)

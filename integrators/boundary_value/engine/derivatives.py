@@ -17,6 +17,7 @@ from ....compute.base import Evaluator
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....retractions import default_retraction
+from ..transcription.functions.one_stage import OneStageFunctions
 from ..transcription.iterate import Data, Iterate
 from .augmented import of_lagrangian, solved
 from .collocation import Collocation
@@ -63,7 +64,9 @@ class Sensitivities:
     def __init__(self, steps: OneStage | Collocation, nodes: Nodes, evaluator: Evaluator) -> None:
         self.steps, self.nodes = steps, nodes
         self.columns = (
-            _OneStageColumns(steps, evaluator) if isinstance(steps, OneStage) else _CollocationColumns(steps, evaluator)
+            _OneStageColumns(steps, evaluator)
+            if isinstance(steps, OneStageFunctions)
+            else _CollocationColumns(steps, evaluator)
         )
         n, e, k = nodes.problem.manifold.dimension, nodes.layout.size, nodes.parameter.size
         m, u = nodes.problem.controls.dimension, nodes.control.size

@@ -2,12 +2,13 @@
 ends."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar, final
+from typing import Any
 
 import numpy as np
 
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS, REGULAR
+from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.iterate import Iterate
 from .barrier import DEARER
 from .batches import merged
@@ -20,15 +21,13 @@ from .first_units import first_units, reached
 from .inequalities import VALUE
 from .joint_system import JointAssembled, JointIterate, JointStep, JointUnits
 from .kkt_system import Assembled, Residuals, Step
+from .transcription import extend
 
 FARTHEST = 1e60  # times as far as a trajectory of size one: of more squares overflow, and a derivative is next to zero
 
 
-@final
-class JointConditions:
+class JointConditions(LinkedPhases):  # pyright: ignore[reportGeneralTypeIssues]
     """The conditions of a batch of trajectories in phases, of which each has its own conditions."""
-
-    joint: ClassVar[bool] = True
 
     def __init__(self, phases: tuple[Conditions, ...], coupling: Coupling, units: JointUnits | None = None) -> None:
         self.phases, self.coupling, self.units = phases, coupling, units
@@ -57,28 +56,6 @@ class JointConditions:
     def judging(self) -> JointUnits:
         """The units that tell whether the conditions are met: those of phases are not widened."""
         return self.measured
-
-    def guess(self, parts: tuple[Iterate, ...]) -> JointIterate:
-        """A guess of the phases, with the multipliers that fit their costates at the ends best."""
-        none = JointIterate(parts, np.zeros((len(parts[0].costates), sum(self.coupling.sizes))))
-        if not any(np.any(part.costates) for part in parts):
-            return none
-        (coupled, paid), frames, asked = self._coupled(none), [], []
-        for phase, part, pays in zip(self.phases, parts, paid, strict=True):
-            for side, node, pay in zip((1, -1), phase.reached(part), pays, strict=True):
-                covector, one = part.costates[:, 0 if side > 0 else -1], np.ones((len(node), 1, pay.slope.shape[1]))
-                at = phase.at_nodes.in_frames(node[:, None], one, np.zeros_like(node)[:, None], covector[:, None])
-                frames.append(at[0][:, 0])
-                asked.append(side * at[2][:, 0] - pay.slope)
-        free, wanted = self.free, np.concatenate(asked, axis=1)
-        own = [np.linalg.lstsq(j[:, free].T, a[free])[0] for j, a in zip(coupled.jacobian, wanted, strict=True)]
-        return none._replace(multipliers=self.coupling.lifted(np.stack(own), frames))
-
-    @property
-    def free(self) -> np.ndarray:
-        """Which coordinates of all ends are free."""
-        masks = ((phase.ends.start_coordinates, phase.ends.end_coordinates) for phase in self.phases)
-        return np.concatenate([mask == 0 for pair in masks for mask in pair])
 
     def begin(self, guess: JointIterate, firm: float = 1.0) -> tuple[JointIterate, JointAssembled]:
         """The first iterate with its system; takes the units from it; ``firm``: see ``Barrier``."""
@@ -389,6 +366,9 @@ class JointConditions:
         equations = sum(part.end.shape[1] for part in parts) + assembled.coupled.values.shape[1]
         convex, clear = _convex(solved, parts, sum(counts), equations)
         return convex & clear
+
+
+extend(LinkedPhases, JointConditions)
 
 
 def _convex(solved: Solved, parts: list[Response], count: int, equations: int) -> tuple[np.ndarray, np.ndarray]:

@@ -4,26 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..transcription.iterate import Iterate, Slacks
+from ..transcription.iterate import LinkedIterate as JointIterate
 from .coupling import Coupled
 from .kkt_system import Assembled, Step
 
-
-class JointIterate(NamedTuple):
-    """The iterates of the phases, and the multipliers of the equations between their ends, (B, M)."""
-
-    parts: tuple[Iterate, ...]
-    multipliers: np.ndarray
-
-    @property
-    def slacks(self) -> Slacks | None:
-        """Those of a phase that has inequalities, if there is one."""
-        return next((part.slacks for part in self.parts if part.slacks is not None), None)
-
-    @property
-    def bare(self) -> "JointIterate":
-        """Without what is known of the inequalities."""
-        return self._replace(parts=tuple(part.bare for part in self.parts))
+__all__ = ["JointAssembled", "JointExtent", "JointIterate", "JointStep", "JointUnits"]
 
 
 class JointExtent(NamedTuple):

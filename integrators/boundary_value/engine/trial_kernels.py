@@ -16,7 +16,6 @@ from ....linked import address, array, called, laid, leaves, put, view
 from ....tape import machine
 from . import elimination_kernels, extent_kernels, scaling_kernels
 from .arrays import LANES
-from .first_use import ready
 from .trial_shapes import OUT
 from .vectors import add, filled, inner, part, put_part
 
@@ -178,7 +177,7 @@ def addresses() -> tuple[int, ...]:
         address(extent_kernels.survey, SURVEY),
         address(extent_kernels.measure, MEASURE),
         address(elimination_kernels.solve, SOLVE),
-        address(ready(scaling_kernels.units), UNITS),  # the last one
+        address(scaling_kernels.units, UNITS),  # the last one
     )
 
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from ....compute.threads import each_in_threads
 from ....manifolds.numerics.ambient import taken
-from ..transcription.member_search import MemberSearch, MultiphaseGuess, MultiphaseProblem, Watch
+from ..transcription.discrete_phase import LinkedPhases
+from ..transcription.iterate import LinkedIterate
+from ..transcription.member_search import MemberSearch, Watch
 from ..transcription.rollout import rolled_out
 from ..transcription.search_record import MemberIterate, SearchRecord
 
@@ -21,7 +23,7 @@ NARROW = 1e-2  # width of the funnel of a search from a trajectory without infea
 
 
 def search_all(
-    problem: MultiphaseProblem, guess: MultiphaseGuess, options: tuple[float, int], watch: Watch
+    problem: LinkedPhases, guess: LinkedIterate, options: tuple[float, int], watch: Watch
 ) -> list[SearchRecord]:
     """The results for all members, in threads side by side, or one after the other where a callback watches them."""
 

@@ -16,7 +16,8 @@ from ..audit.status import Status, concave_status, termination_statuses
 from ..audit.unmoved_entries import unmoved_words
 from ..inputs.arguments import Options, require_tangent_dynamics
 from ..transcription.diagnosis import Diagnostics
-from ..transcription.discrete_extremals import AtStages, DiscreteExtremals
+from ..transcription.discrete_extremals import DiscreteExtremals
+from ..transcription.functions.steps import AtStages
 from ..transcription.transcribed_problem import TranscribedProblem
 from .diagnostics import RegularChecks
 from .interpolation import Interpolant
@@ -113,8 +114,6 @@ class SolutionBuilder:
 
     def _unmoved(self, transcribed: TranscribedProblem, found: DiscreteExtremals, k: int) -> str:
         """Words on a part of the end that follows from the rest, by the names of the user."""
-        if transcribed.conditions.joint:
-            return ""
         own = self.quantities if self.formulation is None else self.formulation.own.quantities
         names = [name for quantity in own.states for name in quantity.columns]
         return unmoved_words(found.linear(k), names)

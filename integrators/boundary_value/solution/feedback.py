@@ -19,9 +19,9 @@ from ...problem_checks.requirements import require_treated
 from ...reporting.records import shapes, write_protect
 from ...reporting.text import brief
 from ..engine.augmented import of_lagrangian
-from ..engine.transcription import Nodes
 from ..inputs.arguments import LIMITS, structure_of
 from ..transcription.chart import lagrange
+from ..transcription.functions.nodes import NodeFunctions
 from .interpolation import checked_times
 from .record import Solution
 from .riccati import recursion
@@ -197,8 +197,8 @@ def _feedback_of(kept: Any, solution: Solution, curvatures: "Curvatures") -> Fee
     gains = law.response[:, n:].reshape(count, stages, -1, n)
     curvature = law.curvature + curvatures(assembled, conditions.data.parameters)
     whole = gains
-    if nodes._directions is not None:
-        (directions,) = nodes._directions.at(3, iterate.unknowns.controls)
+    directions = nodes.control_frames(iterate.unknowns.controls)
+    if directions is not None:
         whole = np.einsum("ksmu,ksmn->ksun", directions[0], gains)
     places = (solution.stage_times[:stages] - solution.times[0]) / (solution.times[1] - solution.times[0])
     first = np.einsum("s,ksun,kne->kue", lagrange(places, np.zeros(1))[0], whole, frames[:-1])
@@ -224,7 +224,7 @@ def _both_ends(first: np.ndarray) -> np.ndarray:
 class Curvatures:
     """Share of a retraction in the second derivatives of the optimal cost, traced once."""
 
-    def __init__(self, nodes: Nodes, retraction: Retraction, evaluator: Evaluator) -> None:
+    def __init__(self, nodes: NodeFunctions, retraction: Retraction, evaluator: Evaluator) -> None:
         self.nodes, self.retraction = nodes, retraction
         n, e, cost = nodes.problem.manifold.dimension, nodes.layout.size, nodes.problem.terminal_cost
         self._pulled = evaluator.derivatives(self._pulled_of, n, e, e)

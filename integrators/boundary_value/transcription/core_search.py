@@ -10,13 +10,13 @@ import numpy as np
 from ....compute.binding.multiphase import CoupledEnds
 from ....compute.binding.problem_functions import CallbackFunction
 from ....compute.binding.tape_machine import MachineProgram
-from ....compute.binding.transcription import FunctionName, IterateNumbers, Sizes, Trajectory, Transcription
+from ....compute.binding.transcription import IterateNumbers, Sizes, Trajectory, Transcription
 from ....manifolds.numerics.ambient import joined
 from ...problem.point_layout import PointLayout
-from ..engine.collocation import Collocation
-from ..engine.conditions import Conditions
-from ..engine.coupling import Coupling
-from .discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
+from .discrete_extremals import DiscreteExtremals, Inequalities, Residuals
+from .discrete_phase import DiscretePhase
+from .functions.linked_ends import LinkageFunctions
+from .functions.steps import AtStages
 from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
 from .search_record import PhaseRecord, SearchRecord
 
@@ -35,21 +35,7 @@ class _ThreadTranscriptions(local):
 _kept = _ThreadTranscriptions()
 
 
-def _functions(conditions: Conditions) -> dict[FunctionName, Any]:
-    """The functions of the problem."""
-    steps, nodes, name = conditions.transcription, conditions.at_nodes, FunctionName
-    found = {name.ENDS: steps._ends, name.FRAMES: nodes._in_frame, name.MIDDLE: nodes._middle}
-    costs = {"first_cost": name.START_COST, "final_cost": name.END_COST}
-    found |= {costs[key]: function for key, function in nodes._paid.items()}
-    if nodes._directions is not None:
-        found[name.CONTROL_FRAMES] = nodes._directions
-    if isinstance(steps, Collocation):
-        found |= {name.POINTS: steps._point, name.BOTH_ENDS: steps._both, name.MOVE: steps._centre}
-        return found | {name.MOVE_CONTROLS: steps._control}
-    return found | {name.POINTS: steps._row, name.MOVE: steps._move}
-
-
-def transcription_of(conditions: Conditions) -> Transcription:
+def transcription_of(conditions: DiscretePhase) -> Transcription:
     """The transcription of a problem for the core; the last transcriptions are kept."""
     count = conditions.data.steps.shape[1]
     known = _kept.of.setdefault(conditions.transcription, {})
@@ -60,20 +46,19 @@ def transcription_of(conditions: Conditions) -> Transcription:
     return known[count]
 
 
-def made(conditions: Conditions, instruction_set: int | None = None) -> Transcription:
+def made(conditions: DiscretePhase, instruction_set: int | None = None) -> Transcription:
     """The transcription of a problem for the core, by the processor's best instruction set or a lesser one."""
-    steps, nodes, tableau = conditions.transcription, conditions.at_nodes, (np.ones((1, 1)), np.ones(1))
-    if isinstance(steps, Collocation):
-        tableau = steps.tableau.matrix, steps.tableau.weights
+    steps, nodes = conditions.transcription, conditions.at_nodes
     sizes = Sizes(
         conditions.data.steps.shape[1], steps.stages, steps.manifold.dimension, steps.state.size,
-        steps.controls.dimension, steps.control.size, steps.parameter.size, *_limits(steps),
+        steps.controls.dimension, steps.control.size, steps.parameter.size, *steps.limit_sizes,
     )  # fmt: skip
     groups, of_controls = _groups(nodes.layout), None if nodes.flat_controls else _groups(nodes.control)
     bounds = sum(map(len, nodes.problem._limits.bounded.values()))
-    functions = {name: _function(own, instruction_set) for name, own in _functions(conditions).items()}
+    traced = steps.functions | nodes.functions
+    functions = {name: _function(own, instruction_set) for name, own in traced.items()}
     return Transcription(
-        sizes, tableau, groups, of_controls, steps.kept.astype(float), bounds, functions, instruction_set
+        sizes, steps.tableau, groups, of_controls, steps.kept.astype(float), bounds, functions, instruction_set
     )
 
 
@@ -85,11 +70,11 @@ def _function(function: Any, instruction_set: int | None) -> MachineProgram | Ca
     return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size, instruction_set)
 
 
-def coupled_ends(coupling: Coupling) -> CoupledEnds:
+def coupled_ends(coupling: LinkageFunctions) -> CoupledEnds:
     """The coupling of ends for the core."""
     sizes = zip(coupling.links, coupling.sizes[1:], strict=True)
     links = [(own.target, own.manifold.dimension, size) for own, size in sizes]
-    return CoupledEnds(_function(coupling._function, None), coupling.count, links)
+    return CoupledEnds(_function(coupling.function, None), coupling.count, links)
 
 
 def _groups(layout: PointLayout) -> tuple[np.ndarray, np.ndarray]:
@@ -97,14 +82,9 @@ def _groups(layout: PointLayout) -> tuple[np.ndarray, np.ndarray]:
     return layout.columns.astype(np.intp), layout.arrays.astype(np.intp)
 
 
-def _limits(steps: Any) -> tuple[int, int]:
-    """Numbers of inequalities of a point, and of the ends of a collocation step."""
-    return (steps.own, steps.at_nodes) if isinstance(steps, Collocation) else (steps.inequalities, 0)
-
-
 def flat_limits(steps: Any, array: np.ndarray) -> np.ndarray:
     """The core's order of an array of inequalities, shape ``(N, r, c)``."""
-    own, at_nodes = _limits(steps)
+    own, at_nodes = steps.limit_sizes
     if not at_nodes:
         return array.ravel()
     return np.concatenate([array[:, : steps.stages, :own].ravel(), array[:, steps.stages, own:].ravel()])
@@ -115,7 +95,7 @@ def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np
 
     ``unasked``: the number where there is none.
     """
-    own, at_nodes = _limits(steps)
+    own, at_nodes = steps.limit_sizes
     if not at_nodes:
         return flat.reshape(1, count, steps.places, steps.inequalities).copy()
     found, of_points = np.full((1, count, steps.places, steps.inequalities), unasked), count * steps.stages * own
@@ -124,13 +104,13 @@ def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np
     return found
 
 
-def put(to: Trajectory, conditions: Conditions, iterate: Iterate, k: int) -> None:
+def put(to: Trajectory, conditions: DiscretePhase, iterate: Iterate, k: int) -> None:
     """Write what is given of a member and the unknowns of its iterate."""
     for name, array in _known(conditions, iterate, k).items():
         to[name] = array.ravel()
 
 
-def numbers_of(conditions: Conditions, iterate: Iterate, k: int) -> IterateNumbers:
+def numbers_of(conditions: DiscretePhase, iterate: Iterate, k: int) -> IterateNumbers:
     """What is given of a member and the unknowns of its iterate, in the order of the core."""
     of = transcription_of(conditions)
     found = IterateNumbers(np.zeros(of.iterate_numbers), of.parts)
@@ -139,7 +119,7 @@ def numbers_of(conditions: Conditions, iterate: Iterate, k: int) -> IterateNumbe
     return found
 
 
-def _known(conditions: Conditions, iterate: Iterate, k: int) -> dict[str, np.ndarray]:
+def _known(conditions: DiscretePhase, iterate: Iterate, k: int) -> dict[str, np.ndarray]:
     """What is given of a member and the unknowns of its iterate, by the names of the core."""
     data, ends = conditions.data, conditions.ends
     found = {
@@ -185,7 +165,7 @@ def _slacks(found: IterateNumbers, steps: Any, count: int) -> Slacks | None:
 
 
 def extremals_of(
-    conditions: Conditions, guess: Iterate, records: Sequence[SearchRecord], stopped: bool, phase: int = 0
+    conditions: DiscretePhase, guess: Iterate, records: Sequence[SearchRecord], stopped: bool, phase: int = 0
 ) -> DiscreteExtremals:
     """The results of a phase for the members of a batch together."""
     steps, shape = conditions.transcription, guess.costates.shape
@@ -236,7 +216,9 @@ def _rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
-def _inequalities(conditions: Conditions, slacks: Slacks | None, members: Sequence[PhaseRecord]) -> Inequalities | None:
+def _inequalities(
+    conditions: DiscretePhase, slacks: Slacks | None, members: Sequence[PhaseRecord]
+) -> Inequalities | None:
     """The inequalities along all members, if there are any."""
     if slacks is None:
         return None

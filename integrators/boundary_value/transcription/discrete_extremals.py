@@ -6,8 +6,7 @@ from typing import Any, NamedTuple, final
 import numpy as np
 
 from ....manifolds.numerics.ambient import joined, taken
-
-AtStages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and costates
+from .functions.steps import AtStages
 
 
 @final

@@ -98,6 +98,23 @@ class Iterate(NamedTuple):
         return self._replace(slacks=None)
 
 
+class LinkedIterate(NamedTuple):
+    """The iterates of phases, and the multipliers of the equations between their ends, shape (B, M)."""
+
+    parts: tuple[Iterate, ...]
+    multipliers: np.ndarray
+
+    @property
+    def slacks(self) -> Slacks | None:
+        """The slacks of a phase that has inequalities, if there is one."""
+        return next((part.slacks for part in self.parts if part.slacks is not None), None)
+
+    @property
+    def bare(self) -> "LinkedIterate":
+        """Without what is known of the inequalities."""
+        return self._replace(parts=tuple(part.bare for part in self.parts))
+
+
 class Ends(NamedTuple):
     """Flat points at the ends, shape (B, E), and which of their entries and coordinates are prescribed."""
 

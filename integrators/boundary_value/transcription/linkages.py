@@ -9,7 +9,7 @@ from jaxtyping import Array
 
 from ....compute.base import Evaluator
 from ...problem.optimal_control_problem import OptimalControlProblem
-from ..engine.coupling import Coupling, Link
+from .functions.linked_ends import Link, LinkageFunctions
 
 
 class PhaseProblem(NamedTuple):
@@ -35,7 +35,7 @@ def linkages_of(
     evaluator: Evaluator,
     links: Sequence[Link] = (),
     equations: Callable[[list[Any], list[Any]], Array] | None = None,
-) -> Coupling:
+) -> LinkageFunctions:
     """The equations between the ends of phases: the conditions of each of them, more equations, and links."""
 
     def values(ends: list[Any], given: list[Any]) -> Array:
@@ -45,7 +45,7 @@ def linkages_of(
 
     turns = [_turn(k, phase) for k, phase in enumerate(phases) if phase.problem._boundary.turn is not None]
     given = [phase.parameters for phase in phases]
-    return Coupling([phase.problem for phase in phases], given, values, [*turns, *links], evaluator)
+    return LinkageFunctions([phase.problem for phase in phases], given, values, [*turns, *links], evaluator)
 
 
 def _turn(k: int, phase: PhaseProblem) -> Link:

@@ -2,38 +2,17 @@
 
 from collections.abc import Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import numpy as np
 
 from ....compute.binding.multiphase import Multiphase
 from ....compute.binding.search import Feasibility, Search, SearchResult, SearchStatus
-from ..engine.conditions import Conditions
-from ..engine.coupling import Coupling
 from .core_search import coupled_ends, numbers_of, put, transcription_of
-from .iterate import Iterate
+from .discrete_phase import DiscretePhase, LinkedPhases
+from .iterate import Iterate, LinkedIterate
 from .iteration import Iteration, stops
 from .search_record import MemberIterate, PhaseRecord, SearchRecord
-
-
-class MultiphaseProblem(NamedTuple):
-    """The conditions of a batch of trajectories in phases, usually of one, with the coupling of the ends, if any."""
-
-    phases: tuple[Conditions, ...]
-    coupling: Coupling | None = None
-
-    @property
-    def free(self) -> np.ndarray:
-        """Which coordinates of all ends are free."""
-        masks = ((phase.ends.start_coordinates, phase.ends.end_coordinates) for phase in self.phases)
-        return np.concatenate([mask == 0 for pair in masks for mask in pair])
-
-
-class MultiphaseGuess(NamedTuple):
-    """Guesses of all phases of a batch, with multipliers of what couples the ends, shape (B, M)."""
-
-    parts: tuple[Iterate, ...]
-    multipliers: np.ndarray | None = None
 
 
 @final
@@ -64,10 +43,10 @@ class MemberSearch:
     """
 
     def __init__(
-        self, problem: MultiphaseProblem, guess: MultiphaseGuess, k: int, options: tuple[float, int], watch: Watch
+        self, problem: LinkedPhases, guess: LinkedIterate, k: int, options: tuple[float, int], watch: Watch
     ) -> None:
         self.problem, self.k, self.watch, self.parts = problem, k, watch, guess.parts
-        self._multipliers, self._options = guess.multipliers, options
+        self._multipliers, self._options = guess.multipliers[k], options
         transcriptions, coupling = list(map(transcription_of, problem.phases)), problem.coupling
         self._multiphase = Multiphase(transcriptions, None if coupling is None else coupled_ends(coupling))
 
@@ -76,16 +55,10 @@ class MemberSearch:
         """The guess of the member."""
         return self.iterate_of(self.problem.phases, self.parts, self.k)
 
-    def iterate_of(self, phases: Sequence[Conditions], guess: Sequence[Iterate], k: int) -> MemberIterate:
+    def iterate_of(self, phases: Sequence[DiscretePhase], guess: Sequence[Iterate], k: int) -> MemberIterate:
         """The iterate of the member that has place k in conditions and guesses of all phases."""
         own = tuple(numbers_of(phase, part, k) for phase, part in zip(phases, guess, strict=True))
-        return MemberIterate(own, self._known)
-
-    @property
-    def _known(self) -> np.ndarray:
-        """The multipliers of what couples the ends in the guess, zero where it does not know them."""
-        known = self._multipliers
-        return np.zeros(self._multiphase.multipliers) if known is None else known[self.k]
+        return MemberIterate(own, self._multipliers)
 
     def from_guess(self) -> SearchRecord:
         """The result of a search from the guess, or from a perturbed one where the guess is degenerate."""
@@ -93,7 +66,7 @@ class MemberSearch:
         for j, (phase, part) in enumerate(zip(self.problem.phases, self.parts, strict=True)):
             put(search.phase(j), phase, part, self.k)
         if self.problem.coupling is not None:
-            search.multipliers()[...] = self._known
+            search.multipliers()[...] = self._multipliers
         return self._record(search, self._run(search) is SearchStatus.DEGENERATE)
 
     def from_iterate(self, start: MemberIterate, width: float = 1.0, firm: float = 1.0) -> SearchRecord:

@@ -1,18 +1,16 @@
 """Guesses with the states to which their controls lead."""
 
-from typing import Any
-
 import numpy as np
 
 from ...stages.explicit_runge_kutta import control_spans
+from .discrete_phase import DiscretePhase
 from .iterate import Iterate
 
 
-def rolled_out(conditions: Any, guess: Iterate) -> Iterate | None:
+def rolled_out(conditions: DiscretePhase, guess: Iterate) -> Iterate | None:
     """The guess of one member with the states to which its controls lead from its start; None unless all are finite."""
     transcription, data, controls = conditions.transcription, conditions.data, guess.unknowns.controls
-    begins = transcription.ends(guess.unknowns, data)[0][:, 0]
-    start = np.where(conditions.ends.start_entries, conditions.ends.start, begins)[0]
+    start = conditions.reached(guess)[0][0]
     held = control_spans(transcription.method, data.steps[0])
     rows = controls[0].reshape(len(held[0]), -1)
     states = conditions.at_nodes.roll_out.states(start, rows, held, data.parameters[0])

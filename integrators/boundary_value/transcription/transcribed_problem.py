@@ -12,15 +12,15 @@ from ....undisturbed import undisturbed
 from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
-from ..engine import first_use
-from ..engine.collocation import Collocation
-from ..engine.conditions import Conditions
-from ..engine.coupling import Coupling
-from ..engine.transcription import Nodes, OneStage
 from ..inputs.arguments import Method, structure_of
 from ..inputs.guess_arrays import FlatGuess
 from ..inputs.inputs import Inputs, repeat_for_all
 from .diagnosis import Diagnosis
+from .discrete_phase import DiscretePhase
+from .functions.collocation import CollocationFunctions
+from .functions.linked_ends import LinkageFunctions
+from .functions.nodes import NodeFunctions
+from .functions.one_stage import OneStageFunctions
 from .inequality_rows import InequalityRows
 from .iterate import Data, Ends, Iterate, Known, Slacks
 from .linkages import PhaseProblem, linkages_of
@@ -30,12 +30,12 @@ from .start import Start
 class TracedFunctions(NamedTuple):
     """The functions of a problem with parameters of one structure."""
 
-    steps: OneStage | Collocation
-    nodes: Nodes
+    steps: OneStageFunctions | CollocationFunctions
+    nodes: NodeFunctions
     diagnosis: Diagnosis
     rows: InequalityRows
     own: PhaseProblem
-    coupling: Coupling | None  # of the ends, if they are coupled
+    coupling: LinkageFunctions | None  # of the ends, if they are coupled
     evaluator: Evaluator
 
 
@@ -43,7 +43,7 @@ class TranscribedProblem(NamedTuple):
     """The conditions of some trajectories, with the traced functions, and the guesses."""
 
     traced: TracedFunctions
-    conditions: Conditions
+    conditions: DiscretePhase
     guess: Iterate
 
 
@@ -88,15 +88,13 @@ class Transcription:
         example._require_values()
         given = self.problem, parameters, self.evaluator
         if isinstance(self.method, CollocationMethod) and self.method.stages > 1:
-            steps: Any = Collocation(self.problem, self.method, *given[1:])
+            steps: Any = CollocationFunctions(self.problem, self.method, *given[1:])
         else:
-            steps = OneStage(self.problem, self.method.discretization_map, *given[1:])
-        if self.evaluator.name == "tape":
-            first_use.begin()
+            steps = OneStageFunctions(self.problem, self.method.discretization_map, *given[1:])
         rows = InequalityRows(self.problem, parameters, len(self.stages))
         own = PhaseProblem(self.problem, parameters)
         coupling = linkages_of([own], self.evaluator) if self.problem._boundary.any else None
-        functions = steps, Nodes(*given), Diagnosis(*given)
+        functions = steps, NodeFunctions(*given), Diagnosis(*given)
         return TracedFunctions(*functions, rows, own, coupling, self.evaluator)
 
     def of(self, inputs: Inputs) -> TracedFunctions:
@@ -115,7 +113,7 @@ class Transcription:
         asked = None if mask is None else repeat_for_all(mask.astype(float)[None], len(inputs))
         data = Data(inputs.horizons[:, None] * self.fractions, inputs.rows, asked)
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
-        conditions = Conditions(traced.steps, traced.nodes, own, data)
+        conditions = DiscretePhase(traced.steps, traced.nodes, own, data)
         return TranscribedProblem(traced, conditions, self._guess(traced, inputs, rows, data))
 
     @cached_property
