@@ -4,9 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from ....manifolds.numerics.ambient import taken
-from ..transcription.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, LinearSteps, Residuals
+from ....compute.binding.transcription import Scale
+from ..transcription.core_search import flat_limits, put, transcription_of
+from ..transcription.discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
 from ..transcription.iterate import Iterate
+from ..transcription.kkt_system import KKTSystem
 from .conditions import Conditions
 from .found import Found
 from .kkt_system import Assembled
@@ -21,9 +23,14 @@ def adapted(conditions: Conditions, found: Found) -> DiscreteExtremals:
     def at_stages(costates: np.ndarray) -> AtStages:
         return steps.at_stages(iterate.unknowns, costates, data, iterate.slacks)
 
-    def system(k: int) -> tuple[Conditions, Iterate, Assembled]:
-        place = np.array([k])
-        return conditions.of(place), *taken((iterate, assembled), place)
+    def system(k: int) -> KKTSystem:
+        transcription, units, slacks = transcription_of(conditions), conditions.measured, iterate.slacks
+        at = transcription.trajectory()
+        put(at, conditions, iterate, k)
+        if slacks is not None:
+            for name, array in zip(("SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES"), slacks, strict=False):
+                at[name] = flat_limits(steps, array[k])
+        return KKTSystem(transcription, at.iterate, Scale(units.unknowns[k], units.nodes[k], float(units.cost[k])))
 
     return DiscreteExtremals(
         assembled.nodes,
@@ -41,20 +48,11 @@ def adapted(conditions: Conditions, found: Found) -> DiscreteExtremals:
         found.contradictory,
         found.falling,
         at_stages,
-        lambda k: linear_steps(conditions, assembled, k),
         system,
         found.stopped,
         found.boundary,
         found.notes,
     )
-
-
-def linear_steps(conditions: Conditions, assembled: Assembled, k: int) -> LinearSteps:
-    """The linearised equations of the nodes along a member."""
-    blocks, units, held = assembled.blocks, conditions.measured, assembled.blocks.held
-    fixed, sizes = (conditions.fixed[k, 0], conditions.fixed[k, -1]), (units.unknowns[k], units.nodes[k])
-    limits = None if held is None else held.jacobian[k]
-    return LinearSteps(blocks.left[k], blocks.right[k], fixed, *sizes, assembled.frames[k, -1], limits)
 
 
 def _inequalities(conditions: Conditions, iterate: Iterate, assembled: Assembled) -> Inequalities | None:

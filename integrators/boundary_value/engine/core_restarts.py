@@ -1,7 +1,6 @@
 """Searches of the compiled core behind the interface of ``Descent``, for searches anew from other guesses."""
 
 from collections.abc import Callable, Sequence
-from copy import copy
 from typing import Any, final
 
 import numpy as np
@@ -17,7 +16,6 @@ from .aside import violates
 from .barrier import Barrier
 from .conditions import Conditions
 from .found import Found
-from .kkt_system import Assembled
 from .scaling import Units
 
 
@@ -34,15 +32,6 @@ def restarted(
     first = CoreSearch(conditions, options.tolerance, options.max_iterations, seen, known=members)
     first.stopped = watch.stopped
     return adapted(conditions, newton(conditions, guess, options.tolerance, options.max_iterations, seen, first))
-
-
-def system_of(conditions: Conditions, guess: Iterate, member: Member, k: int) -> tuple[Conditions, Iterate, Assembled]:
-    """The KKT system of a member at its iterate, with the conditions that have its natural sizes."""
-    own = copy(conditions.of(np.array([k])))
-    own._survey = own._appraisal = own.ahead = None
-    take_sizes(own, [member], 1.0)
-    iterate = iterate_of(member.iterate, guess, own.transcription)
-    return own, iterate, own.assemble(iterate)
 
 
 def take_sizes(conditions: Conditions, members: Sequence[Member], firm: float) -> None:

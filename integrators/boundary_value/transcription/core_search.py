@@ -20,6 +20,7 @@ from ..engine.conditions import Conditions
 from .discrete_extremals import AtStages, DiscreteExtremals, Inequalities, Residuals
 from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
 from .iteration import Iteration, stops
+from .kkt_system import KKTSystem
 
 LARGEST = 8  # place of the largest residual
 KEPT = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
@@ -282,16 +283,8 @@ def extremals_of(conditions: Conditions, guess: Iterate, members: list[Member], 
     def at_stages(costates: np.ndarray) -> AtStages:
         return steps.at_stages(iterate.unknowns, costates, conditions.data, iterate.slacks)
 
-    def system(k: int) -> Any:
-        from ..engine.core_restarts import system_of
-
-        return system_of(conditions, guess, members[k], k)
-
-    def linear(k: int) -> Any:
-        from ..engine.adaptor import linear_steps
-
-        own, _, assembled = system(k)
-        return linear_steps(own, assembled, 0)
+    def system(k: int) -> KKTSystem:
+        return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].result.steps)
 
     flags = [np.array(own) for own in zip(*(member.result[FLAGS] for member in members), strict=True)]
     iterations, limited, claimed, strict, convex, solvable, infeasible, falling, _ = flags
@@ -312,7 +305,6 @@ def extremals_of(conditions: Conditions, guess: Iterate, members: list[Member], 
         infeasible,
         falling,
         at_stages,
-        linear,
         system,
         stopped,
     )
