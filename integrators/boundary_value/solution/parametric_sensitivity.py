@@ -82,12 +82,15 @@ class ParametricSensitivity:
         defect = np.zeros((len(steps) + 1, n, 2 * n + k))
         defect[:-1, :, 2 * n :] += own.begin
         defect[1:, :, 2 * n :] -= own.end
-        defect[0, :, :n] -= np.diag(system.fixed[0])
-        defect[-1, :, n : 2 * n] += np.diag(system.fixed[1])
+        prescribed = np.zeros((2, n, 2 * n + k))
+        prescribed[0, :, :n], prescribed[1, :, n : 2 * n] = map(np.diag, system.fixed)
+        defect[0] -= prescribed[0]
+        defect[-1] += prescribed[1]
         found = system.solve(np.concatenate([np.zeros((*own.slope.shape[:2], 2 * n)), own.slope], axis=2), defect)
         moves, turned = found.step[:, :z], found.multipliers
         moved = np.concatenate([system.left @ moves, (system.right[-1] @ moves[-1])[None]])
         moved[..., 2 * n :] += np.concatenate([own.begin, own.end[-1:]])
+        moved[[0, -1]] = np.where(system.fixed[..., None] > 0, prescribed, moved[[0, -1]])
         turned[-1] -= last.curvature @ moved[-1]
         turned[-1, :, 2 * n :] -= last.mixed
         turned[0] += first.curvature @ moved[0]

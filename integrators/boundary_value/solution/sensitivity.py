@@ -7,11 +7,13 @@ import jax
 import numpy as np
 
 from ....manifolds import ConvergenceError
-from ....manifolds.numerics.tolerances import EPS, REGULAR
+from ....manifolds.numerics.tolerances import EPS
 from ...problem.point_layout import PointLayout
 from ...reporting.records import shapes
 from .parametric_sensitivity import Derivatives
 from .record import Solution
+
+CLEAR = 1e7 * EPS  # a smaller pivot, with rows scaled to size one, leaves less than six digits of a derivative
 
 
 @final
@@ -89,7 +91,7 @@ class Sensitivity:
 
 def require_isolated(found: Derivatives, solution: Solution) -> None:
     """Raise if the KKT system is singular to rounding, or a derivative is not finite."""
-    if not found.smallest > EPS**REGULAR:
+    if not found.smallest > CLEAR:
         raise ConvergenceError(
             "the system of optimality conditions is singular to rounding, its smallest pivot is "
             f"{found.smallest:.3g}: the extremal is one of a family, or its end is conjugate to its start, and it has "
