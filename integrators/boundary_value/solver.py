@@ -23,7 +23,6 @@ from ..reporting.text import brief
 from ..singular import Classification, SingularIntegrator
 from .audit.audit import Audit
 from .audit.status import explain_failure
-from .engine.derivatives import Sensitivities
 from .export.c_export import export_c
 from .guess import Guess
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
@@ -39,6 +38,7 @@ from .solution.diagnostics import add_compile_time
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
 from .solution.feedback import feedback
 from .solution.interpolation import Interpolant
+from .solution.parametric_sensitivity import ParametricSensitivity
 from .solution.record import Solution
 from .solution.resampling import Mesh
 from .solution.sensitivity import Sensitivity, require_isolated
@@ -330,8 +330,8 @@ class Solver:
         with self._required(kept.parameters), np.errstate(all="ignore"):
             if key not in self._derivatives:
                 traced = kept.transcribed.traced
-                self._derivatives[key] = Sensitivities(traced.steps, traced.nodes, self._evaluator)
-            columns = self._derivatives[key](*kept.found.system(kept.place))
+                self._derivatives[key] = ParametricSensitivity(traced.steps, traced.nodes, self._evaluator)
+            columns = self._derivatives[key](kept.found.system(kept.place))
         require_isolated(columns, solution)
         layouts = self._transcription.state, self._transcription.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)

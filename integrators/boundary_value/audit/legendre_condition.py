@@ -68,8 +68,7 @@ def _along(
         inside = np.s_[:, : transcribed.traced.steps.stages, :count]
         pull, active = (part[inside].reshape(len(slopes), count) for part in (limited.multipliers[k], held))
         limits = diagnosis.of_limits((*at[:2], pull[None]), given)[0]
-        jacobian: Any = found.linear(k).limits
-        jacobian = jacobian[inside]
+        jacobian = found.system(k).limit_jacobians[0][:, :, :count]
         rows = jacobian[..., jacobian.shape[-1] - m :].reshape(len(slopes), count, m)
     flat = transcribed.traced.diagnosis.control.size == m
     sizes = np.abs(at[1][0]) if flat else np.ones((len(slopes), m))

@@ -16,7 +16,7 @@ import numpy as np
 
 from ....manifolds.numerics.ambient import taken
 from ..transcription.iterate import Iterate, Slacks
-from .elimination import BlockSolution, BlockSystem, eliminate, is_strict_minimum
+from .elimination import BlockSystem, eliminate, is_strict_minimum
 from .inequalities import Held, stiffness
 from .kkt_system import Assembled
 from .scaling import Units
@@ -37,23 +37,6 @@ def of_lagrangian(conditions: "Conditions", iterate: Iterate, assembled: Assembl
     free = slacks._replace(slacks=np.full_like(slacks.slacks, np.inf))  # inequalities this far away have no stiffness
     around = assembled.nodes, assembled.costates, assembled.paid
     return conditions.blocks(iterate._replace(slacks=free), *around)
-
-
-def solved(
-    conditions: "Conditions", iterate: Iterate, blocks: Blocks, slope: np.ndarray, gap: np.ndarray
-) -> BlockSolution:
-    """The solution for right-hand sides, with steps of the inequalities' multipliers behind those of the unknowns of a
-    step.
-
-    ``blocks``: those ``of_lagrangian``; ``slope``: with rows of the inequalities, if there are any, shape (B, N, z + c,
-    k).
-    """
-    units = conditions.measured
-    system = BlockSystem(blocks.hessian, blocks.left, blocks.right, slope, gap, *conditions.fixed_ends)
-    if iterate.slacks is not None:
-        limits = conditions.transcription.limits(blocks, conditions.data.steps)
-        system, units = augmented(system, units, limits, blocks.inequalities, iterate.slacks)
-    return eliminate(system, units)
 
 
 def is_isolated_minimum(conditions: "Conditions", iterate: Iterate, assembled: Assembled) -> np.ndarray:

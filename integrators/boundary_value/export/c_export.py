@@ -130,7 +130,7 @@ def _pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options:
     given = transcription.trajectory()
     core_search.put(given, conditions, guess, 0)
     if not _leads_to(transcription, given, solution.cost, options):
-        core_search.put(given, conditions, kept.found.system(kept.place)[1], 0)
+        given.set_iterate(kept.found.system(kept.place).iterate)
     steps, numbers = conditions.data.steps[0], PointLayout.of(solver.problem.manifold).size
     free = formulation if formulation is not None and formulation.kind.horizon else None
     shares, limit_steps = _shares(conditions)

@@ -116,7 +116,7 @@ class SolutionBuilder:
         """Words on a part of the end that follows from the rest, by the names of the user."""
         own = self.quantities if self.formulation is None else self.formulation.own.quantities
         names = [name for quantity in own.states for name in quantity.columns]
-        return unmoved_words(found.linear(k), names)
+        return unmoved_words(found.system(k), names)
 
     def _where(self, one: ConcaveDirection, k: int, fields: dict[str, Any], stages: AtStages) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""

@@ -18,10 +18,11 @@ from ...problem.point_layout import PointLayout
 from ...problem_checks.requirements import require_treated
 from ...reporting.records import shapes, write_protect
 from ...reporting.text import brief
-from ..engine.augmented import of_lagrangian
 from ..inputs.arguments import LIMITS, structure_of
 from ..transcription.chart import lagrange
+from ..transcription.core_search import flat_limits
 from ..transcription.functions.nodes import NodeFunctions
+from ..transcription.kkt_system import KKTSystem
 from .interpolation import checked_times
 from .record import Solution
 from .riccati import recursion
@@ -176,32 +177,29 @@ def feedback(self: Any, solution: Solution) -> Feedback:
 
 def _feedback_of(kept: Any, solution: Solution, curvatures: "Curvatures") -> Feedback:
     """The feedback along a solution whose system the solver has kept."""
-    conditions, iterate, assembled = kept.found.system(kept.place)
-    nodes = kept.transcribed.traced.nodes
-    blocks, units = of_lagrangian(conditions, iterate, assembled), conditions.measured
-    held, limits = [np.zeros((0, blocks.hessian.shape[-1]))] * len(blocks.hessian[0]), kept.found.inequalities
+    system, nodes = kept.found.system(kept.place), kept.transcribed.traced.nodes
+    held, limits = np.zeros((len(system.left), 0), bool), kept.found.inequalities
     if limits is not None:
-        rows = conditions.transcription.limits(blocks, conditions.data.steps)[0]
-        active = (limits.active & (limits.weights > 0))[kept.place].reshape(rows.shape[:2])
-        held = [own[which] for own, which in zip(rows, active, strict=True)]
-    sizes = units.unknowns[0], units.nodes[0], float(units.cost[0])
-    law = recursion((blocks.hessian[0], blocks.left[0], blocks.right[0]), held, conditions.fixed_ends[1][0], sizes)
+        active = (limits.active & (limits.weights > 0))[kept.place]
+        held = system.in_steps(flat_limits(kept.transcribed.traced.steps, active))
+    rows = [own[which] for own, which in zip(system.limits[0], held, strict=True)]
+    law = recursion(system, rows)
     if not law.complete.any():
         raise InvalidInputError(
             "there is no node from which the controls can correct every deviation before the prescribed end; try more "
             "steps, or leave the coordinates of the end free that no control moves"
         )
     last = int(np.flatnonzero(law.complete)[-1])
-    n, frames = nodes.problem.manifold.dimension, assembled.frames[0]
-    count, stages = iterate.unknowns.controls.shape[1:3]
+    own = system.sizes
+    n, count, stages = own.state_size, own.steps, own.points
     gains = law.response[:, n:].reshape(count, stages, -1, n)
-    curvature = law.curvature + curvatures(assembled, conditions.data.parameters)
+    curvature = law.curvature + curvatures(system)
     whole = gains
-    directions = nodes.control_frames(iterate.unknowns.controls)
+    directions = nodes.control_frames(system.array("CONTROLS", 1, count, stages, -1))
     if directions is not None:
         whole = np.einsum("ksmu,ksmn->ksun", directions[0], gains)
     places = (solution.stage_times[:stages] - solution.times[0]) / (solution.times[1] - solution.times[0])
-    first = np.einsum("s,ksun,kne->kue", lagrange(places, np.zeros(1))[0], whole, frames[:-1])
+    first = np.einsum("s,ksun,kne->kue", lagrange(places, np.zeros(1))[0], whole, system.frames[:-1])
     return Feedback(
         solution.times,
         gains.reshape(count * stages, -1, n),
@@ -230,11 +228,11 @@ class Curvatures:
         self._pulled = evaluator.derivatives(self._pulled_of, n, e, e)
         self._paid = None if cost is None else evaluator.derivatives(self._paid_of, n, e, nodes.parameter.size)
 
-    def __call__(self, assembled: Any, parameters: np.ndarray) -> np.ndarray:
+    def __call__(self, system: KKTSystem) -> np.ndarray:
         """The share at the nodes, with the terminal cost at the last node, (N + 1, n, n)."""
-        covectors = np.einsum("kn,kne->ke", assembled.coordinates[0], assembled.frames[0])
-        found = np.array(self._pulled.at(1, assembled.nodes[0], covectors)[0])
-        found[-1] = 0.0 if self._paid is None else self._paid.at(1, assembled.nodes[:, -1], parameters)[0][0]
+        covectors = np.einsum("kn,kne->ke", system.multipliers, system.frames)
+        found, given = np.array(self._pulled.at(1, system.nodes, covectors)[0]), system.array("PARAMETERS", 1, -1)
+        found[-1] = 0.0 if self._paid is None else self._paid.at(1, system.nodes[-1:], given)[0][0]
         return found
 
     def _at(self, d: Array, q: Array) -> Any:

@@ -12,6 +12,7 @@ from typing import NamedTuple, final
 import numpy as np
 
 from ....manifolds import ConvergenceError
+from ..transcription.kkt_system import KKTSystem
 
 RANK = 1e-10  # relative: smaller singular values of scaled constraints are rounding
 
@@ -25,20 +26,14 @@ class Law(NamedTuple):
     complete: np.ndarray  # (N + 1,): whether all deviations can be corrected
 
 
-def recursion(
-    steps: tuple[np.ndarray, np.ndarray, np.ndarray],
-    held: list[np.ndarray],
-    fixed: np.ndarray,
-    sizes: tuple[np.ndarray, np.ndarray, float],
-) -> Law:
-    """The recursion from the last node to the first, in natural sizes of unknowns, nodes and cost."""
-    unknown, node, cost = sizes
-    hessian = np.triu(steps[0]) + np.triu(steps[0], 1).mT  # only the upper triangles are given
-    hessian = hessian * unknown[:, None] * unknown / cost
-    left, right = (ends * unknown / node[:, None] for ends in steps[1:])
+def recursion(system: KKTSystem, held: list[np.ndarray]) -> Law:
+    """The recursion from the last node to the first, in natural sizes; ``held``: active inequalities of each step."""
+    unknown, node, cost = system.scale
+    hessian = system.hessian * unknown[:, None] * unknown / cost
+    left, right = (ends * unknown / node[:, None] for ends in (system.left, system.right))
     count, n, z = left.shape
     response, curvature = np.zeros((count, z, n)), np.zeros((count + 1, n, n))
-    wanted = np.eye(n)[fixed > 0]
+    wanted = np.eye(n)[system.fixed[1] > 0]
     complete = np.full(count + 1, len(wanted) == 0)
     for k in reversed(range(count)):
         limits = held[k] * unknown

@@ -7,11 +7,13 @@ import jax
 import numpy as np
 
 from ....manifolds import ConvergenceError
-from ....manifolds.numerics.tolerances import EPS, REGULAR
+from ....manifolds.numerics.tolerances import EPS
 from ...problem.point_layout import PointLayout
 from ...reporting.records import shapes
-from ..engine.derivatives import Derivatives
+from .parametric_sensitivity import Derivatives
 from .record import Solution
+
+CLEAR = 1e7 * EPS  # a smaller pivot, with rows scaled to size one, leaves less than six digits of a derivative
 
 
 @final
@@ -77,7 +79,7 @@ class Sensitivity:
 
         def part(begin: int, shape: tuple[int, ...]) -> Derivative:
             places = slice(begin, begin + int(np.prod(shape)))
-            cost, *rows = (a[0, places].reshape((*shape, *a.shape[2:])) for a in found[:4])
+            cost, *rows = (a[places].reshape((*shape, *a.shape[1:])) for a in found[:4])
             return Derivative(cost, state.points(rows[0]), state.points(rows[1]), control.points(rows[2]))
 
         leaves, structure = jax.tree.flatten(parameters)
@@ -89,15 +91,14 @@ class Sensitivity:
 
 def require_isolated(found: Derivatives, solution: Solution) -> None:
     """Raise if the KKT system is singular to rounding, or a derivative is not finite."""
-    smallest = float(found.smallest[0])
-    if not smallest > EPS**REGULAR:
+    if not found.smallest > CLEAR:
         raise ConvergenceError(
-            f"the system of optimality conditions is singular to rounding, its smallest pivot is {smallest:.3g}: the "
-            "extremal is one of a family, or its end is conjugate to its start, and it has no derivatives; try another "
-            "horizon",
+            "the system of optimality conditions is singular to rounding, its smallest pivot is "
+            f"{found.smallest:.3g}: the extremal is one of a family, or its end is conjugate to its start, and it has "
+            "no derivatives; try another horizon",
             solution,
         )
-    lost = {_name_of(k, found, solution) for part in found[:4] for k in np.argwhere(~np.isfinite(part[0]))[:, 0]}
+    lost = {_name_of(k, found, solution) for part in found[:4] for k in np.argwhere(~np.isfinite(part))[:, 0]}
     if lost:
         raise ConvergenceError(
             f"the problem's functions have no finite derivative by {' and '.join(sorted(lost))} along this extremal; "
@@ -108,7 +109,7 @@ def require_isolated(found: Derivatives, solution: Solution) -> None:
 
 def _name_of(column: int, found: Derivatives, solution: Solution) -> str:
     """The name of the variable of the derivatives in a column."""
-    first = found.cost.shape[1] - sum(np.size(leaf) for leaf in jax.tree.leaves(solution.parameters))
+    first = len(found.cost) - sum(np.size(leaf) for leaf in jax.tree.leaves(solution.parameters))
     if column >= first - 1:
         return "its parameters" if column >= first else "its horizon"
     return "its start" if column < (first - 1) // 2 else "its end"

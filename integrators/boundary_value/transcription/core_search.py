@@ -18,6 +18,7 @@ from .discrete_phase import DiscretePhase
 from .functions.linked_ends import LinkageFunctions
 from .functions.steps import AtStages
 from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
+from .kkt_system import KKTSystem
 from .search_record import PhaseRecord, SearchRecord
 
 LARGEST = 8  # place of the largest residual
@@ -175,16 +176,8 @@ def extremals_of(
     def at_stages(costates: np.ndarray) -> AtStages:
         return steps.at_stages(iterate.unknowns, costates, conditions.data, iterate.slacks)
 
-    def system(k: int) -> Any:
-        from ..engine.core_restarts import system_of
-
-        return system_of(conditions, guess, members[k], k)
-
-    def linear(k: int) -> Any:
-        from ..engine.adaptor import linear_steps
-
-        own, _, assembled = system(k)
-        return linear_steps(own, assembled, 0)
+    def system(k: int) -> KKTSystem:
+        return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].steps)
 
     flags = [np.array(own) for own in zip(*(record[FLAGS] for record in records), strict=True)]
     iterations, limited, claimed, strict, convex, solvable, infeasible, falling, *_ = flags
@@ -205,7 +198,6 @@ def extremals_of(
         infeasible,
         falling,
         at_stages,
-        linear,
         system,
         stopped,
     )

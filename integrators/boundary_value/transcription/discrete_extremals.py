@@ -7,6 +7,7 @@ import numpy as np
 
 from ....manifolds.numerics.ambient import joined, taken
 from .functions.steps import AtStages
+from .kkt_system import KKTSystem
 
 
 @final
@@ -39,24 +40,11 @@ class Inequalities(NamedTuple):
 
 
 @final
-class LinearSteps(NamedTuple):
-    """The linearised equations of the nodes along one extremal, and derivatives of its inequalities."""
-
-    left: np.ndarray  # (N, n, z): derivative of the beginning of a step in the frame of the node there
-    right: np.ndarray  # (N, n, z): of its end
-    fixed: tuple[np.ndarray, np.ndarray]  # 1 for the coordinates of the ends that are prescribed, each (n,)
-    unknowns: np.ndarray  # natural sizes of the unknowns of a step, (z,)
-    nodes: np.ndarray  # natural sizes of the coordinates of the nodes, (n,)
-    frame: np.ndarray  # of the last node, (n, E)
-    limits: np.ndarray | None  # derivatives of the inequalities by the unknowns of their points, (N, r, c, q)
-
-
-@final
 class DiscreteExtremals(NamedTuple):
     """The last iterates of the searches of a batch, and how the searches ended; members lie along the leading axis.
 
     ``at_stages``: states, controls and costates at the stages, (B, N s, ...), from the covectors at the nodes;
-    ``linear``: the linearised equations of a member; ``system``: the KKT system of a member, for its derivatives.
+    ``system``: the KKT matrix of a member.
     """
 
     nodes: np.ndarray  # (B, N + 1, E)
@@ -74,8 +62,7 @@ class DiscreteExtremals(NamedTuple):
     infeasible: np.ndarray  # the inequalities contradict each other, or the ends
     falling: np.ndarray  # without success: the cost, as if it had no lower bound
     at_stages: Callable[[np.ndarray], AtStages]
-    linear: Callable[[int], LinearSteps]
-    system: Callable[[int], Any]
+    system: Callable[[int], KKTSystem]
     stopped: bool
     boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
     notes: Sequence[str] | None = None  # to be said of each member beside its result
@@ -85,12 +72,9 @@ class DiscreteExtremals(NamedTuple):
         count, parts = len(self.cost), (self, other)
         arrays = [own[: self._fields.index("at_stages")] for own in parts]
 
-        def of(name: str) -> Callable[[int], Any]:
-            def member(k: int) -> Any:
-                place = int(order[k])
-                return getattr(parts[place >= count], name)(place - count if place >= count else place)
-
-            return member
+        def system(k: int) -> KKTSystem:
+            place = int(order[k])
+            return parts[place >= count].system(place - count if place >= count else place)
 
         def at_stages(costates: np.ndarray) -> AtStages:
             back = costates[np.argsort(order)]
@@ -98,5 +82,5 @@ class DiscreteExtremals(NamedTuple):
             return taken(joined([first, second]), order)
 
         own: dict[str, Any] = dict(zip(self._fields, taken(joined(arrays), order), strict=False))
-        own |= {"at_stages": at_stages, "linear": of("linear"), "system": of("system")}
+        own |= {"at_stages": at_stages, "system": system}
         return DiscreteExtremals(**own, stopped=self.stopped or other.stopped)
