@@ -178,8 +178,8 @@ def fail_with_hamiltonian(solution: Solution, share: float) -> Solution:
     return fail(
         solution,
         f"The horizon tends to {solution.horizon:.3g}, or is hidden by other costs: the Hamiltonian, zero at an "
-        f"extremal, is {share:.1e} of its largest term there; try another guess of it, a lower or an upper bound, or a guess "
-        "of the trajectory.",
+        f"extremal, is {share:.1e} of its largest term there; try another guess of it, a lower or an upper bound, or a "
+        "guess of the trajectory.",
     )
 
 

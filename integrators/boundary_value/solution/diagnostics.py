@@ -96,7 +96,7 @@ class Checks(ABC):
 
     @property
     def too_coarse(self) -> bool:
-        """Whether the Hamiltonian, constant along an exact extremal, varies by more than a tenth of its largest term."""
+        """Whether the Hamiltonian, constant along an exact extremal, varies by a tenth of its largest term or more."""
         return self.hamiltonian_spread > TOO_COARSE * self.hamiltonian_size
 
 
