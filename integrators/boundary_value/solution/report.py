@@ -127,10 +127,8 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
         "largest term",
     )
     if solution.success and checks.too_coarse:
-        yield (
-            "",
-            f"varies by {share:.0%} of its largest term: the discretization is too coarse to be trusted, increase steps",
-        )
+        largest = f"varies by {share:.0%} of its largest term"
+        yield "", f"{largest}: the discretization is too coarse to be trusted, increase steps"
     for name, momentum in solution.momenta.items() if solution.success else ():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
         label = name_with_label(name, solution)
