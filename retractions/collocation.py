@@ -92,7 +92,7 @@ class CollocationMethod(Module):
         if not isinstance(retraction, Retraction):
             raise InvalidInputError(
                 f"{type(self).__name__} collocation is made from a retraction, got {retraction!r}; try "
-                "default_retraction(manifold)"
+                f"{type(self).__name__}({stages}, default_retraction(manifold))"
             )
         self.stages, self.retraction = int(stages), retraction
 

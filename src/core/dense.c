@@ -10,8 +10,8 @@
 
 /* A number of this size is zero, but for rounding, rows being scaled to one size. */
 #define NOTHING 1e-15
-/* A right-hand side of this size, in natural sizes, is zero but for rounding. */
-#define CONSISTENT 1e-10
+/* A right-hand side of this size, in natural sizes, is zero but for rounding: 64 eps. */
+#define CONSISTENT 1.4210854715202004e-14
 /* Share of the entries of the border that a pivot has to exceed, or its row is left: of what it is subtracted from no more
  * than so many digits are lost. */
 #define STABLE 1e-3
@@ -267,9 +267,20 @@ static void finish_left(search *own) {
     own->found->count = own->count;
 }
 
-/* Whether a pivot says that its equation depends on others. */
+/* The largest right-hand side of row i. */
+static double side_size(const search *own, retrax_index i) {
+    double largest = 0.0;
+    for (retrax_index j = own->front->rows; j < own->front->rows + own->front->columns; j++) {
+        largest = fmax(largest, fabs(row_of(own->front, i)[j]));
+    }
+    return largest;
+}
+
+/* Whether a pivot says that its equation depends on others: there is none, or no more than rounding where the right-hand
+ * sides are consistent. */
 static bool is_nothing(const search *own, const pivot *chosen) {
-    return chosen->size <= NOTHING && chosen->i >= own->front->unknowns;
+    return chosen->i >= own->front->unknowns &&
+           (chosen->size == 0.0 || (chosen->size <= NOTHING && side_size(own, chosen->i) <= CONSISTENT));
 }
 
 /* Chooses a pivot, beginning with row i; returns by how much it exceeds what keeps its rows stable: 1 or more, or they

@@ -325,7 +325,7 @@ def test_parameters_and_time_are_kept(tmp_path):
     assert max(exact.largest.values()) < 1e-9
     found.save(tmp_path / "found.npz")
     assert load_solution(tmp_path / "found.npz").checks == found.checks
-    assert "error of the steps" in str(found)
+    assert "error of the discretization, summed over the steps" in str(found)
 
 
 def test_a_solver_in_other_steps_is_the_same_solver():

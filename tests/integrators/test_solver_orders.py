@@ -88,13 +88,18 @@ def weighted():
 def test_a_terminal_cost_at_a_fixed_end_changes_neither_the_trajectory_nor_the_iteration(weighted, weight):
     """It is a constant there; its curvature acts on all points of the last step, and leaves Newton's iteration
     quadratic."""
-    free, seen = weighted.solve(START[0], END[0], 1.0, parameters=0.0), []
-    found = weighted.solve(START[0], END[0], 1.0, parameters=weight, callback=lambda i: seen.append(i.stationarity[0]))
+    (free, few), (found, many) = (stationarity_of(weighted, own) for own in (0.0, weight))
     np.testing.assert_allclose(found.states, free.states, rtol=0, atol=1e-11)
     np.testing.assert_allclose(found.controls, free.controls, rtol=0, atol=1e-11 * (1 + abs(weight)))
-    assert abs(found.statistics.iterations - free.statistics.iterations) <= 1
-    seen = np.array(seen[1:])
-    assert np.all(seen[1:] <= np.maximum(10 * seen[:-1] ** 1.7, 1e-11))
+    assert abs(np.sum(many > 1e-11) - np.sum(few > 1e-11)) <= 1  # below, rounding decides on one more
+    assert np.all(many[2:] <= np.maximum(10 * many[1:-1] ** 1.7, 1e-11))
+
+
+def stationarity_of(solver, weight):
+    """The solution, and the stationarity of all iterates."""
+    seen = []
+    found = solver.solve(START[0], END[0], 1.0, parameters=weight, callback=lambda i: seen.append(i.stationarity[0]))
+    return found, np.array(seen)
 
 
 @pytest.mark.parametrize("tolerance", np.geomspace(1e-13, 1e-3, 31))

@@ -174,12 +174,12 @@ def fail_far_from_guess(solution: Solution) -> Solution:
 
 
 def fail_with_hamiltonian(solution: Solution, share: float) -> Solution:
-    """The solution without success: its Hamiltonian, a share of its parts, is not zero at a free horizon."""
+    """The solution without success: its Hamiltonian, a share of its largest term, is not zero at a free horizon."""
     return fail(
         solution,
         f"The horizon tends to {solution.horizon:.3g}, or is hidden by other costs: the Hamiltonian, zero at an "
-        f"extremal, is {share:.1e} of its parts there; try another guess of it, a lower or an upper bound, or a guess "
-        "of the trajectory.",
+        f"extremal, is {share:.1e} of its largest term there; try another guess of it, a lower or an upper bound, or a "
+        "guess of the trajectory.",
     )
 
 

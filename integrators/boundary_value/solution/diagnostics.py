@@ -40,7 +40,7 @@ class Checks(ABC):
     hamiltonian_spread : float
         Its spread over the stages.
     hamiltonian_size : float
-        The largest of its parts ``<p, X>`` and ``F``, at least their rounding.
+        The largest of its terms ``<p, X>`` and ``F``, at least their rounding.
     momentum_spreads : dict of str to float
         For each factor on which a group acts, the largest spread of a component of its momentum over the nodes.
     conserved : dict of str to int
@@ -96,7 +96,7 @@ class Checks(ABC):
 
     @property
     def too_coarse(self) -> bool:
-        """Whether the Hamiltonian, constant along an exact extremal, varies by more than a tenth of its parts."""
+        """Whether the Hamiltonian, constant along an exact extremal, varies by a tenth of its largest term or more."""
         return self.hamiltonian_spread > TOO_COARSE * self.hamiltonian_size
 
 

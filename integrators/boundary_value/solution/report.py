@@ -36,9 +36,9 @@ def _outcome(solution: Solution) -> Iterator[tuple[str, str]]:
     kind = "strict local minimum" if checks.strict_minimum else "not shown to be a strict local minimum"
     yield "second order", f"{kind} of the discrete problem (inertia of the KKT matrix)"
     if isinstance(checks, RegularChecks) and checks.error is not None:
-        yield "accuracy", f"error of the steps {checks.error:.1e} (relative, the sum)"
+        yield "accuracy", f"relative error of the discretization, summed over the steps: {checks.error:.1e}"
         for name, largest in checks.between.items():
-            yield "", f"{name}: violated between the stages by up to {largest:.1e}"
+            yield "", f"{name}: {f'violated by up to {largest:.1e}' if largest > 0 else 'holds'} between the stages"
     for name, values in solution.multipliers.items():
         if values.ndim == 1:
             yield "boundary", f"{name}: multipliers {np.array2string(values, precision=8)}"
@@ -123,10 +123,12 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
     share = checks.hamiltonian_spread / checks.hamiltonian_size if checks.hamiltonian_size else 0.0
     yield (
         "Hamiltonian",
-        f"{checks.hamiltonian:.10g}, spread over the stages {checks.hamiltonian_spread:.1e} ({share:.1e} of its parts)",
+        f"{checks.hamiltonian:.10g}, varies over the stages by {checks.hamiltonian_spread:.1e}, {share:.1e} of its "
+        "largest term",
     )
     if solution.success and checks.too_coarse:
-        yield "", f"varies by {share:.0%} of its parts: the discretization is too coarse to be trusted, increase steps"
+        largest = f"varies by {share:.0%} of its largest term"
+        yield "", f"{largest}: the discretization is too coarse to be trusted, increase steps"
     for name, momentum in solution.momenta.items() if solution.success else ():
         title = "spatial covector" if name in solution.spatial_costates else "momentum"
         label = name_with_label(name, solution)

@@ -259,14 +259,15 @@ class Classification(IntegrabilityResult[Stratum]):
 
         Notes
         -----
-        Entries are NaN if the equations cannot be solved for the other components.
+        Entries are NaN where the equations do not determine the other components, as on a piece of ``P_f`` that was not
+        told apart from that of the stratum.
         """
         return self._control((q, p), gauge)
 
     @cached_property
     def _control(self) -> Callable[..., Ambient]:
         feedback = self.stratum.feedback
-        return jax.jit(lambda z, gauge: feedback.control(z, gauge))
+        return jax.jit(lambda z, gauge: feedback.determined(z, gauge))
 
     @property
     def dynamics(self) -> Immersion:

@@ -16,6 +16,7 @@ from jaxtyping import Array, ArrayLike, Float
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.root import find_root
+from ....manifolds.numerics.tolerances import EPS, HALF
 from ..wording import ordinal
 from .algorithm_stages import PointRanks
 from .derivative_array import DerivativeArray, Pair
@@ -23,6 +24,7 @@ from .sample_points import Points
 
 Indices = tuple[int, ...]
 EXPLICIT = 1e-10  # largest derivative by a control of a row that does not involve it, in units
+SINGULAR = EPS**HALF  # smallest singular value of a matrix beside its largest, below which it determines nothing
 
 
 class Pivots(NamedTuple):
@@ -72,6 +74,18 @@ class FinalEquations(eqx.Module):
         )
         return jet.at[unknown].set(jnp.where(found, root, jnp.nan))
 
+    def determined(self, z: Pair, gauge: ArrayLike | None = None) -> Ambient:
+        """The control where the solved rows determine it; elsewhere its entries are NaN.
+
+        On another piece of ``P_f`` these rows may be singular: then they hold for any control.
+        """
+        jet = self.eliminate(z, gauge)
+        unknown, solved = (jnp.array(own, int) for own in (self.pivots.eliminated, self.pivots.solved))
+        slope = jax.jacfwd(lambda y: self.values(z, jet.at[unknown].set(y))[solved])(jet[unknown])
+        sizes = jnp.linalg.svd(slope * self.columns[unknown], compute_uv=False)
+        regular = jnp.min(sizes, initial=jnp.inf) > SINGULAR * jnp.max(sizes, initial=0.0)
+        return self._control(jnp.where(regular, jet, jnp.nan))
+
     def __call__(self, z: Pair) -> Float[Array, " codimension"]:
         """Values of the equations, of order one near ``P_f``, lower levels first."""
         jet = self.jet.reshape(-1) if self.explicit else self.eliminate(z)
@@ -86,7 +100,10 @@ class FinalEquations(eqx.Module):
 
     def control(self, z: Pair, gauge: ArrayLike | None = None) -> Ambient:
         """The control at a point of ``P_f``; ``gauge`` gives the free components, shape ``(free controls,)``."""
-        return self.array.problem._steer(self.center, self.eliminate(z, gauge)[: self.jet.shape[-1]])
+        return self._control(self.eliminate(z, gauge))
+
+    def _control(self, jet: Array) -> Ambient:
+        return self.array.problem._steer(self.center, jet[: self.jet.shape[-1]])
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -37,7 +37,7 @@ def conserved(solution: Solution, ax: Any = None) -> Any:
 
     Notes
     -----
-    The Hamiltonian is compared with its mean, relative to the largest of its parts. A momentum with constant components
+    The Hamiltonian is compared with its mean, relative to the largest of its terms. A momentum with constant components
     is compared with its first value, relative to the largest. Violations of the manifold are absolute, at the nodes.
     Errors of zero are drawn at the rounding of 1. With an explicit time the Hamiltonian is not constant.
     """

@@ -14,7 +14,10 @@ from ..errors import TRACEABLE
 from ..manifolds import RetraxError
 from .precision import precision
 
-NAN = "try jnp.where with arguments that are safe in both branches: the derivative of the one not taken may be NaN"
+NAN = (
+    "where a value is NaN, try a domain without its arguments; where a derivative is NaN, try jnp.where with arguments "
+    "that are safe in both branches, as the derivative of the one not taken may be NaN"
+)
 DOUBTFUL = (
     "`violations` are zero there; if that is not a point of the manifold, try adding the equation that excludes it"
 )

@@ -8,7 +8,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import OptimalControlProblem, classify
 from retrax.integrators.singular.integrability.random_points import random_starts
-from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.manifolds import SO, Euclidean, InvalidInputError, hat
 
 from tests.integrators.singular.cases import martinet
 
@@ -177,3 +177,21 @@ def test_pieces_are_found_where_the_steps_of_newton_go_to_their_crossing():
     assert c.sparse
     assert c.gauge_components == (1,)
     assert f"{max(level.missing for level in c.levels)} of 20 points, which were not found" in str(c)
+
+
+@pytest.mark.parametrize("inertia", [2.0, *(pytest.param(own, marks=pytest.mark.slow) for own in (0.5, 0.99))])
+def test_a_control_on_another_piece_that_was_not_told_apart_is_the_right_one_or_nan(inertia):
+    """``H = p u - (u1^2 + a u2^2) / 2`` of a rotation: on ``p3 = 0`` one of p1 and p2 is zero, and u is ``(p1, p2 / a,
+    0)``."""
+    group = SO(3)
+    problem = OptimalControlProblem(
+        group, lambda q, u: q @ hat(u), lambda q, u: (u[0] ** 2 + inertia * u[1] ** 2) / 2, controls=3
+    )
+    found, right = classify(problem), 0
+    for key in jax.random.split(jax.random.key(0), 8):
+        z = found.manifold.random_point(key)
+        momentum, control = np.asarray(group.body(*z)), np.asarray(found.control(*z))
+        if np.all(np.isfinite(control)):
+            right += 1
+            np.testing.assert_allclose(control, [momentum[0], momentum[1] / inertia, 0.0], atol=1e-7)
+    assert right

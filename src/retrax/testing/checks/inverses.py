@@ -41,7 +41,8 @@ def _inverse_error(facts: RetractionFacts, *kinds: str) -> Comparison:
         singular = words if condition[k] * precision().tiny > 1 else ""
         length = np.linalg.norm(f["v"][k])
         return (
-            f"the domain has this v, {number(float(length))} long{singular}; try one that ends before"
+            f"preimage misses this v, {number(float(length))} long, which the domain has{singular}; try an inverse of "
+            "R_x that finds v, or a domain that ends before v"
             if length > 0
             else ""
         )

@@ -125,7 +125,12 @@ def domain_reaches_as_far_as_expected(facts: RetractionFacts) -> Comparison:
     f = facts.measure(_values, "zero")
     # An edge at this length is found to rounding only.
     limit = facts.reach * (1 - precision().half)
-    return facts.bound("the length of the domain in a random direction", f, f["edge"], limit, "at least")
+    derived = "domain" not in facts.subject.closed_forms
+
+    def hint(_: int) -> str:
+        return "the domain ends where preimage(x, R(x, v)) is not v; try another preimage" if derived else ""
+
+    return facts.bound("the length of the domain in a random direction", f, f["edge"], limit, "at least", hint)
 
 
 RETRACTION_CHECKS = (
