@@ -22,15 +22,12 @@ class IterationTable:
         limited = bool(np.any(iteration.barrier > 0))
         if not iteration.number:
             print(ITERATION_TITLES + (LIMITED_TITLES if limited else ""))
-        worst = int(np.argmax(np.maximum(iteration.defect, iteration.stationarity)))
-        line = f"{iteration.number:>9} {iteration.cost[worst]:>16.9g} {iteration.defect[worst]:>9.1e}"
-        line += (
-            f" {iteration.stationarity[worst]:>12.1e} {iteration.shift[worst]:>8.0e} {iteration.fraction[worst]:>6.3g}"
-        )
+        line = f"{iteration.number:>9} {iteration.cost[0]:>16.9g} {iteration.defect[0]:>9.1e}"
+        line += f" {iteration.stationarity[0]:>12.1e} {iteration.shift[0]:>8.0e} {iteration.fraction[0]:>6.3g}"
         if limited:
-            line += f" {iteration.violation[worst]:>9.1e} {iteration.barrier[worst]:>8.1e}"
-        more = len(iteration.members)
-        print(line + (f"  the worst of {more} members" if more > 1 else ""))
+            line += f" {iteration.violation[0]:>9.1e} {iteration.barrier[0]:>8.1e}"
+        place = int(iteration.members[0])
+        print(line + (f"  member {place}" if place else ""))
         return self._callback(iteration) if self._callback is not None else None
 
 

@@ -282,7 +282,8 @@ class Solver:
             As for ``solve``, or arrays with one more leading axis of length ``B``, and a list of ``B`` guesses. The
             same factors are free for all members.
         tolerance, max_iterations, callback, verbose
-            As in ``retrax.solve``.
+            As in ``retrax.solve``. Members are solved side by side in threads; with a callback, or ``verbose``, one
+            after the other, and ``iteration.members`` holds the place of the member.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)

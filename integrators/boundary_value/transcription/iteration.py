@@ -8,14 +8,14 @@ from ....former_names import former_field
 
 
 class Iteration(NamedTuple):
-    """The facts that a callback sees after each evaluation, with one entry for each member that is still searched.
+    """The facts that a callback sees after each evaluation: arrays with one entry, of the member that is searched.
 
-    Of a singular problem the ``stationarity`` is the norm of the conditions of shooting, and the ``shift`` the damping;
+    The members of a batch follow one another, each with all its searches. Of a singular problem the ``stationarity`` is the norm of the conditions of shooting, and the ``shift`` the damping;
     its cost, which is not known on the way, is NaN.
     """
 
     number: int
-    members: np.ndarray  # their places in the batch
+    members: np.ndarray  # its place in the batch
     cost: np.ndarray
     defect: np.ndarray  # relative, as in ``Checks``
     stationarity: np.ndarray
