@@ -1,7 +1,7 @@
-"""Restarts: other searches for a member of a batch, where the search from its guess has found no minimum.
+"""Restarts: more searches for a member of a batch, where the search from its guess finds no minimum.
 
-Each restart sets out from an iterate of its own. Its result counts if it is an extremal that costs less, and the
-iterations of all searches add up.
+Each restart is a search from another iterate, or with other options. Its result counts if it is an extremal with a
+lower cost. The iterations of all searches add up.
 """
 
 from collections.abc import Callable
@@ -50,13 +50,13 @@ def search_member(member: MemberSearch) -> SearchRecord:
 
 
 def from_degenerate_guess(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Degenerate guess as it is: the perturbed one may have led to an extremal that costs more."""
+    """Degenerate guess without a perturbation: the perturbed guess may have led to an extremal with a higher cost."""
     return _better(member, found, member.guess, _says_nothing(found)) if first.perturbed else found
 
 
 def from_perturbed_guess(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Perturbed guess: the guess may run through the middle of an obstacle, or where its controls move nothing that has
-    to move."""
+    """Perturbed guess: the guess may run through the middle of an obstacle, or its controls may not move a state that
+    has to move."""
     if first.perturbed or first.first is None or not _says_nothing(found):
         return found
     perturbed, worth = member.perturb(first.first)
@@ -64,23 +64,24 @@ def from_perturbed_guess(member: MemberSearch, first: SearchRecord, found: Searc
 
 
 def from_least_violation(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Trajectory of the least violation as a guess, with new slacks: the step lengths may have become too short for the
-    slacks, not for the trajectory."""
+    """Locally infeasible trajectory with new slacks: steps may have become too short because slacks were near zero,
+    before the trajectory was infeasible."""
     stuck = found.infeasible and not found.claimed
     return _better(member, found, found.iterate.bare) if stuck else found
 
 
 def from_slow_convergence(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Newton's step without regularisation, where the iteration limit came near to an extremal that is no minimum:
-    regularised steps converge to it linearly."""
+    """Newton's steps from where the iteration limit came near to an extremal that is no minimum: a new search begins
+    without regularisation, with which steps converge only linearly."""
     return _better(member, found, found.iterate) if _is_near(found) and not found.right_inertia else found
 
 
 def from_feasible_trajectory(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Feasibility restoration phase [Waechter, Biegler 2006, 3.3]: a search in a narrow funnel from a trajectory near
-    the guess on which the equations hold, whatever it costs. Inequalities that hold there do not contradict each other.
+    """Feasibility restoration phase [Waechter, Biegler 2006, 3.3], then a search in a narrow funnel.
 
-    Without controls there is one feasible trajectory for each start and parameters, and only a minimum fits best.
+    The phase leads to a trajectory near the guess on which the equations hold, whatever the cost. If the inequalities
+    hold there too, the problem is not infeasible. Without controls there is one feasible trajectory for each start
+    and parameters, and only a minimum is the best fit.
     """
     controlled = any(phase.transcription.controls.dimension for phase in member.problem.phases)
     settled = found.claimed or _is_near(found) if controlled else found.claimed and found.strict
@@ -94,8 +95,10 @@ def from_feasible_trajectory(member: MemberSearch, first: SearchRecord, found: S
 
 
 def from_forward_simulation(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Forward simulation of the controls of the guess: there only the end is missed. States that do not fit the
-    controls, such as a constant height, may lie where no control acts."""
+    """Forward simulation of the controls of the guess: all equations hold but for the end.
+
+    Guessed states that do not fit the controls, such as a constant height, may lie where no control acts.
+    """
     if not _is_open(found):
         return found
     place = np.array([member.k])
@@ -107,7 +110,7 @@ def from_forward_simulation(member: MemberSearch, first: SearchRecord, found: Se
 
 
 def with_larger_penalty(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Larger penalty and barrier: with the usual ones the cost may drive free quantities to their bounds before the
+    """Larger penalty and barrier: with small values the cost may drive free quantities to their bounds before the
     equations hold, and the excesses grow."""
     limited = any(phase.transcription.inequalities for phase in member.problem.phases)
     return _better(member, found, member.guess.bare, firm=LARGER) if limited and _is_open(found) else found
@@ -142,7 +145,7 @@ def _better(
 
 
 def _says_nothing(found: SearchRecord) -> bool:
-    """Whether a result is neither an extremal nor infeasible: then that of any other search says as much."""
+    """Whether a result is neither an extremal nor infeasible: then the result of any other search says as much."""
     return not (found.claimed or found.infeasible)
 
 
@@ -152,5 +155,5 @@ def _is_near(found: SearchRecord) -> bool:
 
 
 def _is_open(found: SearchRecord) -> bool:
-    """Whether no search has found anything, and the cost has a lower bound."""
+    """Whether no search came near to an extremal, and the cost has a lower bound."""
     return not (found.claimed or _is_near(found) or found.falls)
