@@ -64,8 +64,8 @@ def from_perturbed_guess(member: MemberSearch, first: SearchRecord, found: Searc
 
 
 def from_least_violation(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Locally infeasible trajectory with new slacks: steps may have become too short because slacks were near zero,
-    before the trajectory was infeasible."""
+    """Locally infeasible trajectory as a guess with new slacks: slacks near zero, not the inequalities themselves, may
+    have made the steps too short."""
     stuck = found.infeasible and not found.claimed
     return _better(member, found, found.iterate.bare) if stuck else found
 

@@ -10,8 +10,9 @@ from ....former_names import former_field
 class Iteration(NamedTuple):
     """The facts that a callback sees after each evaluation: arrays with one entry, of the member that is searched.
 
-    The members of a batch follow one another, each with all its searches. Of a singular problem the ``stationarity`` is the norm of the conditions of shooting, and the ``shift`` the damping;
-    its cost, which is not known on the way, is NaN.
+    The members of a batch follow one another, each with all its searches. Of a singular problem the ``stationarity`` is
+    the norm of the conditions of shooting, and the ``shift`` the damping; its cost, which is not known on the way, is
+    NaN.
     """
 
     number: int
