@@ -71,8 +71,10 @@ def from_least_violation(member: MemberSearch, first: SearchRecord, found: Searc
 
 
 def from_slow_convergence(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Newton's steps from where the iteration limit came near to an extremal that is no minimum: a new search begins
-    without regularisation, with which steps converge only linearly."""
+    """Newton's steps from an iterate near an extremal that is no minimum, where the iteration limit came.
+
+    A new search begins without regularisation, with which steps converge only linearly.
+    """
     return _better(member, found, found.iterate) if _is_near(found) and not found.right_inertia else found
 
 

@@ -106,13 +106,13 @@ def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np
 
 
 def put(to: Trajectory, conditions: DiscretePhase, iterate: Iterate, k: int) -> None:
-    """Write what is given of a member and the unknowns of its iterate."""
+    """Write the data of a member and the unknowns of its iterate."""
     for name, array in _known(conditions, iterate, k).items():
         to[name] = array.ravel()
 
 
 def numbers_of(conditions: DiscretePhase, iterate: Iterate, k: int) -> IterateNumbers:
-    """What is given of a member and the unknowns of its iterate, in the order of the core."""
+    """The data of a member and the unknowns of its iterate, in the order of the core."""
     of = transcription_of(conditions)
     found = IterateNumbers(np.zeros(of.iterate_numbers), of.parts)
     for name, array in _known(conditions, iterate, k).items():
@@ -121,7 +121,7 @@ def numbers_of(conditions: DiscretePhase, iterate: Iterate, k: int) -> IterateNu
 
 
 def _known(conditions: DiscretePhase, iterate: Iterate, k: int) -> dict[str, np.ndarray]:
-    """What is given of a member and the unknowns of its iterate, by the names of the core."""
+    """The data of a member and the unknowns of its iterate, by the names of the core."""
     data, ends = conditions.data, conditions.ends
     found = {
         "STEP_SIZE": data.steps[k], "PARAMETERS": data.parameters[k], "START": ends.start[k], "END": ends.end[k],

@@ -70,7 +70,10 @@ class MemberSearch:
         return self._record(search, self._run(search) is SearchStatus.DEGENERATE)
 
     def from_iterate(self, start: MemberIterate, width: float = 1.0, firm: float = 1.0) -> SearchRecord:
-        """The result of a search from an iterate; ``width``, ``firm``: see ``Search``."""
+        """The result of a search from an iterate.
+
+        ``width``, ``firm``: see ``Search``.
+        """
         search = self._search(start, width, firm)
         self._run(search)
         return self._record(search, False)

@@ -128,8 +128,10 @@ class Search:
         return self._part(place, self._phases.multipliers)
 
     def perturb(self) -> bool:
-        """Move the guess, the first iterate of a search, aside, always in the same way; whether a guess that is not
-        degenerate is worth a search from there."""
+        """Perturb the guess, the first iterate of a search, always in the same way.
+
+        Returns whether a guess that is not degenerate is worth a search from there.
+        """
         draws = wave_amplitudes(self._of[0].sizes)
         place = address_of(draws, FLOAT, draws.shape, "amplitudes of waves")
         worth = self._library.retrax_search_perturb(self._search, place)
