@@ -149,10 +149,7 @@ class CorePhases:
         residuals = conditions.residuals(iterate, assembled)
         names = "claimed", "strict", "solvable", "infeasible", "falls", "iterations", "limited"
         own = {name: np.array([getattr(one, name) for one in told]) for name in names}
-        strict, claimed = own["strict"], own["claimed"]
-        if iterate.slacks is not None:
-            strict = strict & conditions.is_isolated_minimum(iterate, assembled)
         missing = assembled.extent.lacking / conditions.judging.nodes
-        ended = strict, own["iterations"], own["limited"], claimed, own["solvable"]
+        ended = (own[name] for name in ("strict", "iterations", "limited", "claimed", "solvable"))
         facts = self.stopped, missing, own["infeasible"], conditions.judging.cost, own["falls"]
         return Found(iterate, assembled, residuals, *ended, *facts)
