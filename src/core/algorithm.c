@@ -33,8 +33,7 @@ void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, re
     to->cost = from->cost;
 }
 
-/* Evaluates the functions of the problem at an iterate. */
-static void evaluate_functions(const retrax_search *search, double *iterate) {
+void retrax_evaluate_functions(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) { retrax_evaluate_nodes(phase->layout, iterate + phase->place); }
     if (retrax_is_coupled(search)) {
         retrax_evaluate_coupling(search, iterate);
@@ -43,7 +42,7 @@ static void evaluate_functions(const retrax_search *search, double *iterate) {
 }
 
 void retrax_evaluate(retrax_search *search, double *iterate) {
-    evaluate_functions(search, iterate);
+    retrax_evaluate_functions(search, iterate);
     EACH_PHASE(phase) {
         double *const trajectory = iterate + phase->place;
         if (retrax_is_limited(phase->layout->problem)) {

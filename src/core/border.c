@@ -23,7 +23,7 @@
 /* Rounds of scaling rows and columns to one size. */
 #define ROUNDS 3
 
-/* Sizes of the border, and where its unknowns begin: e, w, f and the multipliers of the equations. */
+/* Numbers of the unknowns of the border: e and w, f, and the multipliers of the equations. */
 typedef struct {
     retrax_index ends, forces, equations, total;
 } border_sizes;
@@ -34,26 +34,40 @@ static double *row_of(const retrax_border *border, retrax_index i) {
 
 /* ---------------------------------------------------------------------------------------------------------- border */
 
-/* Writes what the ends cost and the equations between them, and the sizes of the unknowns; places: of the free
- * coordinates of all starts, then of all ends, among the coordinates of all ends. */
-static border_sizes write_coupling(retrax_search *search, retrax_index *places) {
+/* Lists the rows of all phases, the sizes of e and w, and their places: of the free coordinates of all starts, then of
+ * all ends, among the coordinates of all ends. Returns how many they are. */
+static retrax_index list_ends(retrax_search *search) {
+    retrax_index count = 0, forces = 0;
+    for (int side = 0; side < 2; side++) {
+        retrax_index coordinate = 0;
+        EACH_PHASE(phase) {
+            retrax_response *const own = &phase->response;
+            const retrax_index n = phase->layout->problem->state_size;
+            own->rows[side] = count;
+            for (retrax_index i = 0; i < own->counts[side]; i++) {
+                const retrax_index a = own->free[side * n + i];
+                search->coupling.border.scales[count] = phase->steps.nodes[a];
+                search->coupling.free_places[count++] = coordinate + side * n + a;
+            }
+            coordinate += 2 * n;
+        }
+    }
+    EACH_PHASE(phase) {
+        phase->response.rows[2] = count + forces;
+        forces += phase->layout->problem->state_size;
+    }
+    return count;
+}
+
+/* Writes what the ends cost and the equations between them, and the sizes of the unknowns. */
+static border_sizes write_coupling(retrax_search *search) {
     retrax_border *const border = &search->coupling.border;
+    const retrax_index *const places = search->coupling.free_places;
     const double *const at = search->at, *const curvature = at + search->coupling.first[RETRAX_COUPLED_CURVATURE];
     const double *const jacobian = at + search->coupling.first[RETRAX_COUPLED_JACOBIAN];
     const double *const values = at + search->coupling.first[RETRAX_COUPLED_VALUES];
     const retrax_index Z = search->coupling.count[RETRAX_COUPLED_MOVES];
-    border_sizes own = {0, Z / 2, search->coupling.count[RETRAX_COUPLED_VALUES], 0};
-    for (int side = 0; side < 2; side++) {
-        EACH_PHASE(phase) {
-            const retrax_response *const response = &phase->response;
-            const retrax_index n = phase->layout->problem->state_size;
-            for (retrax_index i = 0; i < response->counts[side]; i++) {
-                const retrax_index a = response->free[side * n + i];
-                border->scales[own.ends] = phase->steps.nodes[a];
-                places[own.ends++] = response->coordinate + side * n + a;
-            }
-        }
-    }
+    border_sizes own = {list_ends(search), Z / 2, search->coupling.count[RETRAX_COUPLED_VALUES], 0};
     own.total = own.ends + own.forces + own.equations;
     border->front.rows = border->front.unknowns = own.total;
     border->front.columns = 1;
@@ -75,13 +89,13 @@ static border_sizes write_coupling(retrax_search *search, retrax_index *places) 
     return own;
 }
 
-/* Adds the response of a phase, whose e, w and f begin at these rows. */
+/* Adds the response of a phase. */
 static void add_response(retrax_border *border, const retrax_phase *phase, const double *trajectory,
-                         const border_sizes *sizes, const retrax_index begins[3]) {
+                         const border_sizes *sizes) {
     const retrax_layout *const layout = phase->layout;
     const retrax_response *const own = &phase->response;
     const retrax_index n = layout->problem->state_size, N = layout->problem->steps, p = own->counts[0];
-    const retrax_index columns = own->columns, e = begins[0], w = begins[1], f = begins[2];
+    const retrax_index columns = own->columns, e = own->rows[0], w = own->rows[1], f = own->rows[2];
     for (retrax_index i = 0; i < p; i++) {
         const double *const start = own->multipliers + own->free[i] * columns;
         double *const row = row_of(border, e + i);
@@ -204,15 +218,14 @@ static void combine(const retrax_response *own, const double *from, retrax_index
 }
 
 /* Writes the step of a phase whose ends move so; returns whether it is finite. */
-static bool write_step(const retrax_border *border, retrax_phase *phase, double *trajectory,
-                       const retrax_index begins[3]) {
+static bool write_step(const retrax_border *border, retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
     retrax_response *const own = &phase->response;
-    const double *const force = border->solution + begins[2];
+    const double *const force = border->solution + own->rows[2];
     double *const last = ARRAY(MULTIPLIER_STEPS) + N * n, sum = 0.0;
     own->factors[0] = 1.0;
-    retrax_copy(own->factors + 1, border->solution + begins[0], own->counts[0]);
+    retrax_copy(own->factors + 1, border->solution + own->rows[0], own->counts[0]);
     retrax_copy(own->factors + 1 + own->counts[0], force, n);
     combine(own, own->steps, layout->count[RETRAX_ARRAY_STEPS], ARRAY(STEPS));
     combine(own, own->multipliers, N * n, ARRAY(MULTIPLIER_STEPS));
@@ -221,7 +234,7 @@ static bool write_step(const retrax_border *border, retrax_phase *phase, double 
     }
     for (retrax_index i = 0; i < own->counts[1]; i++) {
         const retrax_index a = own->free[n + i];
-        last[a] = -(force[a] + own->weights[a] * border->solution[begins[1] + i]);
+        last[a] = -(force[a] + own->weights[a] * border->solution[own->rows[1] + i]);
     }
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_STEPS]; i++) {
         sum += 0.0 * ARRAY(STEPS)[i];
@@ -232,22 +245,9 @@ static bool write_step(const retrax_border *border, retrax_phase *phase, double 
     return sum == 0.0;
 }
 
-/* Moves the rows at which e, w and f of a phase begin to those of the next one. */
-static void next_rows(const retrax_phase *phase, retrax_index begins[3]) {
-    begins[0] += phase->response.counts[0];
-    begins[1] += phase->response.counts[1];
-    begins[2] += phase->layout->problem->state_size;
-}
-
-/* Where e, w and f of the first phase begin. */
-static void first_rows(const retrax_search *search, const border_sizes *sizes, retrax_index begins[3]) {
-    begins[0] = begins[1] = 0;
-    begins[2] = sizes->ends;
-    EACH_PHASE(phase) { begins[1] += phase->response.counts[0]; }
-}
-
 /* Writes what the ends move by, and the steps of the multipliers; returns the curvature of the ends along that. */
-static double write_moves(const retrax_search *search, const border_sizes *sizes, const retrax_index *places) {
+static double write_moves(const retrax_search *search, const border_sizes *sizes) {
+    const retrax_index *const places = search->coupling.free_places;
     const double *const found = search->coupling.border.solution;
     const double *const curvature = search->at + search->coupling.first[RETRAX_COUPLED_CURVATURE];
     double *const moves = search->at + search->coupling.first[RETRAX_COUPLED_MOVES], sum = 0.0;
@@ -266,35 +266,38 @@ static double write_moves(const retrax_search *search, const border_sizes *sizes
     return sum;
 }
 
+/* Assembles the border of the responses of all phases and solves it; adds its inertia. */
+static border_sizes eliminate_border(retrax_search *search, retrax_inertia *inertia) {
+    retrax_border *const border = &search->coupling.border;
+    const border_sizes sizes = write_coupling(search);
+    EACH_PHASE(phase) { add_response(border, phase, search->at + phase->place, &sizes); }
+    retrax_add_inertia(inertia, solve_border(search, border, sizes.total));
+    return sizes;
+}
+
+retrax_index retrax_add_border(retrax_search *search, retrax_inertia *inertia) {
+    const border_sizes sizes = eliminate_border(search, inertia);
+    return sizes.forces + sizes.equations;
+}
+
 void retrax_eliminate_coupled(retrax_search *search, double shift) {
     retrax_border *const border = &search->coupling.border;
     retrax_direction *const found = &search->direction;
-    retrax_index *const places = search->coupling.free_places, begins[3], count = 0, first = 0;
+    retrax_index count = 0;
     retrax_inertia inertia = {0, INFINITY};
     EACH_PHASE(phase) {
-        const retrax_inertia own = retrax_respond(search, phase, shift);
-        phase->response.coordinate = first;
-        first += 2 * phase->layout->problem->state_size;
-        count += phase->layout->count[RETRAX_ARRAY_DEFECTS];
-        inertia.negative += own.negative;
-        inertia.smallest = own.smallest < inertia.smallest || isnan(own.smallest) ? own.smallest : inertia.smallest;
+        const retrax_layout *const layout = phase->layout;
+        double *const hessian = search->at + phase->place + layout->first[RETRAX_ARRAY_HESSIANS];
+        retrax_add_inertia(&inertia, retrax_respond(search, phase, retrax_newton_system(search, phase, shift), hessian));
+        count += layout->count[RETRAX_ARRAY_DEFECTS];
     }
-    const border_sizes sizes = write_coupling(search, places);
-    first_rows(search, &sizes, begins);
-    EACH_PHASE(phase) {
-        add_response(border, phase, search->at + phase->place, &sizes, begins);
-        next_rows(phase, begins);
-    }
-    const retrax_inertia own = solve_border(search, border, sizes.total);
-    const double smallest = own.smallest < inertia.smallest ? own.smallest : inertia.smallest;
-    double curvature = write_moves(search, &sizes, places), size = 0.0;
-    first_rows(search, &sizes, begins);
+    const border_sizes sizes = eliminate_border(search, &inertia);
+    double curvature = write_moves(search, &sizes), size = 0.0;
     found->finite = true;
     EACH_PHASE(phase) {
         double *const trajectory = search->at + phase->place;
-        found->finite = write_step(border, phase, trajectory, begins) && found->finite;
+        found->finite = write_step(border, phase, trajectory) && found->finite;
         summarise(phase->layout, trajectory, phase, &curvature, &size);
-        next_rows(phase, begins);
     }
     for (retrax_index i = sizes.ends + sizes.forces; i < sizes.total; i++) {
         found->finite = found->finite && isfinite(border->solution[i]);
@@ -302,9 +305,9 @@ void retrax_eliminate_coupled(retrax_search *search, double shift) {
     found->shift = shift;
     found->curvature = curvature / search->phases->steps.cost + shift * size;
     found->size = size;
-    found->smallest = smallest;
-    found->convex = inertia.negative + own.negative == count + sizes.forces + sizes.equations;
-    found->strict = found->convex && retrax_is_clear(smallest, count);
+    found->smallest = inertia.smallest;
+    found->convex = inertia.negative == count + sizes.forces + sizes.equations;
+    found->strict = found->convex && retrax_is_clear(inertia.smallest, count);
 }
 
 void retrax_add_coupled_promise(retrax_search *search) {

@@ -122,12 +122,15 @@ static retrax_index limit_place(const retrax_problem *problem, retrax_index k, r
     return r < own ? k * own + r : problem->steps * own + k * d + r - own;
 }
 
-/* Writes natural sizes of the unknowns of the augmented system, and 1 / (w D); infinite where nothing is asked for. */
-static void write_sizes(const retrax_search *search, const retrax_scale *units, bool softly) {
-    const retrax_layout *const layout = search->phases->layout;
-    const double *const trajectory = search->spare;
+/* Writes natural sizes of the unknowns of the augmented system, and 1 / (w D); infinite where nothing is asked for.
+ *
+ * softly: no inequality is stiffer than STIFFEST, and one that is next to not stiff is not at all. What is positive
+ * definite with less stiffness is so with more, and two inequalities that hold almost the same, as at points beside
+ * the one that a trajectory touches, leave no small pivots. */
+static void write_sizes(const retrax_phase *phase, const double *trajectory, const retrax_scale *units, bool softly) {
+    const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
-    const retrax_augmented *const own = &search->phases->augmented;
+    const retrax_augmented *const own = &phase->augmented;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], limits = own->size - z;
     retrax_copy(own->sizes, units->unknowns, z);
     memset(own->sizes + z, 0, sizeof(double) * (size_t)limits);
@@ -154,10 +157,9 @@ static void write_sizes(const retrax_search *search, const retrax_scale *units, 
 }
 
 /* Writes the blocks of the augmented system. */
-static void write_blocks(const retrax_search *search, const retrax_scale *units) {
-    const retrax_layout *const layout = search->phases->layout;
-    const double *const trajectory = search->spare;
-    const retrax_augmented *const own = &search->phases->augmented;
+static void write_blocks(const retrax_phase *phase, const double *trajectory, double cost) {
+    const retrax_layout *const layout = phase->layout;
+    const retrax_augmented *const own = &phase->augmented;
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS], y = own->size, limits = y - z;
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
         double *const hessian = own->hessian + k * y * y;
@@ -167,7 +169,7 @@ static void write_blocks(const retrax_search *search, const retrax_scale *units)
         }
         for (retrax_index r = 0; r < limits; r++) {
             const double give = own->gives[k * limits + r], size = own->sizes[z + r];
-            hessian[(z + r) * y + z + r] = -(isfinite(give) ? give : units->cost / (size * size));
+            hessian[(z + r) * y + z + r] = -(isfinite(give) ? give : cost / (size * size));
             for (retrax_index b = 0; b < z && isfinite(give); b++) {
                 hessian[(z + r) * y + b] = hessian[b * y + z + r] = own->rows[(k * limits + r) * z + b];
             }
@@ -181,22 +183,16 @@ static void write_blocks(const retrax_search *search, const retrax_scale *units)
     }
 }
 
-/* The inertia of the augmented system, without the eigenvalues of the inequalities.
- *
- * softly: no inequality is stiffer than STIFFEST, and one that is next to not stiff is not at all. What is positive
- * definite with less stiffness is so with more, and two inequalities that hold almost the same, as at points beside
- * the one that a trajectory touches, leave no small pivots. */
-static retrax_inertia augmented_inertia(const retrax_search *search, const retrax_scale *units, bool softly) {
-    const retrax_layout *const layout = search->phases->layout;
-    const retrax_problem *const problem = layout->problem;
-    const retrax_augmented *const own = &search->phases->augmented;
-    const retrax_index N = problem->steps, n = problem->state_size;
-    const double *const fixed = search->at + layout->first[RETRAX_ARRAY_FIXED];
-    unsigned char finite;
-    write_sizes(search, units, softly);
-    write_blocks(search, units);
+/* The augmented system of a phase; trajectory: without the share of the inequalities in its Hessians. */
+static retrax_block_system augmented_system(const retrax_phase *phase, const double *trajectory, bool softly) {
+    const retrax_layout *const layout = phase->layout;
+    const retrax_scale *const units = softly ? &phase->judging : &phase->steps;
+    const retrax_augmented *const own = &phase->augmented;
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    write_sizes(phase, trajectory, units, softly);
+    write_blocks(phase, trajectory, units->cost);
     memset(own->zeros, 0, sizeof(double) * (size_t)((N + 1) * (own->size + n)));
-    const retrax_block_system system = {
+    return (retrax_block_system){
         .stages = N,
         .node_size = n,
         .stage_size = own->size,
@@ -206,40 +202,67 @@ static retrax_inertia augmented_inertia(const retrax_search *search, const retra
         .right = own->right,
         .slope = own->zeros,
         .defect = own->zeros,
-        .fixed_start = fixed,
-        .fixed_end = fixed + N * n,
+        .fixed_start = ARRAY(FIXED),
+        .fixed_end = ARRAY(FIXED) + N * n,
         .stage_scale = own->sizes,
         .node_scale = units->nodes,
         .cost_scale = units->cost,
         .regularisation = 0.0,
         .regularised = own->zeros,
     };
-    retrax_block_solution solution = {
-        .step = own->step, .multipliers = own->multipliers, .finite = &finite, .largest_step = own->largest};
-    retrax_block_eliminate(&system, &solution, own->workspace, search->set);
-    solution.inertia.negative -= N * (own->size - layout->count[RETRAX_ARRAY_PARTS]);
-    return solution.inertia;
 }
 
-/* Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding. */
-static bool is_strict(const retrax_search *search) {
-    const retrax_layout *const layout = search->phases->layout;
-    const retrax_problem *const problem = layout->problem;
-    const retrax_index limits = search->phases->augmented.size - layout->count[RETRAX_ARRAY_PARTS];
-    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], equations = (problem->steps + 1) * problem->state_size;
-    retrax_copy_unknowns(layout, search->at, search->spare);
-    retrax_evaluate_trajectory(layout, search->spare); /* without the share of the inequalities in the Hessians */
-    retrax_assemble_system(layout, search->spare, search->workspace, search->set);
-    for (retrax_index i = 0; i < problem->steps * limits; i++) {
-        const retrax_index k = i / limits;
-        write_row(layout, search->spare, k, limit_place(problem, k, i % limits), search->phases->augmented.rows + i * z);
+/* Adds the inertia of a phase, without the eigenvalues of its inequalities. */
+static void add_phase(const retrax_search *search, retrax_phase *phase, bool softly, retrax_inertia *inertia) {
+    const retrax_augmented *const own = &phase->augmented;
+    const retrax_layout *const layout = phase->layout;
+    const bool limited = retrax_is_limited(layout->problem);
+    const retrax_block_system system = limited ? augmented_system(phase, search->spare + phase->place, softly)
+                                               : retrax_newton_system(search, phase, 0.0);
+    unsigned char finite;
+    retrax_block_solution solution = {
+        .step = own->step, .multipliers = own->multipliers, .finite = &finite, .largest_step = own->largest};
+    if (retrax_is_coupled(search)) {
+        double *const hessians = search->at + phase->place + layout->first[RETRAX_ARRAY_HESSIANS];
+        solution.inertia = retrax_respond(search, phase, system, limited ? own->hessian : hessians);
+    } else {
+        retrax_block_eliminate(&system, &solution, search->workspace, search->set);
     }
-    const retrax_inertia found = augmented_inertia(search, &search->phases->steps, false);
-    if (found.negative != equations || retrax_is_clear(found.smallest, equations)) {
-        return found.negative == equations;
+    solution.inertia.negative -= layout->problem->steps * (own->size - layout->count[RETRAX_ARRAY_PARTS]);
+    retrax_add_inertia(inertia, solution.inertia);
+}
+
+/* Whether the inertia of all phases with their coupling is that of a minimum; clear: beyond rounding. */
+static bool is_right(retrax_search *search, bool softly, bool *clear) {
+    retrax_inertia found = {0, INFINITY};
+    retrax_index equations = 0;
+    EACH_PHASE(phase) {
+        add_phase(search, phase, softly, &found);
+        equations += phase->layout->count[RETRAX_ARRAY_DEFECTS];
     }
-    const retrax_inertia softer = augmented_inertia(search, &search->phases->judging, true);
-    return softer.negative == equations && retrax_is_clear(softer.smallest, equations);
+    const retrax_index more = retrax_is_coupled(search) ? retrax_add_border(search, &found) : 0;
+    *clear = retrax_is_clear(found.smallest, equations);
+    return found.negative == equations + more;
+}
+
+/* Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding,
+ * where there are inequalities. */
+static bool is_strict(retrax_search *search) {
+    bool clear;
+    retrax_copy_iterate(search, search->at, search->spare);
+    retrax_evaluate_functions(search, search->spare);
+    EACH_PHASE(phase) { /* without the share of the inequalities in the Hessians */
+        const retrax_layout *const layout = phase->layout;
+        double *const trajectory = search->spare + phase->place;
+        const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], limits = phase->augmented.size - z;
+        retrax_assemble_system(layout, trajectory, search->workspace, search->set);
+        for (retrax_index i = 0; i < layout->problem->steps * limits; i++) {
+            const retrax_index k = i / limits;
+            write_row(layout, trajectory, k, limit_place(layout->problem, k, i % limits), phase->augmented.rows + i * z);
+        }
+    }
+    const bool right = is_right(search, false, &clear);
+    return right && (clear || (is_right(search, true, &clear) && clear));
 }
 
 /* Whether the linear system of the iterate has the inertia of a minimum without a shift. */
@@ -253,10 +276,10 @@ static bool has_right_inertia(retrax_search *search) {
 
 void retrax_conclude(retrax_search *search) {
     const retrax_direction *const step = &search->direction;
-    const bool extremal = retrax_is_extremal(search), augments = search->limited && !retrax_is_coupled(search);
+    const bool extremal = retrax_is_extremal(search);
     search->convex = extremal;
     EACH_PHASE(phase) { search->convex = search->convex && is_convex(phase, search->at + phase->place); }
-    const bool positive = search->limited || (step->strict && step->shift == 0.0);
     search->right_inertia = !extremal && search->trials > search->options.max_iterations && has_right_inertia(search);
-    search->strict = extremal && search->isolated && (augments ? is_strict(search) : positive);
+    search->strict = extremal && search->isolated &&
+                     (search->limited ? is_strict(search) : step->strict && step->shift == 0.0);
 }

@@ -78,19 +78,20 @@ static void add_promise(retrax_search *search, const retrax_phase *phase) {
     found->turned += (found->reach * turned + dual) / phase->steps.cost;
 }
 
+void retrax_add_inertia(retrax_inertia *to, retrax_inertia own) {
+    to->negative += own.negative;
+    to->smallest = own.smallest < to->smallest || isnan(own.smallest) ? own.smallest : to->smallest;
+}
+
 bool retrax_is_clear(double smallest, retrax_index equations) {
     return smallest > CLEAR * fmax(1.0, (double)equations / MANY);
 }
 
-/* Solves the linear system of an iterate of one trajectory. */
-static void eliminate(retrax_search *search, double shift) {
-    const retrax_phase *const phase = search->phases;
+retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double shift) {
     const retrax_layout *const layout = phase->layout;
-    const retrax_problem *const problem = layout->problem;
-    double *const trajectory = search->at;
-    const retrax_index N = problem->steps, n = problem->state_size, equations = (N + 1) * n;
-    unsigned char finite;
-    const retrax_block_system system = {
+    const double *const trajectory = search->at + phase->place;
+    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
+    return (retrax_block_system){
         .stages = N,
         .node_size = n,
         .stage_size = layout->count[RETRAX_ARRAY_PARTS],
@@ -108,6 +109,16 @@ static void eliminate(retrax_search *search, double shift) {
         .regularisation = shift,
         .regularised = phase->curvatures,
     };
+}
+
+/* Solves the linear system of an iterate of one trajectory. */
+static void eliminate(retrax_search *search, double shift) {
+    const retrax_phase *const phase = search->phases;
+    const retrax_layout *const layout = phase->layout;
+    double *const trajectory = search->at;
+    const retrax_index equations = layout->count[RETRAX_ARRAY_DEFECTS];
+    const retrax_block_system system = retrax_newton_system(search, phase, shift);
+    unsigned char finite;
     retrax_block_solution solution = {.step = ARRAY(STEPS),
                                       .multipliers = ARRAY(MULTIPLIER_STEPS),
                                       .finite = &finite,
@@ -123,7 +134,7 @@ static void eliminate(retrax_search *search, double shift) {
     found->smallest = solution.inertia.smallest;
     found->finite = finite != 0;
     found->strict = right && clear;
-    found->convex = right || (!retrax_is_limited(problem) && hidden);
+    found->convex = right || (!retrax_is_limited(layout->problem) && hidden);
 }
 
 /* Computes what belongs to the Newton step of a trajectory; returns the fraction of it that may be made. */

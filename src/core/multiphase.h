@@ -49,11 +49,11 @@ typedef struct {
 /* How a trajectory follows its ends: Newton's step in column 0, then per unit that a free coordinate of its start moves
  * by, then per unit of a linear cost of what its end moves by. 1 + p + n columns, p free coordinates of the start. */
 typedef struct {
-    retrax_index coordinate; /* place of the first coordinate of its start among those of all ends */
     retrax_index columns;    /* 1 + p + n */
     retrax_index *free;      /* [2][n] the free coordinates of start and end */
     retrax_index counts[2];  /* their numbers, p and q */
-    double *slope;           /* [N][z][columns] right-hand sides */
+    retrax_index rows[3];    /* of the border, where those of its start, its end and its forces begin */
+    double *slope;           /* [N][z][columns] right-hand sides; z with multipliers of inequalities where these count */
     double *defect;          /* [N + 1][n][columns] */
     double *steps;           /* [N][z][columns] */
     double *multipliers;     /* [N + 1][n][columns] */
@@ -62,7 +62,8 @@ typedef struct {
     double *weights;         /* [n] on what the end moves by */
     double *ways;            /* [n] how far controls move the coordinates of the nodes, or sizes of these */
     double *least;           /* [n] what these have to move by at least */
-    double *ones;            /* [max(n, z)] */
+    double *largest;         /* [z] steps */
+    double *ones;            /* [n] */
     double *none;            /* [n] zeros */
     double *factors;         /* [columns] what the columns are combined with */
     unsigned char *finite;   /* [columns] */

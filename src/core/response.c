@@ -27,19 +27,19 @@ static void list_free(const retrax_layout *layout, const double *trajectory, ret
 }
 
 /* Writes the right-hand sides, and adds the weight on the end to the Hessian of the last stage, which is kept. */
-static void write_columns(const retrax_layout *layout, double *trajectory, retrax_response *own) {
-    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = own->columns, p = own->counts[0];
-    const double *const right = ARRAY(RIGHT) + (N - 1) * n * z;
+static void write_columns(const retrax_layout *layout, const double *trajectory, const retrax_block_system *of,
+                          double *hessian, retrax_response *own) {
+    const retrax_index N = of->stages, n = of->node_size, z = of->stage_size;
+    const retrax_index columns = own->columns, p = own->counts[0];
+    const double *const right = of->right + (N - 1) * n * z;
     const double *const after = retrax_collocates(layout->problem) ? ARRAY(AFTER) + (N - 1) * n : own->none;
-    double *const hessian = ARRAY(HESSIANS) + (N - 1) * z * z;
     memset(own->slope, 0, sizeof(double) * (size_t)(N * z * columns));
     memset(own->defect, 0, sizeof(double) * (size_t)((N + 1) * n * columns));
     for (retrax_index i = 0; i < N * z; i++) {
-        own->slope[i * columns] = ARRAY(NEWTON_SIDES)[i];
+        own->slope[i * columns] = of->slope[i];
     }
     for (retrax_index i = 0; i < (N + 1) * n; i++) {
-        own->defect[i * columns] = ARRAY(NEWTON_DEFECTS)[i];
+        own->defect[i * columns] = of->defect[i];
     }
     for (retrax_index i = 0; i < p; i++) {
         own->defect[own->free[i] * columns + 1 + i] = -1.0;
@@ -59,10 +59,10 @@ static void write_columns(const retrax_layout *layout, double *trajectory, retra
 }
 
 /* Writes what the end moves by. */
-static void write_end(const retrax_layout *layout, const double *trajectory, retrax_response *own) {
-    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = own->columns;
-    const double *const right = ARRAY(RIGHT) + (N - 1) * n * z, *const steps = own->steps + (N - 1) * z * columns;
+static void write_end(const retrax_layout *layout, const double *trajectory, const retrax_block_system *of,
+                      retrax_response *own) {
+    const retrax_index N = of->stages, n = of->node_size, z = of->stage_size, columns = own->columns;
+    const double *const right = of->right + (N - 1) * n * z, *const steps = own->steps + (N - 1) * z * columns;
     for (retrax_index a = 0; a < n; a++) {
         for (retrax_index j = 0; j < columns; j++) {
             double sum = 0.0;
@@ -85,40 +85,25 @@ static void weigh(const retrax_phase *phase, retrax_response *own) {
     }
 }
 
-retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift) {
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, retrax_block_system of,
+                              double *hessian) {
     const retrax_layout *const layout = phase->layout;
-    const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
+    const double *const trajectory = search->at + phase->place;
+    const retrax_index size = of.stage_size * of.stage_size;
     retrax_response *const own = &phase->response;
-    double *const trajectory = search->at + phase->place;
-    retrax_write_right_sides(layout, trajectory);
+    double *const last = hessian + (of.stages - 1) * size;
     list_free(layout, trajectory, own);
     weigh(phase, own);
-    write_columns(layout, trajectory, own);
-    const retrax_block_system system = {
-        .stages = N,
-        .node_size = n,
-        .stage_size = z,
-        .columns = own->columns,
-        .hessian = ARRAY(HESSIANS),
-        .left = ARRAY(LEFT),
-        .right = ARRAY(RIGHT),
-        .slope = own->slope,
-        .defect = own->defect,
-        .fixed_start = own->ones,
-        .fixed_end = own->none,
-        .stage_scale = phase->steps.unknowns,
-        .node_scale = phase->steps.nodes,
-        .cost_scale = phase->steps.cost,
-        .regularisation = shift,
-        .regularised = phase->curvatures,
-    };
-    retrax_block_solution solution = {.step = own->steps,
-                                      .multipliers = own->multipliers,
-                                      .finite = own->finite,
-                                      .largest_step = phase->largest};
-    retrax_block_eliminate(&system, &solution, search->workspace, search->set);
-    retrax_copy(ARRAY(HESSIANS) + (N - 1) * z * z, own->last, z * z);
-    write_end(layout, trajectory, own);
+    write_columns(layout, trajectory, &of, last, own);
+    of.columns = own->columns;
+    of.slope = own->slope;
+    of.defect = own->defect;
+    of.fixed_start = own->ones;
+    of.fixed_end = own->none;
+    retrax_block_solution solution = {
+        .step = own->steps, .multipliers = own->multipliers, .finite = own->finite, .largest_step = own->largest};
+    retrax_block_eliminate(&of, &solution, search->workspace, search->set);
+    retrax_copy(last, own->last, size);
+    write_end(layout, trajectory, &of, own);
     return solution.inertia;
 }

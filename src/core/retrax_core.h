@@ -776,8 +776,7 @@ typedef struct {
     bool limited;               /* whether it has made as many iterations as it may */
     bool claimed;               /* whether the iterate is an extremal */
     bool strict;                /* whether it is a strict minimum: Newton's next step was small, and the Hessian of the
-                                 * Lagrangian is positive definite on the null space of the constraints; where ends are
-                                 * coupled and there are inequalities, the caller has to ask for the latter */
+                                 * Lagrangian is positive definite on the null space of the constraints */
     bool convex;                /* whether its cost is strictly convex in the controls, at each point by itself */
     bool solvable;              /* whether the last step is finite, with a shift that is not too large */
     bool infeasible;            /* whether inequalities contradict each other, or the ends */

@@ -10,7 +10,7 @@
 /* Takes the arrays of the linear system with the multipliers of the inequalities from a block. */
 static void take_augmented(const retrax_problem *problem, retrax_block *block, retrax_augmented *to) {
     const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, z = n + s * problem->control_size;
-    const retrax_index limits = s * problem->inequalities + problem->node_inequalities, y = z + limits;
+    const retrax_index y = retrax_augmented_size(problem), limits = y - z;
     to->size = y;
     if (limits == 0) {
         return;
@@ -25,8 +25,6 @@ static void take_augmented(const retrax_problem *problem, retrax_block *block, r
     to->step = retrax_take(block, N, y, sizeof(double));
     to->multipliers = retrax_take(block, N + 1, n, sizeof(double));
     to->largest = retrax_take(block, y, 1, sizeof(double));
-    const size_t size = retrax_block_workspace(N, n, y, 1);
-    to->workspace = retrax_take(block, 1, 1, size == 0 ? SIZE_MAX / 2 : size);
 }
 
 /* Takes the arrays of a phase from a block. */
@@ -61,8 +59,8 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
 static size_t workspace_of(const retrax_layout *layout, bool coupled) {
     const retrax_problem *const problem = layout->problem;
     const size_t own = retrax_workspace(problem);
-    const retrax_index n = problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
-    const size_t more = coupled ? retrax_block_workspace(problem->steps, n, z, 1 + 2 * n) : own;
+    const retrax_index n = problem->state_size, columns = coupled ? 1 + 2 * n : 1;
+    const size_t more = retrax_block_workspace(problem->steps, n, retrax_augmented_size(problem), columns);
     return own == 0 || more == 0 ? 0 : (own > more ? own : more);
 }
 

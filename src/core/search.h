@@ -45,7 +45,6 @@ typedef struct {
     double *zeros;              /* [N + 1][y + n] right-hand sides */
     double *step, *multipliers; /* [N][y], [N + 1][n] */
     double *largest;            /* [y] */
-    void *workspace;
 } retrax_augmented;
 
 /* What a search knows of one of its trajectories; arrays stand in the memory of the search. */
@@ -124,6 +123,12 @@ double retrax_step_cap(const retrax_layout *layout, double *trajectory, const do
 
 /* inertia.c: computes the Newton step at the iterate with a shift of the Hessian. */
 void retrax_newton_step(retrax_search *search, double shift);
+
+/* inertia.c: the linear system of a trajectory of the iterate with a shift of the Hessian. */
+retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double shift);
+
+/* inertia.c: adds the inertia of another system. */
+void retrax_add_inertia(retrax_inertia *to, retrax_inertia own);
 
 /* inertia.c: computes the step with the smallest tried shift, from `shift` on, that makes it descend. keep: the shift
  * is used as it is; loose: positive curvature along the step is enough. */
@@ -235,6 +240,9 @@ void retrax_copy_iterate(const retrax_search *search, const double *from, double
 /* initialise.c: the largest size of control i of a step along the trajectory. */
 double retrax_control_size(const retrax_layout *layout, const double *trajectory, retrax_index i);
 
+/* algorithm.c: evaluates the functions of the problem at an iterate. */
+void retrax_evaluate_functions(const retrax_search *search, double *iterate);
+
 /* algorithm.c: evaluates an iterate and assembles its linear system. */
 void retrax_evaluate(retrax_search *search, double *iterate);
 
@@ -273,11 +281,16 @@ void retrax_find_coupled_scales(retrax_search *search, double *iterate);
 /* multiphase.c: writes the multipliers of the coupling after a fraction of the step from search->at. */
 void retrax_move_coupling(const retrax_search *search, double part, double *iterate);
 
-/* response.c: finds how a trajectory follows its ends; returns the inertia of its system. */
-retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift);
+/* response.c: finds how a trajectory of the iterate follows its ends by a linear system, whose Hessian is changed and
+ * put back; returns its inertia. */
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, retrax_block_system of, double *hessian);
 
 /* border.c: computes the Newton step of coupled trajectories with a shift of the Hessian. */
 void retrax_eliminate_coupled(retrax_search *search, double shift);
+
+/* border.c: adds the inertia of the border of the responses of all phases; returns how many of its eigenvalues are
+ * negative at a minimum. */
+retrax_index retrax_add_border(retrax_search *search, retrax_inertia *inertia);
 
 /* border.c: adds what the coupling changes to what a step promises. */
 void retrax_add_coupled_promise(retrax_search *search);
