@@ -9,17 +9,9 @@ import numpy as np
 import pytest
 from retrax.compute import threads
 from retrax.integrators import Result
-from retrax.integrators.boundary_value import regular_extremals
-from retrax.integrators.boundary_value.engine import newton
 from retrax.integrators.boundary_value.transcription import core_search
 
 from ..integrators.test_parts_of_a_batch import COUNT, HORIZON, START, assert_same, slews
-
-
-@pytest.fixture(autouse=True)
-def on_core(monkeypatch):
-    for module in (regular_extremals, newton):
-        monkeypatch.setattr(module, "PARTS_ON_CORE", frozenset({"search"}))
 
 
 @pytest.fixture

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.engine import newton
 from retrax.manifolds import Euclidean, Product
 from retrax.retractions import Exponential, Gauss
 
@@ -20,11 +19,6 @@ COUPLINGS = 10.0 ** np.arange(-10, 3, 4)
 EVERY = 10.0 ** np.arange(-10, 3)
 REACHED = 1e-8  # share of the largest state that controls of size one move a prescribed one by
 ROUNDED = 1e-12  # relative change of a target, of which the cost has to be no more than 1e-9
-
-
-@pytest.fixture(autouse=True)
-def _on_the_core(monkeypatch):
-    monkeypatch.setattr(newton, "PARTS_ON_CORE", frozenset({"search"}))
 
 
 def exact(array):
