@@ -1,4 +1,4 @@
-"""Guesses that the core moves aside, beside those of the engine."""
+"""Guesses that controls cannot lead away from, which the core perturbs."""
 
 from typing import Any
 
@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from retrax.compute.binding.search import Search, SearchStatus
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.engine.aside import aside, violates
 from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
+from scipy.optimize import minimize
 
-from ..integrators.engine.test_trial import CASES
 from ..integrators.problems import IDENTITY, REST, RIGID, SLEW, half_square
-from .test_transcription import by_engine, posed, put
+from .trajectories import CASES, posed, put
 
-SPACE, PLANE = Euclidean(3), Euclidean(2)
+SPACE, STEPS = Euclidean(3), 12
 
 
 def car(q: Any, u: Any) -> Any:
@@ -32,7 +31,7 @@ def heisenberg(q: Any, u: Any) -> Any:
 def beside(field: Any, end: tuple[float, ...], method: Any, **options: Any) -> tuple[Solver, tuple, dict[str, Any]]:
     """A way to a point that no control leads to at first."""
     problem = OptimalControlProblem(SPACE, field, half_square, 2, **options)
-    return Solver(problem, method, 12), (np.zeros(3), np.array(end), 1.0), {}
+    return Solver(problem, method, STEPS), (np.zeros(3), np.array(end), 1.0), {}
 
 
 OPPOSITE = IDENTITY @ np.diag([-1.0, -1.0, 1.0]), REST
@@ -51,43 +50,74 @@ OTHERS = {
         Solver(SLEW, Gauss(2, Cayley(RIGID)), 6), ((IDENTITY, REST), OPPOSITE, 60.0), {}
     ),
 }  # fmt: skip
+UNKNOWNS = "CENTRES", "VELOCITIES", "CONTROLS"
 
 
-def moved_by_both(conditions: Any, guess: Any) -> None:
-    """Compare what both make of a guess."""
-    first, assembled = conditions.begin(guess)
-    expected, held = aside(conditions, first, assembled)
-    search = Search(core_search.made(conditions), 1e-8, 100)
-    put(search.trajectory, conditions, first)
-    assert search.perturb() == (held | violates(first.slacks, held))[0]
-    at, unknowns = search.trajectory, expected.unknowns
-    arrays = {"CENTRES": unknowns.centres, "CONTROLS": unknowns.controls, "COSTATES": expected.costates}
-    if hasattr(unknowns, "velocities"):
-        arrays |= {"VELOCITIES": unknowns.velocities}
-    for array, own in arrays.items():
-        size = max(1e-6, np.abs(own).max())
-        np.testing.assert_allclose(at[array], own.ravel(), rtol=1e-7, atol=1e-7 * size, err_msg=array)
-    assert not at["LIMIT_MULTIPLIERS"].any()
+def perturbed(phase: Any, guess: Any) -> tuple[bool, dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Whether a perturbation hardly moves something, and the arrays before and behind it."""
+    search = Search(core_search.made(phase), 1e-8, 1)
+    put(search.trajectory, phase, guess)
+    before = {name: search.trajectory[name].copy() for name in UNKNOWNS}
+    search.run()
+    search.trajectory.set_iterate(search.read().first.iterate)
+    held, at = search.perturb(), search.trajectory
+    return held, before, {name: at[name].copy() for name in (*UNKNOWNS, "COSTATES", "LIMIT_MULTIPLIERS")}
 
 
 @pytest.mark.parametrize("name", [*CASES, *DEGENERATE, *OTHERS])
-def test_a_guess_is_moved_as_by_the_engine(name, monkeypatch):
-    """Guesses of solves, and for states in R^n the same with all states at the start, where nothing is spread."""
+def test_a_perturbation_is_always_the_same_small_and_on_the_manifold(name, monkeypatch):
+    """Without multipliers: the multipliers of a degenerate guess tell nothing."""
     solver, way, options = (CASES | DEGENERATE | OTHERS)[name]()
-    conditions, guess = posed(solver, way, monkeypatch, throw=False, **options)
-    moved_by_both(conditions, guess)
+    phase, guess = posed(solver, way, monkeypatch, throw=False, **options)
+    (held, before, found), (again, _, same) = perturbed(phase, guess), perturbed(phase, guess)
+    assert held == again
+    for array, own in found.items():
+        np.testing.assert_array_equal(own, same[array])
+        assert np.isfinite(own).all()
+    assert not found["LIMIT_MULTIPLIERS"].any()
+    states = phase.at_nodes.layout.points(found["CENTRES"].reshape(len(phase.data.steps[0]), -1))
+    for value in map(np.asarray, phase.transcription.manifold.violations(states).values()):
+        assert np.all(np.abs(value) < 1e-12)
+    assert any(np.any(found[array] != before[array]) for array in UNKNOWNS)
+    spread = np.ptp(np.concatenate([before["CENTRES"].reshape(-1, phase.at_nodes.layout.size),
+                                    phase.ends.start[:1], phase.ends.end[:1]]), axis=0).max()  # fmt: skip
     if name in DEGENERATE:
-        rest = guess.unknowns._replace(centres=np.zeros_like(guess.unknowns.centres))
-        moved_by_both(conditions, guess._replace(unknowns=rest))
+        assert np.abs(found["CENTRES"] - before["CENTRES"]).max() < spread
+
+
+def roll(u: np.ndarray, field: Any, method: Any) -> np.ndarray:
+    """The end to which controls lead by the method, with fixed-point iterations for its points."""
+    gauss = method if isinstance(method, Gauss) else Gauss(1, Addition(SPACE))
+    q, h = np.zeros(3), 1 / STEPS
+    for own in u.reshape(STEPS, gauss.stages, 2):
+        rates = np.zeros((gauss.stages, 3))
+        for _ in range(40):
+            rates = np.stack([field(q + h * row @ rates, v) for row, v in zip(gauss.matrix, own, strict=True)])
+        q = q + h * gauss.weights @ rates
+    return q
+
+
+def car_in_numpy(q: np.ndarray, u: np.ndarray) -> np.ndarray:
+    return np.array([u[0] * np.cos(q[2]), u[0] * np.sin(q[2]), u[1]])
 
 
 @pytest.mark.parametrize("name", DEGENERATE)
-def test_searches_from_beside_a_degenerate_guess_end(name, monkeypatch):
+def test_searches_from_beside_a_degenerate_guess_end_at_a_minimum(name, monkeypatch):
+    """The area within a way of twelve steps is that of a regular polygon; of a car SciPy finds no lower cost nearby."""
     solver, way, options = DEGENERATE[name]()
-    expected = by_engine(*posed(solver, way, monkeypatch, **options))
     runs, run = [], Search.run
     monkeypatch.setattr(Search, "run", lambda own: runs.append(run(own)) or runs[-1])
     found = solver.solve(*way, **options)
     assert SearchStatus.DEGENERATE in runs
     assert found.success
-    assert found.cost == pytest.approx(expected.assembled.cost[0], rel=1e-8)
+    if name == "an area":
+        assert found.cost == pytest.approx(2 * STEPS * np.tan(np.pi / STEPS), rel=1e-8)
+        return
+    method, controls = solver.method, np.ravel(found.controls)
+    weights = np.repeat(np.tile(method.weights if isinstance(method, Gauss) else [1.0], STEPS) / STEPS, 2)
+    np.testing.assert_allclose(roll(controls, car_in_numpy, method), way[1], atol=1e-9)
+    ends = {"type": "eq", "fun": lambda u: roll(u, car_in_numpy, method) - way[1]}
+    best = minimize(lambda u: weights @ u**2 / 2, controls, jac=lambda u: weights * u, constraints=[ends],
+                    bounds=[(-9.0, 9.0) if "limited" in name else (None, None)] * len(controls),
+                    options={"maxiter": 20, "ftol": 1e-12})  # fmt: skip
+    assert best.fun == pytest.approx(found.cost, rel=1e-6)

@@ -1,5 +1,6 @@
-"""Linear systems and steps of trajectories by the core beside the engine's."""
+"""Linear systems and steps of trajectories by the core beside the discrete equations and their derivatives by JAX."""
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -7,221 +8,194 @@ import pytest
 from retrax.compute.binding.library import best_instruction_set
 from retrax.compute.binding.search import Search, SearchStatus
 from retrax.compute.binding.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
-from retrax.integrators.boundary_value import regular_extremals
-from retrax.integrators.boundary_value.engine import beginning
-from retrax.integrators.boundary_value.engine import first_units as engine_units
-from retrax.integrators.boundary_value.engine.barrier import PRICES
-from retrax.integrators.boundary_value.engine.conditions import Conditions
-from retrax.integrators.boundary_value.engine.descent import Descent
-from retrax.integrators.boundary_value.engine.inequalities import BOUNDARY
-from retrax.integrators.boundary_value.engine.transcription import Moves
+from retrax.integrators import OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.transcription import core_search
+from retrax.integrators.boundary_value.transcription.discrete_phase import DiscretePhase
 from retrax.manifolds import InvalidInputError
+from retrax.retractions import Midpoint, default_retraction
 
-from ..integrators.engine.test_trial import CASES, SLEWS
+from ..integrators.problems import SPHERE, half_square
+from .discrete_equations import DiscreteEquations, Expansion
+from .trajectories import CASES, SLEWS, posed, put
 
 SETS = range(best_instruction_set() + 1)
 NAMES = list(CASES)
+SHARE = 0.9  # of the way to the boundary that slacks may go
+AWAY = 0.1  # size of the random steps from a solution, in natural sizes
 
 
-def transcription(conditions: Conditions, own: int) -> Transcription:
-    """The engine's transcription for the core, which runs an instruction set."""
-    return core_search.made(conditions, own)
-
-
-def posed(solver: Any, way: tuple, monkeypatch: Any, **options: Any) -> tuple[Conditions, Any]:
-    """The conditions of a solve, and its guess."""
-    seen, search = [], regular_extremals.search_all
-
-    def searched(problem: Any, guess: Any, *others: Any) -> Any:
-        seen.append((problem.phases[0], guess.parts[0]))
-        return search(problem, guess, *others)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(regular_extremals, "search_all", searched)
-        solver.solve(*way, **options)
-    return seen[0]
-
-
-def by_engine(conditions: Conditions, guess: Any, tolerance: float = 1e-10) -> Any:
-    """The result of a search of the engine."""
-    with np.errstate(all="ignore"):
-        return Descent(conditions, tolerance, 100, None).ended(guess)
-
-
-def put(found: Trajectory, conditions: Conditions, iterate: Any) -> Trajectory:
-    """The trajectory with what is given and with the unknowns of an iterate."""
-    core_search.put(found, conditions, iterate, 0)
-    if iterate.slacks is not None:
-        names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES"
-        for name, array in zip(names, iterate.slacks, strict=False):
-            found[name][...] = core_search.flat_limits(conditions.transcription, array[0])
-        found["BARRIER"][...] = iterate.slacks.barrier
-    return found
-
-
-def compare(found: Trajectory, expected: dict[str, np.ndarray]) -> None:
+def compare(found: Trajectory, expected: dict[str, np.ndarray], rtol: float = 1e-9) -> None:
     """Equal arrays but for rounding, which is relative to the largest entry of each."""
     for name, array in expected.items():
         size = max(1.0, np.abs(array).max(initial=0.0))
-        np.testing.assert_allclose(found[name], np.ravel(array), rtol=1e-9, atol=2e-11 * size, err_msg=name)
+        np.testing.assert_allclose(found[name], np.ravel(array), rtol=rtol, atol=1e-10 * size, err_msg=name)
 
 
-def system(assembled: Any, steps: Any) -> dict[str, np.ndarray]:
-    """The engine's arrays by their names in the core."""
-    blocks, inner = assembled.blocks, assembled.blocks.inner
-    found = {
-        "NODES": assembled.nodes, "DEFECTS": assembled.gap, "ASKED": assembled.asked, "NODE_FRAMES": assembled.frames,
-        "MULTIPLIERS": assembled.coordinates, "NODE_COSTATES": assembled.costates, "DISTANCE": assembled.distance,
-        "LEFT": blocks.left, "RIGHT": blocks.right, "GRADIENTS": blocks.gradient, "COSTS": blocks.costs,
-    }  # fmt: skip
-    if inner is not None:
-        found |= {"POINT_DEFECTS": inner.defect, "POINT_MULTIPLIERS": inner.multipliers, "POINT_FRAMES": inner.frames}
-        found |= {"GRADIENTS_BY_VELOCITIES": inner.gradient}
-    found |= {"HESSIANS": blocks.hessian, "RIGHT_SIDES": blocks.slope}
-    if blocks.held is not None:
-        found |= {"RIGHT_SIDES": blocks.pushed[..., 0], "BARRIER_SIDES": blocks.pushed[..., 1], "SLOPES": blocks.slope}
-        found["LIMITS"] = core_search.flat_limits(steps, blocks.held.values[0])
-        if steps.places == steps.stages:
-            found["LIMIT_JACOBIANS"] = blocks.held.jacobian
-    names = "HIGHEST", "LOWEST", "SUPPORT", None, "MISSING", "LACKING", None, "PARTS", "LARGEST_SLOPES", "CURVATURES"
-    found |= {name: own for name, own in zip(names, assembled.extent, strict=True) if name}
-    if inner is not None and blocks.held is None:  # the engine takes the slopes of Newton's step for those of the cost
-        del found["LARGEST_SLOPES"]
-    return found
+@cache
+def case(name: str) -> tuple[DiscretePhase, Any, DiscreteEquations]:
+    """A transcribed problem, its guess, and its discrete equations."""
+    solver, way, options = CASES[name]()
+    with pytest.MonkeyPatch.context() as patch:
+        phase, guess = posed(solver, way, patch, **options)
+    return phase, guess, DiscreteEquations(phase)
+
+
+def random_iterate(of: Transcription, phase: DiscretePhase, guess: Any, seed: int) -> Trajectory:
+    """A trajectory random steps away from a solution, with random multipliers, slacks and excesses."""
+    rng, search, to = np.random.default_rng(seed), Search(of, 1e-8, 100), of.trajectory()
+    put(search.trajectory, phase, guess)
+    search.run()
+    at, sizes = search.trajectory, search.read().judging
+    to.copy_from(at)
+    at["STEPS"] = AWAY * np.tile(sizes.unknowns, len(at["STEP_SIZE"])) * rng.standard_normal(len(at["STEPS"]))
+    speed = AWAY / at["STEP_SIZE"].sum() * np.tile(sizes.nodes, len(at["VELOCITY_STEPS"]) // len(sizes.nodes))
+    at["VELOCITY_STEPS"] = speed * rng.standard_normal(len(speed))
+    for name in ("COVECTOR_STEPS", "POINT_MULTIPLIER_STEPS"):
+        at[name] = rng.standard_normal(len(at[name]))
+    to.move(at, 1.0)
+    elastic = rng.random(len(to["LIMITS"])) < 0.5
+    for name in ("SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES"):
+        to[name] = (0.1 + rng.random(len(to[name]))) * (to["LIMIT_WEIGHTS"] > 0)
+    to["EXCESSES"] = np.where(elastic, to["EXCESSES"], 0.0)
+    to["PENALTIES"] = np.where(elastic, to["LIMIT_MULTIPLIERS"] + 0.5, np.inf)
+    to["BARRIER"] = np.array([0.3])
+    to.evaluate()
+    return to
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_systems_and_steps_are_those_of_the_engine(name, monkeypatch):
-    """Along a solve, at all iterates and for all steps and parts of steps; the cases share out the instruction sets."""
-    own = SETS[NAMES.index(name) % len(SETS)]
-    solver, way, options = CASES[name]()
-    conditions, guess = posed(solver, way, monkeypatch, **options)
-    made, moves, given = [0, 0, 0, 0], {}, []
-    natural_units, units_of = engine_units.natural_units, engine_units.first_units
-    assemble, move, appraise = Conditions.assemble, Conditions.move, Conditions.appraised
-
-    def of(conditions: Conditions) -> Transcription:
-        key = id(conditions.transcription)
-        if key not in moves:
-            moves[key] = transcription(conditions, own)
-        return moves[key]
-
-    def assembled(self: Conditions, iterate: Any, paid: Any = None) -> Any:
-        found = assemble(self, iterate, paid)
-        at = put(of(self).trajectory(), self, iterate)
-        at.evaluate()
-        compare(at, system(found, self.transcription))
-        made[0] += 1
-        return found
-
-    def appraised(self: Conditions, iterate: Any, assembled: Any) -> Any:
-        found = appraise(self, iterate, assembled)
-        at, limits, least = put(of(self).trajectory(), self, iterate), None, 0.0
-        at.evaluate()
-        if self.barrier is not None and iterate.slacks is not None:
-            limits = LimitScale(float(self.barrier.rate[0]), self.barrier.limits[0], *PRICES)
-            least = float(self.judging.cost[0])
-        own = [Scale(*map(np.ascontiguousarray, (a.unknowns[0], a.nodes[0])), float(a.cost[0])) for a in
-               (self.judging, self.measured)]  # fmt: skip
-        at.measure(*own, limits, least)
-        numbers = np.concatenate([*found.residuals, *found[3:]])
-        near = assembled.blocks.inner is None or limits is not None or found.residuals.gap[0] < 1e-9
-        told = np.arange(len(numbers)) if near else [0, 2, 3, 4, 5, *range(9, 14)]
-        np.testing.assert_allclose(
-            at["RESIDUALS"][told], numbers[told], rtol=1e-7, atol=1e-9 * max(1.0, abs(numbers[9:12]).max())
-        )
-        compare(at, {"ALONG": found.along, "ENTRIES": found.entries})
-        if limits is not None:
-            np.testing.assert_allclose(at["LIMIT_SURVEY"], self._survey_of(iterate, assembled)[:, 0], rtol=1e-8)
-        made[2] += 1
-        return found
-
-    def measured(system: Any, gradient: Any, states: Any, controls: Any, values: Any, curved: Any, room: Any) -> Any:
-        found = natural_units(system, gradient, states, controls, values, curved, room)
-        given.append((np.concatenate([states, controls], axis=1)[0], np.array(values[0]), controls, curved, room))
-        return found
-
-    def first_units(conditions: Conditions, iterate: Any, assembled: Any, least: Any = 0.0) -> Any:
-        found = units_of(conditions, iterate, assembled, least)
-        at = put(of(conditions).trajectory(), conditions, iterate)
-        at.evaluate()
-        moved = assembled.extent.moved(conditions.at_nodes.layout)
-        for own, expected in zip(at.motion(), moved, strict=True):
-            np.testing.assert_allclose(own, expected[0], rtol=1e-9)
-        sizes, values, controls, curved, room = given.pop()
-        free, bent = np.broadcast_to(room, controls.shape)[0].copy(), bool(np.all(curved))
-        scale = at.scale(sizes, values, free, bent)
-        # A size that a curvature of rounding asks for is rounding too.
-        curvature = assembled.extent.curvature[0]
-        told = (curvature == 0) | (curvature > 1e-9 * curvature.max())
-        np.testing.assert_allclose(scale.unknowns[told], found.unknowns[0][told], rtol=1e-6)
-        if told.all():
-            np.testing.assert_allclose(scale.nodes, found.nodes[0], rtol=1e-6)
-            np.testing.assert_allclose(scale.cost, found.cost[0], rtol=1e-6)
-        made[3] += told.all()
-        return found
-
-    def moved(self: Conditions, iterate: Any, before: Any, step: Any, fraction: np.ndarray) -> Any:
-        found = move(self, iterate, before, step, fraction)
-        at, to = (put(of(self).trajectory(), self, iterate) for _ in range(2))
-        at.evaluate()
-        at["STEPS"][...], at["MULTIPLIER_STEPS"][...] = step.unknowns.ravel(), step.multipliers.ravel()
-        at.expand()
-        if step.inner is not None:
-            compare(at, dict(zip(("VELOCITY_STEPS", "POINT_MULTIPLIER_STEPS"), step.inner, strict=True)))
-        to.move(at, float((fraction * step.reach)[0]))
-        if step.turn is not None:
-            at.step_inequalities(BOUNDARY)
-            turn, names = step.turn, ("SLACK_STEPS", "LIMIT_MULTIPLIER_STEPS", "EXCESS_STEPS")
-            flat = [core_search.flat_limits(self.transcription, a[0]) for a in (*turn[:3], *found.slacks[:3])]
-            compare(at, dict(zip(names, flat[:3], strict=True)))
-            np.testing.assert_allclose(
-                at["LIMIT_STEP"][1:], np.ravel([turn.dual, turn.ahead, turn.lacking]), rtol=1e-7, atol=1e-9
-            )
-            assert turn.reach[0] == pytest.approx(min(1.0, at["LIMIT_STEP"][0]), rel=1e-9)
-            to.move_inequalities(at, float((fraction * turn.reach)[0]), float(turn.dual[0]))
-            names = "SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES"
-            compare(to, dict(zip(names, flat[3:], strict=True)))
-        unknowns = {"CENTRES": found.unknowns.centres, "CONTROLS": found.unknowns.controls, "COSTATES": found.costates}
-        if step.inner is not None:
-            unknowns |= {"VELOCITIES": found.unknowns.velocities, "POINT_COSTATES": found.unknowns.costates}
-        compare(to, unknowns)
-        made[1] += 1
-        return found
-
-    monkeypatch.setattr(Conditions, "assemble", assembled)
-    monkeypatch.setattr(Conditions, "move", moved)
-    monkeypatch.setattr(Conditions, "appraised", appraised)
-    monkeypatch.setattr(engine_units, "natural_units", measured)
-    monkeypatch.setattr(beginning, "first_units", first_units)
-    monkeypatch.setattr(Conditions, "setting", None)
-    assert by_engine(conditions, guess).claimed.all()
-    assert min(made) > 0
+def test_systems_are_the_derivatives_of_the_discrete_equations(name):
+    """At iterates some random steps from the guess; the cases share out the instruction sets."""
+    phase, guess, equations = case(name)
+    at = random_iterate(core_search.made(phase, SETS[NAMES.index(name) % len(SETS)]), phase, guess, NAMES.index(name))
+    expected = Expansion(equations, at)
+    own, steps = expected.of_steps, equations.phase.transcription
+    compare(at, {
+        "NODES": expected.nodes, "DEFECTS": expected.defects, "NODE_FRAMES": expected.frames,
+        "MULTIPLIERS": expected.multipliers, "NODE_COSTATES": expected.node_costates, "COSTS": own["cost"],
+    })  # fmt: skip
+    if not steps.inequalities:
+        compare(at, without_barrier(expected.condensed(own["hessian"], own["slope"], np.zeros_like(own["slope"]))))
+        return
+    compare(at, {"LIMITS": expected.flat(own["limits"])})
+    system = expected.condensed(*expected.with_inequalities(at))
+    compare(at, system)
+    barrier = at["BARRIER"][0]
+    compare(at, {"NEWTON_SIDES": system["RIGHT_SIDES"] + barrier * system["BARRIER_SIDES"]})
+    lacking = at["LIMITS"] + at["SLACKS"] - at["EXCESSES"]
+    held = np.sum(at["LIMIT_WEIGHTS"] * at["LIMIT_MULTIPLIERS"] * lacking)
+    measured = Scale(np.ones(len(at["PARTS"])), np.ones(equations.n), 1.0)
+    limits = LimitScale(1.0, np.ones(steps.inequalities), 1e3, 0.9, 1e9)
+    at.measure(measured, measured, limits, 1.0)
+    rest, asked, survey = at["PENALTIES"] - at["LIMIT_MULTIPLIERS"], at["LIMIT_WEIGHTS"] > 0, at["LIMIT_SURVEY"]
+    np.testing.assert_allclose(survey[6], held, rtol=1e-9)
+    elastic = asked & np.isfinite(rest)
+    products = (at["LIMIT_MULTIPLIERS"] * at["SLACKS"])[asked], rest[elastic] * at["EXCESSES"][elastic]
+    everywhere = np.concatenate(products)
+    np.testing.assert_allclose(survey[2:4], [everywhere.max(), everywhere.min()], rtol=1e-9)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.7, 0.9, 1.0])
-def test_ends_that_are_far_apart_meet_as_in_the_engine(share, monkeypatch):
-    """Centres at random attitudes: gaps from small ones to half turns, and of single nodes."""
-    conditions, guess = posed(CASES["a slew"]()[0], SLEWS, monkeypatch)
-    rng = np.random.default_rng(int(10 * share))
-    turn = conditions.transcription.move
-    moves = Moves(
-        np.pi * rng.standard_normal((1, 30, conditions.transcription.dimension)) * (rng.random((1, 30, 1)) < share),
-        np.zeros((1, 31, conditions.at_nodes.dimension)),
-        np.ones(1),
-    )
-    far = guess._replace(unknowns=turn(guess.unknowns, None, moves, conditions.data))
-    at = put(transcription(conditions, SETS[-1]).trajectory(), conditions, far)
+def without_barrier(system: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    return {name: array for name, array in system.items() if name != "BARRIER_SIDES"}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_steps_solve_the_linear_equations_and_move_in_charts(name):
+    """A Newton step from the dense matrix of all unknowns: its condensed part gives the rest of it again."""
+    phase, guess, equations = case(name)
+    of = core_search.made(phase, SETS[-1])
+    at = random_iterate(of, phase, guess, 50 + NAMES.index(name))
+    expected, (count, n, s) = Expansion(equations, at), (equations.count, equations.n, equations.s)
+    own, hessian, slope = expected.of_steps, expected.of_steps["hessian"], expected.of_steps["slope"]
+    if phase.transcription.inequalities:
+        hessian, plain, driven = expected.with_inequalities(at)
+        slope = plain + at["BARRIER"][0] * driven
+    matrix, side, unknowns = expected.kkt(hessian, slope)
+    solution = np.linalg.solve(matrix, side)
+    steps = solution[:unknowns].reshape(count, -1)
+    of_nodes = solution[unknowns : unknowns + (count + 1) * n].reshape(count + 1, n)
+    inner = slice(n, n + equations.inner)
+    at["STEPS"] = np.delete(steps, np.r_[inner], axis=1).ravel()
+    at["MULTIPLIER_STEPS"] = of_nodes.ravel()
+    at.expand()
+    if equations.collocates:
+        of_points = solution[unknowns + (count + 1) * n :]
+        compare(at, {"VELOCITY_STEPS": steps[:, inner], "POINT_MULTIPLIER_STEPS": of_points}, rtol=1e-6)
+    part, to = 0.7, put(of.trajectory(), phase, guess)
+    to.move(at, part)
+    x, nu, u = equations._moved_all(expected.given, part * steps)
+    moved = {"CENTRES": x, "CONTROLS": u}
+    lift = expected.multipliers + part * at["COVECTOR_STEPS"].reshape(count + 1, n)
+    costates = np.einsum("kne,kn->ke", expected.frames, lift)
+    moved["COSTATES"] = costates + expected.paid
+    if equations.collocates:
+        lambdas = (expected.given["lambda"] + part * of_points.reshape(count, -1)).reshape(count, s, n)
+        moved |= {"VELOCITIES": nu, "POINT_COSTATES": np.einsum("ksne,ksn->kse", expected.point_frames, lambdas)}
+    compare(to, moved, rtol=1e-6)
+    if phase.transcription.inequalities:
+        check_inequalities(at, to, expected.flat(np.einsum("kci,ki->kc", own["limits by"], steps)))
+
+
+def check_inequalities(at: Trajectory, to: Trajectory, change: np.ndarray) -> None:
+    """Steps of slacks, multipliers and excesses solve their linear equations, and are made as far as they stay
+    inside."""
+    at.step_inequalities(SHARE)
+    s, nu, t, rho, mu = (at[k] for k in ("SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES", "BARRIER"))
+    ds, dnu, dt = (at[k] for k in ("SLACK_STEPS", "LIMIT_MULTIPLIER_STEPS", "EXCESS_STEPS"))
+    asked, elastic = at["LIMIT_WEIGHTS"] > 0, np.isfinite(rho)
+    zeta = np.where(elastic, rho, 0.0) - nu
+    size = 1 + np.abs(change) + np.abs(ds) + np.abs(dt)
+    lacking = at["LIMITS"] + s - t
+    assert np.all(np.abs(lacking + change + ds - dt)[asked] <= 1e-6 * size[asked])
+    assert np.all(np.abs(nu * s - mu + nu * ds + s * dnu)[asked] <= 1e-6 * (size * (1 + np.abs(dnu)))[asked])
+    both = asked & elastic
+    assert np.all(np.abs(zeta * t - mu + zeta * dt - t * dnu)[both] <= 1e-6 * (size * (1 + np.abs(dnu)))[both])
+    assert not np.any(dt[~elastic])
+
+    def most(value: np.ndarray, step: np.ndarray) -> float:
+        """The part of a step that goes a share of the way to zero at most."""
+        falls = step < 0
+        return min(1.0, np.min(-SHARE * value[falls] / step[falls], initial=1.0))
+
+    primal = min(most(s[asked], ds[asked]), most(t[both], dt[both]))
+    dual = min(most(nu[asked], dnu[asked]), most(zeta[both], -dnu[both]))
+    w = at["LIMIT_WEIGHTS"]
+    potential = np.where(elastic, np.where(elastic, rho, 0.0) * dt - mu * dt / np.where(elastic, t, 1.0), 0.0)
+    ahead = np.sum((w * (potential - mu * ds / np.where(asked, s, 1.0)))[asked])
+    found = at["LIMIT_STEP"]
+    np.testing.assert_allclose([min(1.0, found[0]), found[1]], [primal, dual], rtol=1e-6)
+    np.testing.assert_allclose(found[2:4], [ahead, np.sum(w * dnu * lacking)], rtol=1e-6, atol=1e-8)
+    to.move_inequalities(at, 0.5, 0.25)
+    expected = {"SLACKS": s + 0.5 * ds, "EXCESSES": t + 0.5 * dt, "LIMIT_MULTIPLIERS": nu + 0.25 * dnu}
+    for name, array in expected.items():
+        inside = asked & (array > 1e-3)  # else multipliers are held near the barrier over their slacks
+        np.testing.assert_allclose(to[name][inside], array[inside], rtol=1e-6)
+
+
+@pytest.mark.parametrize("angle", [0.1, 0.9, 1.0, 1.5, 2.0])
+def test_ends_that_are_far_apart_meet_along_the_arc_between_them(angle, monkeypatch):
+    """Two steps at rest on a sphere whose ends lie apart by an angle: where their chord is short, the defect is its
+    tangential part at the end of the first step; else the node lies amid them, and the defect is the arc."""
+    problem = OptimalControlProblem(SPHERE, lambda q, u: u - (u @ q) * q, half_square, 3)
+    way = np.array([0.0, 0.0, 1.0]), np.array([np.sin(0.3), 0.0, np.cos(0.3)]), 1.0
+    phase, guess = posed(Solver(problem, Midpoint(default_retraction(SPHERE)), 2), way, monkeypatch)
+    at = put(core_search.made(phase).trajectory(), phase, guess)
+    centres = np.array([[0.0, 0.0, 1.0], [np.sin(angle), 0.0, np.cos(angle)]])
+    at["CENTRES"], at["CONTROLS"] = centres.ravel(), 0.0
     at.evaluate()
-    expected = conditions.assemble(far)
-    assert not np.allclose(expected.asked, expected.gap)
-    compare(at, system(expected, conditions.transcription))
+    sizes = [np.linalg.norm(at[name].reshape(3, 2)[1]) for name in ("DEFECTS", "ASKED")]
+    node = at["NODES"].reshape(3, 3)[1]
+    if 2 * np.sin(angle / 2) < 0.9:
+        np.testing.assert_allclose(sizes, np.sin(angle), rtol=1e-12)
+        np.testing.assert_allclose(node, centres[0], atol=1e-14)
+    else:
+        np.testing.assert_allclose(node, [np.sin(angle / 2), 0, np.cos(angle / 2)], atol=1e-2)
+        np.testing.assert_allclose(sizes, [angle, angle * np.cos(angle / 2)], rtol=1e-2)
 
 
 def test_what_does_not_fit_is_refused(monkeypatch):
-    conditions, _ = posed(CASES["a slew"]()[0], SLEWS, monkeypatch)
-    right = transcription(conditions, 0)
+    phase, _ = posed(CASES["a slew"]()[0], SLEWS, monkeypatch)
+    right = core_search.made(phase, 0)
     programs, (name, sizes) = dict(right.programs), (FunctionName, right.sizes)
     none = np.zeros(0)
     tableau, columns = (np.ones((1, 1)), np.ones(1)), (np.zeros(sizes.state_numbers, np.intp),) * 2
@@ -244,30 +218,56 @@ def test_what_does_not_fit_is_refused(monkeypatch):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_searches_end_where_those_of_the_engine_do(name, monkeypatch):
-    solver, way, options = CASES[name]()
-    conditions, guess = posed(solver, way, monkeypatch, **options)
-    expected = by_engine(conditions, guess)
-    search = Search(transcription(conditions, SETS[-1]), 1e-10, 100)
-    put(search.trajectory, conditions, guess._replace(slacks=None))
-    status = search.run()
-    assert status is SearchStatus.CONVERGED, status
-    assert search.trajectory["TOTALS"][0] == pytest.approx(expected.assembled.cost[0], rel=1e-9)
-    found = search.read()
+def test_searches_end_where_the_first_and_second_order_conditions_hold(name):
+    """The discrete equations are evaluated at the end of the search: defects, slopes, complementarity, and the
+    curvature on the null space of the constraints."""
+    phase, guess, equations = case(name)
+    search = Search(core_search.made(phase, SETS[-1]), 1e-10, 100)
+    put(search.trajectory, phase, guess._replace(slacks=None))
+    assert search.run() is SearchStatus.CONVERGED
+    found, at = search.read(), search.trajectory
     assert found.claimed
-    assert found.iterations == expected.iterations
+    assert found.strict
+    expected, steps = Expansion(equations, at), phase.transcription
+    own, hessian = expected.of_steps, expected.of_steps["hessian"]
+    size = sizes_of_unknowns(equations, found.judging)
+    assert np.abs(expected.defects / found.judging.nodes).max() < 1e-8
+    parts = np.abs(own["gradient"]) + np.einsum("kn,knz->kz", *map(np.abs, (expected.multipliers[1:], expected.right)))
+    parts += np.einsum("kn,knz->kz", *map(np.abs, (expected.multipliers[:-1], expected.left)))
+    assert np.abs(own["slope"] * size).max() < 1e-7 * np.max(parts * size)
+    if steps.inequalities:
+        w, nu, limits = expected.given["weights"], expected.given["nu_limits"], own["limits"]
+        assert np.max(np.where(w > 0, limits, 0.0)) < 1e-7 * max(np.abs(limits).max(), 1.0)
+        assert np.min(nu) >= 0
+        assert np.sum(w * nu * np.abs(limits)) < 1e-6 * at["TOTALS"][0]
+        hessian = expected.with_inequalities(at)[0]
+    matrix, _, unknowns = expected.kkt(hessian, own["slope"])
+    every = np.tile(size, equations.count)
+    rows = matrix[unknowns:, :unknowns] * every
+    largest = np.abs(rows).max(axis=1, keepdims=True)
+    rows = rows[largest[:, 0] > 0] / largest[largest > 0][:, None]
+    _, singular, basis = np.linalg.svd(rows)
+    null = basis[np.sum(singular > 1e-12 * singular[0]) :].T
+    if null.shape[1]:
+        reduced = null.T @ (matrix[:unknowns, :unknowns] * np.outer(every, every)) @ null
+        assert np.linalg.eigvalsh(reduced)[0] > 0
+
+
+def sizes_of_unknowns(equations: DiscreteEquations, scale: Scale) -> np.ndarray:
+    """Natural sizes of all unknowns of a step."""
+    velocities = np.tile(scale.nodes, equations.s if equations.collocates else 0)
+    return np.concatenate([scale.unknowns[: equations.n], velocities, scale.unknowns[equations.n :]])
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_what_the_memory_of_a_search_held_before_changes_no_bit(name, monkeypatch):
-    solver, way, options = CASES[name]()
-    conditions, guess = posed(solver, way, monkeypatch, **options)
-    own, ends = transcription(conditions, SETS[-1]), []
+def test_what_the_memory_of_a_search_held_before_changes_no_bit(name):
+    phase, guess, _ = case(name)
+    own, ends = core_search.made(phase, SETS[-1]), []
     for held in (0.0, np.nan, 1e300):
         Search(own, 1e-10, 100)
         own.search_room(1)[...] = held
         search = Search(own, 1e-10, 100)
-        put(search.trajectory, conditions, guess._replace(slacks=None))
+        put(search.trajectory, phase, guess._replace(slacks=None))
         status, found = search.run(), search.read()
         told = [status, found.iterations, found.claimed, found.strict, found.convex, found.limits.tobytes()]
         names = "CENTRES", "CONTROLS", "COSTATES", "LIMIT_MULTIPLIERS", "RESIDUALS", "STEPS", "TOTALS"

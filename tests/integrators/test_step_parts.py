@@ -25,8 +25,8 @@ from retrax.integrators import (
     step_errors,
     switching_structure,
 )
-from retrax.integrators.boundary_value.engine.collocation import Collocation
 from retrax.integrators.boundary_value.reformulations.switching_arcs import SwitchingArcs
+from retrax.integrators.boundary_value.transcription.functions.collocation import CollocationFunctions
 from retrax.integrators.boundary_value.transcription.iterate import Data
 from retrax.integrators.initial_value.step import StepEquations, StepResult, restore
 from retrax.integrators.problem_checks.control_probing import flat_directions
@@ -151,7 +151,7 @@ def test_directions_are_flat_through_the_power_of_the_rounding(share):
 
 def test_points_are_guessed_between_the_costates_of_the_nodes():
     method = Gauss(3, Addition(LINE))
-    steps = Collocation(INTEGRATOR, method, None, AutomaticEvaluator())
+    steps = CollocationFunctions(INTEGRATOR, method, None, AutomaticEvaluator())
     times = np.arange(3)[None, :, None] + 0.0
     between = (np.arange(2)[:, None] + method.nodes)[None, ..., None]
     data = Data(np.ones((1, 2)), np.zeros((1, 0)), None)

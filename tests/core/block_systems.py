@@ -1,7 +1,20 @@
 """Random block systems and the dense matrices that they stand for."""
 
+from typing import NamedTuple
+
 import numpy as np
-from retrax.integrators.boundary_value.engine.elimination import BlockSolution, BlockSystem
+
+
+class BlockSystem(NamedTuple):
+    """Linear systems of Newton steps, with the members of a batch along the leading axis; see ``retrax_core.h``."""
+
+    hessian: np.ndarray  # (B, N, z, z)
+    left: np.ndarray  # (B, N, n, z)
+    right: np.ndarray  # (B, N, n, z)
+    slope: np.ndarray  # (B, N, z, k)
+    gap: np.ndarray  # (B, N + 1, n, k)
+    fixed_start: np.ndarray  # (B, n)
+    fixed_end: np.ndarray  # (B, n)
 
 
 def random_system(seed: int, sizes=(3, 4, 3, 5, 2), free=(0, 0), convex: bool = True) -> BlockSystem:
@@ -39,18 +52,3 @@ def matrix(system: BlockSystem, m: int) -> np.ndarray:
     """The KKT matrix of member m."""
     hessian, constraints, free, _ = dense(system, m)
     return np.block([[hessian, constraints.T], [constraints, free]])
-
-
-def flat(solution: BlockSolution, m: int) -> np.ndarray:
-    """Steps and multipliers of member m as the dense system has them."""
-    columns = solution.steps.shape[3]
-    return np.concatenate([solution.steps[m].reshape(-1, columns), solution.multipliers[m].reshape(-1, columns)])
-
-
-def assert_solves(system: BlockSystem, solution: BlockSolution) -> None:
-    """The solution is that of the dense matrix, to its condition."""
-    for m in range(len(system.hessian)):
-        kkt = matrix(system, m)
-        expected = np.linalg.solve(kkt, dense(system, m)[3])
-        error = np.max(np.abs(flat(solution, m) - expected))
-        assert error < 1e-13 * np.linalg.cond(kkt) * (1 + np.max(np.abs(expected)))
