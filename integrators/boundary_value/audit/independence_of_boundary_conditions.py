@@ -55,7 +55,8 @@ def _dependent_words(joint: LinkedPhases, found: SearchRecord, names: Sequence[s
 def _all(joint: LinkedPhases, names: Sequence[str]) -> list[str]:
     """Names of all equations, and of the links."""
     link = "the link between phases" if len(joint.phases) > 1 else PERIODIC
-    return [*names, *(link for _ in range(joint.coupling.rows - len(names)))]
+    coupling: Any = joint.coupling
+    return [*names, *(link for _ in range(coupling.rows - len(names)))]
 
 
 def _scale(rows: np.ndarray) -> np.ndarray:
@@ -69,10 +70,11 @@ def require_independent(joint: LinkedPhases, guess: Any, names: Sequence[str]) -
 
     Where ends are prescribed, in what is free of them.
     """
+    coupling: Any = joint.coupling
     names, best = _all(joint, names), None
     for ends in _samples(joint, guess):
-        coupled, _ = joint.coupling(ends, [phase.data.parameters[:1] for phase in joint.phases], guess.multipliers[:1])
-        rows = coupled.jacobian[0][:, joint.free]
+        linked, _ = coupling(ends, [phase.data.parameters[:1] for phase in joint.phases], guess.multipliers[:1])
+        rows = linked.jacobian[0][:, joint.free]
         if not np.all(np.isfinite(rows)):
             continue
         independent = independent_rows(_scale(rows))
@@ -97,7 +99,8 @@ def _samples(joint: LinkedPhases, guess: Any) -> list[list[np.ndarray]]:
     for key in jax.random.split(jax.random.key(0), RANDOM_ENDS):
         ends = []
         for k, (own, mine) in enumerate(zip(found, jax.random.split(key, len(found)), strict=True)):
-            phase, manifold = joint.phases[k // 2], joint.coupling.problems[k // 2].manifold
+            phase = joint.phases[k // 2]
+            manifold = phase.transcription.manifold
             entries = phase.ends.end_entries if k % 2 else phase.ends.start_entries
             ends.append(np.where(entries, own, PointLayout.of(manifold).rows(manifold.random_point(mine), 0)))
         samples.append(ends)

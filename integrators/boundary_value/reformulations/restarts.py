@@ -106,9 +106,10 @@ def from_forward_simulation(member: MemberSearch, first: SearchRecord, found: Se
     place = np.array([member.k])
     phases = [phase.of(place) for phase in member.problem.phases]
     parts = [rolled_out(phase, taken(part, place)) for phase, part in zip(phases, member.parts, strict=True)]
-    if not all(part is not None for part in parts):
+    finite = [part for part in parts if part is not None]
+    if len(finite) < len(parts):
         return found
-    return _better(member, found, member.iterate_of(phases, parts, 0))
+    return _better(member, found, member.iterate_of(phases, finite, 0))
 
 
 def with_larger_penalty(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:

@@ -56,7 +56,7 @@ class MemberSearch:
         return self.iterate_of(self.problem.phases, self.parts, self.k)
 
     def iterate_of(self, phases: Sequence[DiscretePhase], guess: Sequence[Iterate], k: int) -> MemberIterate:
-        """The iterate of the member that has place k in conditions and guesses of all phases."""
+        """The iterate of the member, at place k of phases and of guesses."""
         own = tuple(numbers_of(phase, part, k) for phase, part in zip(phases, guess, strict=True))
         return MemberIterate(own, self._multipliers)
 
@@ -65,8 +65,7 @@ class MemberSearch:
         search = self._search(looks=True)
         for j, (phase, part) in enumerate(zip(self.problem.phases, self.parts, strict=True)):
             put(search.phase(j), phase, part, self.k)
-        if self.problem.coupling is not None:
-            search.multipliers()[...] = self._multipliers
+        search.multipliers()[...] = self._multipliers
         return self._record(search, self._run(search) is SearchStatus.DEGENERATE)
 
     def from_iterate(self, start: MemberIterate, width: float = 1.0, firm: float = 1.0) -> SearchRecord:
@@ -100,8 +99,7 @@ class MemberSearch:
         if start is not None:
             for j, own in enumerate(start.phases):
                 search.phase(j).set_iterate(own)
-            if self.problem.coupling is not None:
-                search.multipliers()[...] = start.multipliers
+            search.multipliers()[...] = start.multipliers
         return search
 
     def _run(self, search: Search) -> SearchStatus:
@@ -117,12 +115,10 @@ class MemberSearch:
             self.watch.stop()
         return status
 
-    def _iterate(self, search: Search, first: bool = False) -> MemberIterate:
-        """A copy of the iterate of a search, or of its first one."""
-        coupled = self.problem.coupling is not None
-        results = map(search.read, range(len(self.problem.phases)))
-        own = tuple((result.first if first else result.trajectory).iterate for result in results)
-        return MemberIterate(own, search.multipliers(first).copy() if coupled else np.zeros(0))
+    def _iterate(self, search: Search) -> MemberIterate:
+        """A copy of the iterate of a search."""
+        own = tuple(search.phase(j).iterate for j in range(len(self.problem.phases)))
+        return MemberIterate(own, search.multipliers().copy())
 
     def _record(self, search: Search, perturbed: bool) -> SearchRecord:
         """The record of a search that has ended."""
@@ -131,13 +127,16 @@ class MemberSearch:
         missing = [own.trajectory["LACKING"] / own.judging.nodes for own in results]
         if self.problem.coupling is not None:
             missing.append(np.abs(found.values) / found.equations)
+        first = None
+        if not (found.claimed and found.strict):
+            first = MemberIterate(tuple(own.first.iterate for own in results), search.multipliers(first=True).copy())
         return SearchRecord(
             tuple(map(_phase_record, results)),
-            search.multipliers().copy() if self.problem.coupling is not None else np.zeros(0),
+            search.multipliers().copy(),
             found.residuals.copy(),
             missing[0] if len(missing) == 1 else np.concatenate(missing),
             found.jacobian.copy(),
-            None if found.claimed and found.strict else self._iterate(search, first=True),
+            first,
             perturbed,
             *(getattr(found, name) for name in SearchRecord._fields[SearchRecord._fields.index("iterations") :]),
         )
@@ -146,6 +145,6 @@ class MemberSearch:
 def _phase_record(found: SearchResult) -> PhaseRecord:
     """The record of a phase, whose arrays no other search overwrites."""
     at = found.trajectory
-    arrays = (at[name].copy() for name in ("NODES", "NODE_COSTATES", "TOTALS", "LIMITS"))
-    sizes = found.judging.copy, found.steps.copy, found.limits.copy(), found.rate
-    return PhaseRecord(*arrays, at.iterate, *sizes)
+    nodes, costates, totals, limits = (at[name].copy() for name in ("NODES", "NODE_COSTATES", "TOTALS", "LIMITS"))
+    sizes = found.judging.copy, found.steps.copy, found.limits.copy()
+    return PhaseRecord(nodes, costates, totals, limits, at.iterate, *sizes, found.rate)

@@ -124,6 +124,8 @@ class Search:
 
     def multipliers(self, first: bool = False) -> np.ndarray:
         """The multipliers of what couples the ends, of the iterate, or of the ``first`` one, a view."""
+        if not self._phases.multipliers:
+            return np.zeros(0)
         place = self._library.retrax_search_multipliers(self._search, first)
         return self._part(place, self._phases.multipliers)
 
