@@ -1,6 +1,5 @@
 """The solver that a user holds: parameters, batches, unequal steps, callbacks, interrupts, evaluators."""
 
-
 import jax
 import jax.numpy as jnp
 import numpy as np
