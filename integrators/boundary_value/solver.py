@@ -38,10 +38,9 @@ from .solution.diagnostics import add_compile_time
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
 from .solution.feedback import feedback
 from .solution.interpolation import Interpolant
-from .solution.parametric_sensitivity import ParametricSensitivity
 from .solution.record import Solution
 from .solution.resampling import Mesh
-from .solution.sensitivity import Sensitivity, require_isolated
+from .solution.sensitivity import ParametricSensitivity, Sensitivity, require_isolated
 from .transcription.discrete_extremals import DiscreteExtremals
 from .transcription.iteration import Iteration
 from .transcription.transcribed_problem import TranscribedProblem, Transcription

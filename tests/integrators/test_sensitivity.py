@@ -9,15 +9,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Sphere, hat
+from retrax.manifolds import SE, ConvergenceError, Euclidean, InvalidInputError, Product, Sphere, hat
 from retrax.manifolds.numerics import ambient as vec
-from retrax.retractions import Exponential, Gauss, Midpoint, Projection, Theta, default_retraction
+from retrax.retractions import Exponential, Gauss, Midpoint, Projection, Radau, Theta, default_retraction
 
 from tests.support.changing import held
 
 from .problems import INERTIA, REST, RIGID, rotation
 
-PLANE, SPHERE, LINE = Euclidean(2), Sphere(2), Euclidean(1)
+PLANE, SPHERE, LINE, POSES = Euclidean(2), Sphere(2), Euclidean(1), SE(2)
+SWINGING = Product(SPHERE, Euclidean(3))
 NAMES = "cost", "states", "costates", "controls"
 DIFFERENCE = 1e-5
 MASS = {"mass": 1.3, "rates": np.array([0.3, 0.1])}
@@ -144,6 +145,61 @@ def test_derivatives_are_those_of_differences(name):
         rate = MASS["rates"] * 0 + np.eye(2)[k]
         both = pair(lambda e, rate=rate: (start, end, 1.1, {**MASS, "rates": MASS["rates"] + e * rate}))
         assert_derivative(found.parameters["rates"], k, both, f"rates, {k}")
+
+
+def rolling(q, u, p):
+    """A unicycle that slips sideways where it turns."""
+    return q @ POSES.hat(jnp.stack([u[1], u[0], p["slip"] * u[1]]))
+
+
+def swinging(q, u, p):
+    """A spherical pendulum with a drag and three torques."""
+    return jnp.cross(q[1], q[0]), jnp.cross(q[0], jnp.array([0, 0, -p["gravity"]])) + u - 0.2 * q[1]
+
+
+UNICYCLE = OptimalControlProblem(
+    POSES,
+    rolling,
+    lambda q, u, p: u[0] ** 2 / 2 + 0.3 * u[1] ** 2 + 0.1 * q[0, 2] ** 2,
+    2,
+    control_bounds=(np.array([-0.95, -0.6]), np.array([0.95, 0.6])),
+)
+PENDULUM = OptimalControlProblem(
+    SWINGING,
+    swinging,
+    effort,
+    3,
+    terminal_cost=lambda q, p: 3 * p["gravity"] * jnp.sum((q[0] - jnp.array([0.6, 0, 0.8])) ** 2) + q[1] @ q[1],
+    control_bounds=(-3.0, 3.0),
+    node_constraints={"reach": lambda q, p: q[0][0] - 0.42 * p["gravity"]},
+)
+PARKED = np.array([[np.cos(0.4), -np.sin(0.4), 0.9], [np.sin(0.4), np.cos(0.4), 0.35], [0, 0, 1]])
+SWUNG = np.array([0.0, 0.6, -0.8]), np.array([-0.3, 0.1, 0.0])
+LIMITED = {
+    "unicycle": (UNICYCLE, Midpoint(default_retraction(POSES)), np.eye(3), PARKED, {"slip": 0.15}),
+    "unicycle by Gauss": (UNICYCLE, Gauss(3, default_retraction(POSES)), np.eye(3), PARKED, {"slip": 0.15}),
+    "pendulum by Radau": (PENDULUM, Radau(2, default_retraction(SWINGING)), SWUNG, None, {"gravity": 1.0}),
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param("unicycle", marks=pytest.mark.slow), *list(LIMITED)[1:]])
+def test_derivatives_along_active_limits_are_those_of_differences(name):
+    problem, method, start, end, parameters = LIMITED[name]
+    solver, (key,) = Solver(problem, method, 8), parameters
+    solution = solver.solve(start, end, 1.2, parameters=parameters, tolerance=1e-12)
+    assert np.max(solution.multipliers["control_bounds upper"]) > 0.1
+    found = solver.sensitivity(solution)
+
+    def pair(make):
+        ends = (make(size) for size in (DIFFERENCE, -DIFFERENCE))
+        return [solver.solve(*given, solution, value, 1e-12) for *given, value in ends]
+
+    for k in (0, problem.manifold.dimension - 1):
+        both = pair(lambda e, k=k: (moved(problem.manifold, start, k, e), end, 1.2, parameters))
+        assert_derivative(found.start, k, both, f"start, {k}")
+    assert_derivative(found.horizon, (), pair(lambda e: (start, end, 1.2 + e, parameters)), "horizon")
+    value = parameters[key]
+    assert_derivative(found.parameters[key], (), pair(lambda e: (start, end, 1.2, {key: value + e})), key)
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,10 @@ class Law(NamedTuple):
 
 
 def recursion(system: KKTSystem, held: list[np.ndarray]) -> Law:
-    """The recursion from the last node to the first, in natural sizes; ``held``: active inequalities of each step."""
+    """The recursion from the last node to the first, in natural sizes.
+
+    ``held``: derivatives of the active inequalities of each step by its unknowns.
+    """
     unknown, node, cost = system.scale
     hessian = system.hessian * unknown[:, None] * unknown / cost
     left, right = (ends * unknown / node[:, None] for ends in (system.left, system.right))

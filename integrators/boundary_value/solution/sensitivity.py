@@ -1,19 +1,42 @@
-"""The record of an extremal's derivatives."""
+"""Derivatives of an extremal with respect to its ends, horizon and parameters.
+
+Where ``F(y, theta) = 0`` are the first-order conditions, with the regular Jacobian ``K`` of a solution, the implicit
+function theorem gives ``dy/dtheta = -K^-1 dF/dtheta`` [Fiacco 1976]. The cost has the derivative ``dL/dtheta`` of the
+Lagrangian.
+"""
 
 from dataclasses import dataclass
-from typing import Any, final
+from functools import partial
+from typing import Any, NamedTuple, final
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from ....compute.base import Evaluator
 from ....manifolds import ConvergenceError
+from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.tolerances import EPS
+from ....retractions import default_retraction
 from ...problem.point_layout import PointLayout
 from ...reporting.records import shapes
-from .parametric_sensitivity import Derivatives
+from ..transcription.functions.mixed_derivatives import Columns, StepFunctions, mixed_derivatives, require_unchanged
+from ..transcription.functions.nodes import NodeFunctions
+from ..transcription.kkt_system import KKTSystem
 from .record import Solution
 
 CLEAR = 1e7 * EPS  # a smaller pivot, with rows scaled to size one, leaves less than six digits of a derivative
+
+
+class Derivatives(NamedTuple):
+    """Derivatives in K columns: by the coordinates of the start, of the end, by the horizon, and by the parameters."""
+
+    cost: np.ndarray  # (K,)
+    states: np.ndarray  # (K, N + 1, E)
+    costates: np.ndarray
+    controls: np.ndarray  # (K, N s, U)
+    smallest: float  # pivot of the elimination
 
 
 @final
@@ -87,6 +110,107 @@ class Sensitivity:
         own = [part(int(k), np.shape(leaf)) for k, leaf in zip(begins, leaves, strict=False)]
         by_parameters = jax.tree.unflatten(structure, own) if leaves else None
         return cls(part(0, (n,)), part(n, (n,)), part(2 * n, ()), by_parameters)
+
+
+class _EndCost(NamedTuple):
+    """The curvature of the cost of an end, ``(n, n)``, and derivatives by horizon and parameters: of its slope, ``(n,
+    K)``, and of its value, ``(K,)``."""
+
+    curvature: np.ndarray
+    mixed: np.ndarray
+    value: np.ndarray
+
+
+@final
+class ParametricSensitivity:
+    """The derivatives of extremals of one problem and method, traced once."""
+
+    def __init__(self, steps: StepFunctions, nodes: NodeFunctions, evaluator: Evaluator) -> None:
+        self.nodes, self.columns = nodes, mixed_derivatives(steps, evaluator)
+        n, e, k = nodes.problem.manifold.dimension, nodes.layout.size, nodes.parameter.size
+        m, u = nodes.problem.controls.dimension, nodes.control.size
+        costs = {"initial_cost": nodes.problem.initial_cost, "terminal_cost": nodes.problem.terminal_cost}
+        self._paid = [
+            None if cost is None else evaluator.derivatives(partial(self._cost_of, name), n + k, e, k)
+            for name, cost in costs.items()
+        ]
+        self._turned = evaluator.values(self._turned_of, u, m)
+        self._carried = evaluator.values(self._carried_of, e, e, e, e)
+
+    def __call__(self, system: KKTSystem) -> Derivatives:
+        """The derivatives of the extremal with this KKT matrix."""
+        n, z, own = self.nodes.problem.manifold.dimension, system.dimension, self.columns(system)
+        steps, k = system.array("STEP_SIZE", -1), own.lagrangian.shape[1]
+        share = np.ones((len(steps), k))
+        share[:, 0] = steps / np.sum(steps)
+        own = Columns(*(a * (share if a.ndim == 2 else share[:, None]) for a in own))
+        first, last = (self._of_end(system, place) for place in (0, -1))
+        own.slope[-1, :z] += system.right[-1].T @ (last.curvature @ own.end[-1] + last.mixed)
+        own.slope[0, :z] += system.left[0].T @ (first.curvature @ own.begin[0] + first.mixed)
+        defect = np.zeros((len(steps) + 1, n, 2 * n + k))
+        defect[:-1, :, 2 * n :] += own.begin
+        defect[1:, :, 2 * n :] -= own.end
+        prescribed = np.zeros((2, n, 2 * n + k))
+        prescribed[0, :, :n], prescribed[1, :, n : 2 * n] = map(np.diag, system.fixed)
+        defect[0] -= prescribed[0]
+        defect[-1] += prescribed[1]
+        found = system.solve(np.concatenate([np.zeros((*own.slope.shape[:2], 2 * n)), own.slope], axis=2), defect)
+        moves, turned = found.step[:, :z], found.multipliers
+        moved = np.concatenate([system.left @ moves, (system.right[-1] @ moves[-1])[None]])
+        moved[..., 2 * n :] += np.concatenate([own.begin, own.end[-1:]])
+        moved[[0, -1]] = np.where(system.fixed[..., None] > 0, prescribed, moved[[0, -1]])
+        turned[-1] -= last.curvature @ moved[-1]
+        turned[-1, :, 2 * n :] -= last.mixed
+        turned[0] += first.curvature @ moved[0]
+        turned[0, :, 2 * n :] += first.mixed
+        lagrangian = np.sum(own.lagrangian, axis=0) + last.value + first.value
+        cost = np.concatenate([-system.multipliers[0], system.multipliers[-1], lagrangian])
+        return Derivatives(
+            cost, *self._ambient(system, moved, turned), self._of_controls(system, moves), found.smallest
+        )
+
+    def _of_end(self, system: KKTSystem, place: int) -> _EndCost:
+        """The derivatives of the cost of the first or of the last node, zero where there is none."""
+        n, k = system.frames.shape[1], self.nodes.parameter.size
+        function, mixed, value = self._paid[place], np.zeros((n, 1 + k)), np.zeros(1 + k)
+        known = system.array("END_COST" if place else "START_COST", -1)[-n - n * n :]
+        slope, curvature = known[:n], known[n:].reshape(n, n)
+        if function is None:
+            return _EndCost(np.zeros((n, n)), mixed, value)
+        hessian, gradient, *_ = (a[0] for a in function.at(1, system.nodes[[place]], system.array("PARAMETERS", 1, -1)))
+        require_unchanged((hessian[:n, :n], curvature), (gradient[:n], slope))
+        mixed[:, 1:], value[1:] = hessian[:n, n:], gradient[n:]
+        return _EndCost(curvature, mixed, value)
+
+    def _ambient(self, system: KKTSystem, moved: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Derivatives of states and costates in the ambient space; a covector stays one as its node moves."""
+        vectors, covectors = (np.einsum("knj,kne->kje", a, system.frames) for a in (moved, turned))
+        (carried,) = self._carried.at(2, system.nodes[:, None], system.costates[:, None], vectors, covectors)
+        return np.moveaxis(vectors, 1, 0), np.moveaxis(carried, 1, 0)
+
+    def _of_controls(self, system: KKTSystem, moves: np.ndarray) -> np.ndarray:
+        own, (count, _, columns) = system.sizes, moves.shape
+        turns = moves[:, own.state_size :].reshape(count, own.points, own.control_size, columns)
+        u = system.array("CONTROLS", count, own.points, 1, own.control_numbers)
+        (found,) = self._turned.at(3, u, np.moveaxis(turns, 3, 2))
+        return np.moveaxis(found, 2, 0).reshape(columns, count * own.points, own.control_numbers)
+
+    def _cost_of(self, name: str, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
+        n, point = self.nodes.problem.manifold.dimension, self.nodes.layout.point(q)
+        bound = self.nodes.problem.with_parameters(self.nodes.parameter.point(parameters + d[n:]))
+        return getattr(bound, name)(vec.add(point, vec.combine(bound.manifold.basis(point), d[:n]))), jnp.zeros(0)
+
+    def _turned_of(self, u: Array, du: Array) -> tuple[Array]:
+        point, turn = self.nodes.control.point(u), default_retraction(self.nodes.problem.controls)
+        frame = turn.frame(point)
+        return (
+            jax.jvp(lambda d: self.nodes.control.flat(turn.chart(point, frame, d)), (jnp.zeros_like(du),), (du,))[1],
+        )
+
+    def _carried_of(self, *given: Array) -> tuple[Array]:
+        manifold, layout = self.nodes.problem.manifold, self.nodes.layout
+        q, p, dq, dp = map(layout.point, given)
+        return (layout.flat(jax.jvp(manifold.projection, (q, p), (dq, dp))[1]),)
 
 
 def require_isolated(found: Derivatives, solution: Solution) -> None:

@@ -100,8 +100,11 @@ class KKTSystem:
 
     @cached_property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the inequalities of steps by the unknowns of these, ``(N, r, z)``, and along the equations of
-        the points by what else moves the velocities, ``(N, r, s n)``."""
+        """Derivatives of the inequalities of a step, along the equations of its points.
+
+        By the unknowns of the step, shape ``(N, r, z)``, and by velocities beside those that the unknowns determine,
+        ``(N, r, s n)``.
+        """
         own, (of_points, of_ends) = self.sizes, self.limit_jacobians
         count, s, p, c = own.steps, own.points, own.points * own.state_size, own.inequalities
         if s == 1:
