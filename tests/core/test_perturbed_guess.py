@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -65,7 +66,7 @@ def perturbed(phase: Any, guess: Any) -> tuple[bool, dict[str, np.ndarray], dict
 
 
 @pytest.mark.parametrize("name", [*CASES, *DEGENERATE, *OTHERS])
-def test_a_perturbation_is_always_the_same_small_and_on_the_manifold(name, monkeypatch):
+def test_a_perturbation_is_always_the_same_and_on_the_manifold(name, monkeypatch):
     """Without multipliers: the multipliers of a degenerate guess tell nothing."""
     solver, way, options = (CASES | DEGENERATE | OTHERS)[name]()
     phase, guess = posed(solver, way, monkeypatch, throw=False, **options)
@@ -75,14 +76,13 @@ def test_a_perturbation_is_always_the_same_small_and_on_the_manifold(name, monke
         np.testing.assert_array_equal(own, same[array])
         assert np.isfinite(own).all()
     assert not found["LIMIT_MULTIPLIERS"].any()
-    states = phase.at_nodes.layout.points(found["CENTRES"].reshape(len(phase.data.steps[0]), -1))
-    for value in map(np.asarray, phase.transcription.manifold.violations(states).values()):
-        assert np.all(np.abs(value) < 1e-12)
+    manifold, layout = phase.transcription.manifold, phase.at_nodes.layout
+    centres = jnp.asarray(found["CENTRES"].reshape(-1, layout.size))
+    for violation in jax.vmap(lambda row: manifold.violations(layout.point(row)))(centres).values():
+        assert np.all(np.abs(violation) < 1e-12)
     assert any(np.any(found[array] != before[array]) for array in UNKNOWNS)
-    spread = np.ptp(np.concatenate([before["CENTRES"].reshape(-1, phase.at_nodes.layout.size),
-                                    phase.ends.start[:1], phase.ends.end[:1]]), axis=0).max()  # fmt: skip
-    if name in DEGENERATE:
-        assert np.abs(found["CENTRES"] - before["CENTRES"]).max() < spread
+    if name in DEGENERATE:  # by about the distance from the start to the end
+        assert np.abs(found["CENTRES"] - before["CENTRES"]).max() < 2.0
 
 
 def roll(u: np.ndarray, field: Any, method: Any) -> np.ndarray:
