@@ -218,7 +218,7 @@ class Solver:
         require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = BoundaryData(start, end, horizon, parameters)
-        inputs = Inputs.of(self._reader, given, guess, options, classification, integrator)
+        inputs = Inputs.of(self._reader, given, guess, options, 0, classification, integrator)
         with self._required(inputs.parameters_of(0)):
             solution = self._solve(inputs)
         return solution.require_success() if throw else solution
@@ -287,7 +287,7 @@ class Solver:
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = BoundaryData(starts, ends, horizons, parameters)
-        inputs = Inputs.of_many(self._reader, given, guesses, options)
+        inputs = Inputs.of(self._reader, given, guesses, options, 1)
         with self._required(inputs.parameters_of(0)):
             return self._all_examined(self._all_found(inputs), inputs)
 
