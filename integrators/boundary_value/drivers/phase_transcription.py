@@ -99,8 +99,9 @@ class TranscribedPhase(NamedTuple):
 
     def recorded(self, found: DiscreteExtremals, seconds: tuple[float, float]) -> Solution:
         """The solution of the phase."""
-        _, member = self.inner.builder.of(self.transcribed, self.own.parameters(), found, self.own.options, seconds)
-        solution = member(0)
+        records = self.inner.builder.of(self.transcribed, self.own, found)
+        records.seconds = seconds
+        solution = records.member(0)
         if self.formulation is not None:
             solution = self.formulation.solution(solution, self.inputs.given.parameters, self.outer.interpolant)
         return solution

@@ -1,6 +1,6 @@
 """The records of what an iteration found."""
 
-from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any, final
 
 import jax
@@ -15,10 +15,11 @@ from ..audit.legendre_condition import ConcaveDirection, concave_words, find_con
 from ..audit.status import Status, concave_status, termination_statuses
 from ..audit.unmoved_entries import unmoved_words
 from ..inputs.arguments import Options, require_tangent_dynamics
+from ..inputs.inputs import Inputs
 from ..transcription.diagnosis import Diagnostics
 from ..transcription.discrete_extremals import AtStages, DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem
-from .diagnostics import RegularChecks
+from .diagnostics import RegularChecks, figures
 from .interpolation import Interpolant
 from .record import Solution, Statistics
 
@@ -34,80 +35,32 @@ class SolutionBuilder:
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
-        self.quantities, self._constrained = problem.quantities, problem._limits.of_points_along
+        self.quantities, self.constrained = problem.quantities, problem._limits.of_points_along
         self.formulation: Any = None  # that the problem is of another one, whose names and times users know
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
-    def of(
-        self,
-        transcribed: TranscribedProblem,
-        parameters: Any,
-        found: DiscreteExtremals,
-        options: Options,
-        seconds: tuple[float, float],
-    ) -> tuple[dict[str, Any], Callable[[int], Solution]]:
-        """The fields of the records of a batch, and what makes the record of a member.
+    def of(self, transcribed: TranscribedProblem, inputs: Inputs, found: DiscreteExtremals) -> "ExtremalRecords":
+        """The records of a batch."""
+        return ExtremalRecords(self, transcribed, inputs, found)
 
-        ``parameters``: with the members along the leading axis; ``seconds`` to trace and to run.
-        """
-        nodes, data, traced = found.nodes, transcribed.conditions.data, transcribed.traced
-        at_nodes = traced.diagnosis.at_nodes(nodes, found.costates)
-        costates = at_nodes.costates
-        stages = found.at_stages(costates)
-        diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
-        require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
-        trajectories = self._trajectories(nodes, costates, stages, data.steps)
-        held = None if found.inequalities is None else found.inequalities.active
-        statuses = self._statuses(transcribed, found, stages, held, trajectories, options.tolerance)
-        success, results = np.array([own.success for own in statuses]), [own.result for own in statuses]
-        statistics = [Statistics(int(count), *seconds, found.stopped) for count in found.iterations]
-        fields = {
-            **trajectories,
-            "hamiltonians": diagnostics.hamiltonians,
-            "momenta": diagnostics.momenta,
-            "body_costates": diagnostics.body,
-            "spatial_costates": diagnostics.spatial,
-            **_multipliers(transcribed, found),
-        }
-        active = _active(transcribed, held)
-        if self._constrained:
-            diagnostics = _without_symmetries(diagnostics, active)
-        known = {**_known_checks(found, success), "active": active}
-
-        def member(k: int) -> Solution:
-            own, arrays = vec.taken((diagnostics, fields), k)
-            return Solution(
-                **arrays,
-                **statuses[k]._asdict(),
-                cost=found.cost[k].item(),
-                checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
-                statistics=statistics[k],
-                quantities=self.quantities,
-                interpolant=self.interpolant,
-                parameters=None if parameters is None else jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
-            )
-
-        numbers = {"cost": found.cost, "success": success, "result": results}
-        return {**fields, **numbers, "parameters": parameters, "statistics": statistics}, member
-
-    def _statuses(
+    def statuses(
         self,
         transcribed: TranscribedProblem,
         found: DiscreteExtremals,
-        stages: AtStages,
+        along: tuple[np.ndarray, AtStages],
         held: np.ndarray | None,
-        trajectories: dict[str, Any],
-        tolerance: float,
+        options: Options,
     ) -> list[Status]:
-        """The status of each member, with reasons."""
-        statuses = termination_statuses(found, tolerance)
+        """The status of each member, with reasons; ``along``: the times of the stages, and states, controls and
+        costates there."""
+        statuses, (times, stages) = termination_statuses(found, options.tolerance), along
         concave = find_concave_directions(transcribed, found, stages, held, np.array([own.success for own in statuses]))
         for k, own in enumerate(statuses):
             if k in concave:
-                statuses[k] = concave_status(self._where(concave[k], k, trajectories, stages))
+                statuses[k] = concave_status(self._where(concave[k], k, times[k], stages))
                 continue
             more = self._unmoved(transcribed, found, k) if own.result in STUCK_RESULTS else ""
-            more += _violation_words(transcribed, found, k, tolerance)
+            more += _violation_words(transcribed, found, k, options.tolerance)
             statuses[k] = own.because(more, found.notes[k] if found.notes else "")
         return statuses
 
@@ -119,51 +72,127 @@ class SolutionBuilder:
         names = [name for quantity in own.states for name in quantity.columns]
         return unmoved_words(found.linear(k), names)
 
-    def _where(self, one: ConcaveDirection, k: int, fields: dict[str, Any], stages: AtStages) -> str:
+    def _where(self, one: ConcaveDirection, k: int, times: np.ndarray, stages: AtStages) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""
-        own, times = self.quantities, fields["stage_times"][k]
-        if self.formulation is not None:
+        own = self.quantities
+        if self.formulation is not None:  # whose constants, in each state, decide the rate of its time
             own = self.formulation.own.quantities
-            times = times * float(self.formulation.rate(vec.taken(fields["states"], (k, 0))))
+            times = times * float(self.formulation.rate(self.state.points(stages[0][k, 0])))
         names = [name for quantity in own.controls for name in quantity.columns]
         return concave_words(self.problem, one, names, stages[1][k], times)
 
-    def _trajectories(
-        self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray
-    ) -> dict[str, Any]:
-        """Times, states, costates and controls of a batch, with a common array for the values at the stages."""
-        times = np.zeros((len(nodes), nodes.shape[1]))
-        steps.cumsum(axis=1, out=times[:, 1:])
-        between = times[:, :-1, None] + steps[:, :, None] * self.stages
+
+@final
+class ExtremalRecords:
+    """The records of the extremals of a batch; the arrays of a member, and its figures, are made when it is read.
+
+    ``seconds``: to trace and to run.
+    """
+
+    def __init__(
+        self, builder: SolutionBuilder, transcribed: TranscribedProblem, inputs: Inputs, found: DiscreteExtremals
+    ) -> None:
+        self._of, self.transcribed, self.found = builder, transcribed, found
+        self._parameters, self.seconds = inputs.parameters(), (0.0, 0.0)
+        data, diagnosis = transcribed.conditions.data, transcribed.traced.diagnosis
+        self._at_nodes = diagnosis.at_nodes(found.nodes, found.costates)
+        self._stages = found.at_stages(self._at_nodes.costates)
+        self._along = diagnosis.along(self._stages, data.parameters)
+        require_tangent_dynamics(builder.problem, float(np.fmax.reduce(self._along.normal, axis=None)))
+        self._times = _times(data.steps)
+        self._stage_times = _stage_times(self._times, data.steps, builder.stages)
+        self._held = None if found.inequalities is None else found.inequalities.active
+        times = self._stage_times
+        self._statuses = builder.statuses(transcribed, found, (times, self._stages), self._held, inputs.options)
+        self._active = _active(transcribed, self._held)
+        self._multipliers = _multipliers(transcribed, found)
+
+    def member(self, k: int) -> Solution:
+        """The record of a member."""
+        status, residuals = self._statuses[k], self.found.residuals
+        checks = RegularChecks.later(
+            partial(self._figures, k),
+            defect=residuals.defect[k].item(),
+            stationarity=residuals.stationarity[k].item(),
+            strict_minimum=bool(self.found.strict_minimum[k] and status.success),
+            violation=max(residuals.violation[k].item(), residuals.excess[k].item()),
+            complementarity=residuals.complementarity[k].item(),
+            active=self._active[k],
+            between={},
+        )
+        return Solution(
+            **self._arrays(k),
+            cost=self.found.cost[k].item(),
+            success=status.success,
+            result=status.result,
+            checks=checks,
+            statistics=self._statistics(k),
+            parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), self._parameters),
+            interpolant=self._of.interpolant,
+            quantities=self._of.quantities,
+        )
+
+    @cached_property
+    def fields(self) -> dict[str, Any]:
+        """The fields of all members together, as far as they are arrays or known before the records are made."""
         return {
-            "times": times,
-            "states": self.state.points(nodes),
-            "costates": self.state.points(costates),
-            "stage_times": between.reshape(len(nodes), -1),
-            "stage_states": self.state.points(stages[0]),
-            "stage_costates": self.state.points(stages[2]),
-            "controls": self.control.points(stages[1]),
+            **self._arrays(...),
+            "cost": self.found.cost,
+            "success": np.array([own.success for own in self._statuses]),
+            "result": [own.result for own in self._statuses],
+            "statistics": [self._statistics(k) for k in range(len(self._statuses))],
+            "parameters": self._parameters,
         }
 
+    def _statistics(self, k: int) -> Statistics:
+        return Statistics(int(self.found.iterations[k]), *self.seconds, self.found.stopped)
 
-def _without_symmetries(diagnostics: Diagnostics, active: list[dict[str, int]]) -> Diagnostics:
-    """The diagnostics, with momenta that may change where constraints hold a trajectory: they may break symmetries."""
-    held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in active]
-    free = np.where(held, np.inf, 0.0)[:, None]
-    return diagnostics._replace(brackets={name: rates + free for name, rates in diagnostics.brackets.items()})
+    def _arrays(self, k: Any) -> dict[str, Any]:
+        """The arrays of a member, or, for ``...``, of all."""
+        state, nodes, (stages, controls, covectors) = self._of.state, self._at_nodes, self._stages
+        named = {
+            "momenta": nodes.momenta, "body_costates": nodes.body, "spatial_costates": nodes.spatial,
+            **self._multipliers,
+        }  # fmt: skip
+        return {
+            "times": self._times[k],
+            "states": state.points(self.found.nodes[k]),
+            "costates": state.points(nodes.costates[k]),
+            "stage_times": self._stage_times[k],
+            "stage_states": state.points(stages[k]),
+            "stage_costates": state.points(covectors[k]),
+            "controls": self._of.control.points(controls[k]),
+            "hamiltonians": self._along.hamiltonians[k],
+        } | {field: {name: rows[k] for name, rows in own.items()} for field, own in named.items()}
+
+    def _figures(self, k: int) -> dict[str, Any]:
+        """The figures of a member that are computed when one is read."""
+        return figures(vec.taken(self._diagnostics, k))
+
+    @cached_property
+    def _diagnostics(self) -> Diagnostics:
+        """The diagnostics of all members; momenta may change where constraints hold a trajectory: they may break
+        symmetries."""
+        diagnosis, given = self.transcribed.traced.diagnosis, self.transcribed.conditions.data.parameters
+        with np.errstate(all="ignore"):
+            found = diagnosis.of(self._at_nodes, self._along, self._stages, given)
+        if not self._of.constrained:
+            return found
+        held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in self._active]
+        free = np.where(held, np.inf, 0.0)[:, None]
+        return found._replace(brackets={name: rates + free for name, rates in found.brackets.items()})
 
 
-def _known_checks(found: DiscreteExtremals, success: np.ndarray) -> dict[str, list[Any]]:
-    """The checks of each member that the iteration computes."""
-    residuals = found.residuals
-    values = {
-        "defect": residuals.defect,
-        "stationarity": residuals.stationarity,
-        "strict_minimum": found.strict_minimum & success,
-        "violation": np.maximum(residuals.violation, residuals.excess),
-        "complementarity": residuals.complementarity,
-    }
-    return {name: array.tolist() for name, array in values.items()}
+def _times(steps: np.ndarray) -> np.ndarray:
+    """The times of the nodes from the lengths of the steps."""
+    times = np.zeros((len(steps), steps.shape[1] + 1))
+    steps.cumsum(axis=1, out=times[:, 1:])
+    return times
+
+
+def _stage_times(times: np.ndarray, steps: np.ndarray, stages: np.ndarray) -> np.ndarray:
+    """The times of the stages, at some places in each step."""
+    return (times[:, :-1, None] + steps[:, :, None] * stages).reshape(len(times), -1)
 
 
 def _active(transcribed: TranscribedProblem, held: np.ndarray | None) -> list[dict[str, int]]:
