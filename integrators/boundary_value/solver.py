@@ -379,7 +379,8 @@ class Solver:
         transcribed = self._transcription.transcribe(inputs)
         tracing = time.perf_counter() - inputs.began
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
-            records = self._builder.of(transcribed, inputs, find_extremals(transcribed, inputs.options))
+            found = find_extremals(transcribed, inputs.options)
+            records = ExtremalRecords(self._builder, transcribed, inputs, found)
             compiling, running = watch.seconds()
         records.seconds = tracing + compiling, running
         return records

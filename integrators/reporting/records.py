@@ -304,7 +304,7 @@ def write_protect(value: Any) -> None:
     parts = [value]
     while parts:
         part = parts.pop()
-        if isinstance(part, np.ndarray):
+        if type(part) is np.ndarray or isinstance(part, np.ndarray):  # the first is quick
             part.flags.writeable = False
         elif isinstance(part, (dict, tuple, list)):
             parts += part.values() if isinstance(part, dict) else part

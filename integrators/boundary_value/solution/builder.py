@@ -10,14 +10,15 @@ from ....manifolds.numerics import ambient as vec
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import LOWER, UPPER
 from ...problem.point_layout import PointLayout
+from ...problem.quantities import Quantities
 from ...reporting.results import sentence
 from ..audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
 from ..audit.status import Status, concave_status, termination_statuses
 from ..audit.unmoved_entries import unmoved_words
-from ..inputs.arguments import Options, require_tangent_dynamics
+from ..inputs.arguments import require_tangent_dynamics
 from ..inputs.inputs import Inputs
 from ..transcription.diagnosis import Diagnostics
-from ..transcription.discrete_extremals import AtStages, DiscreteExtremals
+from ..transcription.discrete_extremals import DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem
 from .diagnostics import RegularChecks, figures
 from .interpolation import Interpolant
@@ -31,7 +32,7 @@ VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why 
 
 @final
 class SolutionBuilder:
-    """Makes the records of extremals of a problem, with the stages of a step at some places, fractions of it."""
+    """What the records of all extremals of a problem have in common, with the stages of a step as fractions of it."""
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
@@ -39,47 +40,10 @@ class SolutionBuilder:
         self.formulation: Any = None  # that the problem is of another one, whose names and times users know
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
-    def of(self, transcribed: TranscribedProblem, inputs: Inputs, found: DiscreteExtremals) -> "ExtremalRecords":
-        """The records of a batch."""
-        return ExtremalRecords(self, transcribed, inputs, found)
-
-    def statuses(
-        self,
-        transcribed: TranscribedProblem,
-        found: DiscreteExtremals,
-        along: tuple[np.ndarray, AtStages],
-        held: np.ndarray | None,
-        options: Options,
-    ) -> list[Status]:
-        """The status of each member, with reasons; ``along``: the times of the stages, and states, controls and
-        costates there."""
-        statuses, (times, stages) = termination_statuses(found, options.tolerance), along
-        concave = find_concave_directions(transcribed, found, stages, held, np.array([own.success for own in statuses]))
-        for k, own in enumerate(statuses):
-            if k in concave:
-                statuses[k] = concave_status(self._where(concave[k], k, times[k], stages))
-                continue
-            more = self._unmoved(transcribed, found, k) if own.result in STUCK_RESULTS else ""
-            more += _violation_words(transcribed, found, k, options.tolerance)
-            statuses[k] = own.because(more, found.notes[k] if found.notes else "")
-        return statuses
-
-    def _unmoved(self, transcribed: TranscribedProblem, found: DiscreteExtremals, k: int) -> str:
-        """Words on a part of the end that follows from the rest, by the names of the user."""
-        if transcribed.conditions.joint:
-            return ""
-        own = self.quantities if self.formulation is None else self.formulation.own.quantities
-        names = [name for quantity in own.states for name in quantity.columns]
-        return unmoved_words(found.linear(k), names)
-
-    def _where(self, one: ConcaveDirection, k: int, times: np.ndarray, stages: AtStages) -> str:
-        """Where the cost of a member is concave, by the names and in the time that its user knows."""
-        own = self.quantities
-        if self.formulation is not None:  # whose constants, in each state, decide the rate of its time
-            own = self.formulation.own.quantities
-            times = times * float(self.formulation.rate(self.state.points(stages[0][k, 0])))
-        names = [name for quantity in own.controls for name in quantity.columns]
-        return concave_words(self.problem, one, names, stages[1][k], times)
+    @property
+    def names_for_user(self) -> Quantities:
+        """The names of the problem as its user gave it."""
+        return self.quantities if self.formulation is None else self.formulation.own.quantities
 
 
 @final
@@ -99,11 +63,9 @@ class ExtremalRecords:
         self._stages = found.at_stages(self._at_nodes.costates)
         self._along = diagnosis.along(self._stages, data.parameters)
         require_tangent_dynamics(builder.problem, float(np.fmax.reduce(self._along.normal, axis=None)))
-        self._times = _times(data.steps)
-        self._stage_times = _stage_times(self._times, data.steps, builder.stages)
+        self._times, self._stage_times = _times(data.steps, builder.stages)
         self._held = None if found.inequalities is None else found.inequalities.active
-        times = self._stage_times
-        self._statuses = builder.statuses(transcribed, found, (times, self._stages), self._held, inputs.options)
+        self._statuses = self._statuses_of(inputs.options.tolerance)
         self._active = _active(transcribed, self._held)
         self._multipliers = _multipliers(transcribed, found)
 
@@ -115,7 +77,7 @@ class ExtremalRecords:
             defect=residuals.defect[k].item(),
             stationarity=residuals.stationarity[k].item(),
             strict_minimum=bool(self.found.strict_minimum[k] and status.success),
-            violation=max(residuals.violation[k].item(), residuals.excess[k].item()),
+            violation=np.maximum(residuals.violation[k], residuals.excess[k]).item(),
             complementarity=residuals.complementarity[k].item(),
             active=self._active[k],
             between={},
@@ -143,6 +105,36 @@ class ExtremalRecords:
             "statistics": [self._statistics(k) for k in range(len(self._statuses))],
             "parameters": self._parameters,
         }
+
+    def _statuses_of(self, tolerance: float) -> list[Status]:
+        """The status of each member, with reasons."""
+        transcribed, found = self.transcribed, self.found
+        statuses, notes = termination_statuses(found, tolerance), found.notes or [""] * len(found.cost)
+        success = np.array([own.success for own in statuses])
+        concave = find_concave_directions(transcribed, found, self._stages, self._held, success)
+        for k, own in enumerate(statuses):
+            if k in concave:
+                statuses[k] = concave_status(self._where(concave[k], k))
+            elif notes[k] or not own.success:
+                more = self._unmoved(k) if own.result in STUCK_RESULTS else ""
+                statuses[k] = own.because(more + _violation_words(transcribed, found, k, tolerance), notes[k])
+        return statuses
+
+    def _unmoved(self, k: int) -> str:
+        """Words on a part of the end that follows from the rest, by the names of the user."""
+        if self.transcribed.conditions.joint:
+            return ""
+        own = self._of.names_for_user
+        names = [name for quantity in own.states for name in quantity.columns]
+        return unmoved_words(self.found.linear(k), names)
+
+    def _where(self, one: ConcaveDirection, k: int) -> str:
+        """Where the cost of a member is concave, by the names and in the time that its user knows."""
+        own, times, formulation = self._of.names_for_user, self._stage_times[k], self._of.formulation
+        if formulation is not None:
+            times = times * float(formulation.rate(self._of.state.points(self.found.nodes[k, 0])))
+        names = [name for quantity in own.controls for name in quantity.columns]
+        return concave_words(self._of.problem, one, names, self._stages[1][k], times)
 
     def _statistics(self, k: int) -> Statistics:
         return Statistics(int(self.found.iterations[k]), *self.seconds, self.found.stopped)
@@ -183,16 +175,11 @@ class ExtremalRecords:
         return found._replace(brackets={name: rates + free for name, rates in found.brackets.items()})
 
 
-def _times(steps: np.ndarray) -> np.ndarray:
-    """The times of the nodes from the lengths of the steps."""
+def _times(steps: np.ndarray, stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The times of the nodes, and of the stages at some places in each step, from the lengths of the steps."""
     times = np.zeros((len(steps), steps.shape[1] + 1))
     steps.cumsum(axis=1, out=times[:, 1:])
-    return times
-
-
-def _stage_times(times: np.ndarray, steps: np.ndarray, stages: np.ndarray) -> np.ndarray:
-    """The times of the stages, at some places in each step."""
-    return (times[:, :-1, None] + steps[:, :, None] * stages).reshape(len(times), -1)
+    return times, (times[:, :-1, None] + steps[:, :, None] * stages).reshape(len(times), -1)
 
 
 def _active(transcribed: TranscribedProblem, held: np.ndarray | None) -> list[dict[str, int]]:

@@ -108,11 +108,11 @@ class Transcription:
     def transcribe(self, inputs: Inputs, repeated: bool = False) -> TranscribedProblem:
         """The conditions and guesses of the inputs; ``repeated`` if the constraints of its first node belong to another
         phase."""
-        traced, ends = self.of(inputs), inputs.ends
-        rows = repeat_for_all(ends.start, len(inputs)), repeat_for_all(ends.end, len(inputs))
+        traced, ends, count = self.of(inputs), inputs.ends, len(inputs)
+        rows = repeat_for_all(ends.start, count), repeat_for_all(ends.end, count)
         first, last = ends.prescribed
         mask = traced.rows.mask(len(self.fractions), (first, last), repeated)
-        asked = None if mask is None else repeat_for_all(mask.astype(float)[None], len(inputs))
+        asked = None if mask is None else repeat_for_all(mask.astype(float)[None], count)
         data = Data(inputs.horizons[:, None] * self.fractions, inputs.rows, asked)
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
         conditions = Conditions(traced.steps, traced.nodes, own, data)
