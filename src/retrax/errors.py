@@ -102,10 +102,14 @@ def concise(
             error.__notes__ = [note for note in getattr(error, "__notes__", []) if "internal frames" not in note]
             raise error.with_traceback(None if isinstance(error, RetraxError) else frames) from None
 
-    vars(call)[CONCISE] = function, check, within
+    # A traceback shows this frame by the function's name and without a line of its source, which tells users nothing.
+    own: Any = call
+    own.__code__ = own.__code__.replace(co_filename="<retrax>", co_name=getattr(function, "__name__", "call"))
+    vars(call)[CONCISE] = call, (function, check, within)
     return call
 
 
 def _parts_of(function: Any) -> tuple[Any, ...]:
     """A function without its concise frame, with the check and the context of its calls."""
-    return getattr(function, "__dict__", {}).get(CONCISE, (function, None, None))
+    owner, parts = getattr(function, "__dict__", {}).get(CONCISE, (None, ()))
+    return parts if owner is function else (function, None, None)  # a wrapper has the attributes of what it wraps
