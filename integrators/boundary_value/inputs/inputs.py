@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from numbers import Number
 from typing import Any, cast, final
 
@@ -45,6 +45,7 @@ from .arguments import (
 )
 from .boundary_data import BoundaryDataReader, EndPoints, NodeCondition
 from .guess_arrays import FlatGuess, GuessReader
+from .members import are_several, count_members, member_of, repeat_for_all, row_of
 
 ROUNDED_POINT = 5e-6  # violation of its equations by a point whose entries have six digits
 RESTORING = 2  # Newton steps, which converge quadratically, from there to the rounding of double precision
@@ -157,7 +158,7 @@ class Inputs:
         afterwards, where nobody has said it: see ``classified``.
         """
         known = _known_guess(reader.problem, given)
-        count = _count(reader.ends, known, guess) if axes else 1
+        count = count_members(reader.ends, known, guess) if axes else 1
         _require_horizon(given.horizon, count if axes and np.ndim(known.horizon) else 0)
         check_parameters(reader.problem, known.parameters)
         inputs = cls._read(reader, given, known, guess, options, integrator, classification, axes, count)
@@ -185,7 +186,7 @@ class Inputs:
     ) -> "Inputs":
         """The inputs in flat arrays; raises if ends or guesses are no points of the manifold."""
         began = time.perf_counter()
-        guesses = None if guess is None else reader.flat_guess(guess if axes and _are_several(guess) else [guess])
+        guesses = None if guess is None else reader.flat_guess(guess if axes and are_several(guess) else [guess])
         ends = reader.ends.ends(given.start, given.end, bool(axes))
         if ends.unknown.any():
             at_rest = reader.ends.at_rest
@@ -265,12 +266,14 @@ class Inputs:
     @cached_property
     def each(self) -> tuple[BoundaryData, ...]:
         """The data of each member."""
-        return tuple(_member(self.reader.ends, self.given, k) for k in range(len(self))) if self.axes else (self.given,)
+        return (
+            tuple(member_of(self.reader.ends, self.given, k) for k in range(len(self))) if self.axes else (self.given,)
+        )
 
     def member(self, k: int) -> "Inputs":
         """The inputs of one member, without its guess."""
         known, rows = _known_guess(self.reader.problem, self.each[k]), self.rows[k : k + 1]
-        ends = self.ends._replace(start=_row(self.ends.start, k)[None], end=_row(self.ends.end, k)[None])
+        ends = self.ends._replace(start=row_of(self.ends.start, k)[None], end=row_of(self.ends.end, k)[None])
         own: Any = {"known": known, "ends": ends, "horizons": self.horizons[k : k + 1], "rows": rows}
         return replace(self, given=self.each[k], guess=None, guesses=None, axes=0, **own)
 
@@ -315,7 +318,7 @@ class Inputs:
         """The boundary conditions of a member."""
         ends, read = self.ends, self.reader.ends.condition
         first, last = ends.prescribed
-        return read(_row(ends.start, k), first.parts), read(_row(ends.end, k), last.parts)
+        return read(row_of(ends.start, k), first.parts), read(row_of(ends.end, k), last.parts)
 
 
 def _warn_of_rounding(manifold: Manifold, violation: float) -> None:
@@ -347,63 +350,3 @@ def _require_horizon(horizon: Any, count: int) -> None:
         elif not (is_finite_number(one) and one > 0):
             hint = "" if isinstance(one, Number) else f"; {HORIZON}"
             raise InvalidInputError(f"{name} must be a positive finite time, got {one!r}{hint}")
-
-
-def _are_several(guesses: Any) -> bool:
-    return isinstance(guesses, Sequence) and not isinstance(guesses, Guess)
-
-
-def _count(ends: BoundaryDataReader, known: BoundaryData, guesses: Any) -> int:
-    """The number of members of a batch."""
-    given = {
-        "starts": ends.lengths(known.start),
-        "ends": ends.lengths(known.end),
-        "horizons": [np.shape(known.horizon)] if np.ndim(known.horizon) else [],
-        "parameters": [np.shape(leaf)[:1] for leaf in jax.tree.leaves(known.parameters)],
-        "guesses": [(len(guesses),)] if _are_several(guesses) else [],
-    }
-    lengths = {length for found in given.values() for length in found}
-    if len(lengths) != 1 or lengths & {(), (0,)}:
-        raise InvalidInputError(_words_on_lengths(given))
-    ((count,),) = lengths
-    return count
-
-
-def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
-    """Words on what has which leading axis, where a batch has none or several lengths."""
-    found = [
-        f"{name} {' and '.join(str(length[0]) if length else 'none' for length in sorted(set(lengths)))}"
-        for name, lengths in given.items()
-        if lengths
-    ]
-    hint = "for a single trajectory call solve"
-    if any((0,) in lengths for lengths in given.values()):
-        hint = "a batch has one member or more"
-    elif given["parameters"]:
-        hint = "parameters have one too: try np.broadcast_to for those that are the same for all"
-    got = ", ".join(found) or "none"
-    return f"a batch has one more axis in front, of one length B, wherever something varies, got {got}; {hint}"
-
-
-def _member(ends: BoundaryDataReader, given: BoundaryData, k: int) -> BoundaryData:
-    """The data of member ``k`` of a batch."""
-    start, end = ends.member(given.start, k), ends.member(given.end, k)
-    rest = jax.tree.map(partial(_entry, k=k), (given.horizon, given.parameters), is_leaf=is_free)
-    return BoundaryData(start, end, *rest)
-
-
-def _entry(leaf: Any, k: int) -> Any:
-    """Entry ``k`` of a horizon or a parameter, or the same for all members."""
-    if is_free(leaf):
-        return leaf.member(k)
-    return leaf if np.ndim(leaf) == 0 else np.asarray(leaf)[k]
-
-
-def repeat_for_all(rows: np.ndarray, count: int) -> np.ndarray:
-    """Rows for so many members, of which there may be one for all."""
-    return rows if len(rows) == count else np.broadcast_to(rows, (count, *rows.shape[1:]))
-
-
-def _row(rows: np.ndarray, k: int) -> np.ndarray:
-    """Row ``k`` of rows of which there may be one for all."""
-    return rows[min(k, len(rows) - 1)]

@@ -20,13 +20,8 @@ from .interpolation import Interpolant, Sample
 from .plots import HistoryPlots
 
 FILE_VERSION = 7  # of the file
-NAMED_ELSEWHERE = {
-    "x": "states",
-    "y": "states",
-    "J": "cost",
-    "T": "horizon",
-    "nit": "statistics.iterations",
-}  # by others
+# Names of the fields in other libraries.
+NAMED_ELSEWHERE = {"x": "states", "y": "states", "J": "cost", "T": "horizon", "nit": "statistics.iterations"}
 Status = Literal["minimum", "stationary", "failed"]
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 

@@ -19,7 +19,8 @@ from ..engine.coupling import Coupling
 from ..engine.transcription import Nodes, OneStage
 from ..inputs.arguments import Method, structure_of
 from ..inputs.guess_arrays import FlatGuess
-from ..inputs.inputs import Inputs, repeat_for_all
+from ..inputs.inputs import Inputs
+from ..inputs.members import repeat_for_all
 from .diagnosis import Diagnosis
 from .inequality_rows import InequalityRows
 from .iterate import Data, Ends, Iterate, Known, Slacks
