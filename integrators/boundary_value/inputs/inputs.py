@@ -338,7 +338,7 @@ def _known_guess(problem: OptimalControlProblem, given: BoundaryData) -> Boundar
 
 
 def _require_horizon(horizon: Any, count: int) -> None:
-    """Raise for a horizon that is no positive time, or for one of ``count`` horizons along an axis; 0: for all."""
+    """Raise for a horizon that is no positive time, alone (``count`` 0) or among ``count`` horizons along an axis."""
     for k in range(count or 1):
         one = horizon if not count else horizon.member(k) if is_free(horizon) else np.asarray(horizon).item(k)
         name = f"horizon, member {k}," if count > 1 else "horizon"

@@ -32,7 +32,7 @@ VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why 
 
 @final
 class SolutionBuilder:
-    """What the records of all extremals of a problem have in common, with the stages of a step as fractions of it."""
+    """The common parts of the records of all extremals of a problem; ``stages`` are fractions of a step."""
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
@@ -84,9 +84,8 @@ class ExtremalRecords:
         )
         return Solution(
             **self._arrays(k),
+            **status._asdict(),
             cost=self.found.cost[k].item(),
-            success=status.success,
-            result=status.result,
             checks=checks,
             statistics=self._statistics(k),
             parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), self._parameters),
@@ -163,8 +162,10 @@ class ExtremalRecords:
 
     @cached_property
     def _diagnostics(self) -> Diagnostics:
-        """The diagnostics of all members; momenta may change where constraints hold a trajectory: they may break
-        symmetries."""
+        """The diagnostics of all members.
+
+        Momenta may change where constraints hold a trajectory: they may break symmetries.
+        """
         diagnosis, given = self.transcribed.traced.diagnosis, self.transcribed.conditions.data.parameters
         with np.errstate(all="ignore"):
             found = diagnosis.of(self._at_nodes, self._along, self._stages, given)

@@ -91,7 +91,7 @@ class Checks(ABC):
 
     @classmethod
     def later(cls, make: Callable[[], dict[str, Any]], **known: Any) -> Self:
-        """The known figures, and the remaining ones, which are computed when one of them is read.
+        """The known figures, and further figures that are computed when one of them is read.
 
         Parameters
         ----------
