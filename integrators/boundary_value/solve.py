@@ -121,7 +121,7 @@ def solve(
         BoundaryData(start, end, horizon, parameters),
     )
     options = Options.of(tolerance, max_iterations, callback, verbose)
-    inputs = Inputs.of(solver._reader, given, guess, options, classification, integrator)
+    inputs = Inputs.of(solver._reader, given, guess, options, 0, classification, integrator)
     found = (
         solver._solve(inputs)
         if accuracy is None

@@ -4,6 +4,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from copy import copy
+from functools import partial
 from typing import Any, NamedTuple, final
 from weakref import WeakKeyDictionary
 
@@ -33,7 +34,7 @@ from .regular_extremals import find_extremals
 from .regularity import Regularity
 from .shooting import solve_on_final_manifold
 from .solution.batch import Solutions
-from .solution.builder import SolutionBuilder
+from .solution.builder import ExtremalRecords, SolutionBuilder
 from .solution.diagnostics import add_compile_time
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
 from .solution.feedback import feedback
@@ -217,7 +218,7 @@ class Solver:
         require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = BoundaryData(start, end, horizon, parameters)
-        inputs = Inputs.of(self._reader, given, guess, options, classification, integrator)
+        inputs = Inputs.of(self._reader, given, guess, options, 0, classification, integrator)
         with self._required(inputs.parameters_of(0)):
             solution = self._solve(inputs)
         return solution.require_success() if throw else solution
@@ -235,20 +236,20 @@ class Solver:
         if inputs.needs_reformulation:
             return self._reformulation.solve(inputs)
         regularity = self._regularity
-        solution = self._solved(inputs)[0] if regularity.has_to_be_shown(inputs) else None
+        solution = self._member(self._searched(inputs)) if regularity.has_to_be_shown(inputs) else None
         if solution is None or not regularity.is_shown(inputs, solution):
             known = inputs.classification
             inputs = inputs.classified(regularity.classification(inputs) if known is None else known)
             if inputs.classification is not None:
                 solution = solve_on_final_manifold(inputs, inputs.classification)
             elif solution is None:
-                solution = self._solved(inputs)[0]
+                solution = self._member(self._searched(inputs))
         return solution if solution.success else explain_failure(inputs.problem, solution)
 
     def _examined(self, solution: Solution, inputs: Inputs) -> Solution:
         """The solution with the results of all checks."""
         free_horizon = is_free(inputs.given.horizon)
-        if self._audit.is_silent(solution.parameters, free_horizon):
+        if self._audit.is_silent(inputs.structure, free_horizon):
             return solution
         with Stopwatch() as watch:
             examined = self._audit(solution, free_horizon, inputs.ends.prescribed)
@@ -287,7 +288,7 @@ class Solver:
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = BoundaryData(starts, ends, horizons, parameters)
-        inputs = Inputs.of_many(self._reader, given, guesses, options)
+        inputs = Inputs.of(self._reader, given, guesses, options, 1)
         with self._required(inputs.parameters_of(0)):
             return self._all_examined(self._all_found(inputs), inputs)
 
@@ -296,7 +297,8 @@ class Solver:
         if inputs.needs_reformulation:
             return self._reformulation.solve_many(inputs)
         self._regularity.require_regular(inputs)
-        return self._solved(inputs)
+        records = self._searched(inputs)
+        return Solutions(records.fields, partial(self._member, records), range(len(inputs)))
 
     def _all_examined(self, solutions: Solutions, inputs: Inputs) -> Solutions:
         """The solutions of a batch with what their conditions do not tell."""
@@ -372,20 +374,19 @@ class Solver:
     export_c = require_known_options(export_c)
     feedback = require_known_options(feedback)
 
-    def _solved(self, inputs: Inputs) -> Solutions:
-        """Solutions of regular problems."""
+    def _searched(self, inputs: Inputs) -> ExtremalRecords:
+        """The records of what searches find, of regular problems."""
         transcribed = self._transcription.transcribe(inputs)
         tracing = time.perf_counter() - inputs.began
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
             found = find_extremals(transcribed, inputs.options)
+            records = ExtremalRecords(self._builder, transcribed, inputs, found)
             compiling, running = watch.seconds()
-            seconds = tracing + compiling, running
-            fields, member = self._builder.of(transcribed, inputs.parameters(), found, inputs.options, seconds)
-            later = watch.seconds()[0] - compiling
+        records.seconds = tracing + compiling, running
+        return records
 
-        def kept(k: int) -> Solution:
-            solution = add_compile_time(member(k), later)
-            self._kept[solution] = _LastSolution(transcribed, found, k, solution.parameters)
-            return solution
-
-        return Solutions(fields, kept, range(len(inputs)))
+    def _member(self, records: ExtremalRecords, k: int = 0) -> Solution:
+        """The solution of a member, of which the derivatives can be asked for."""
+        solution = records.member(k)
+        self._kept[solution] = _LastSolution(records.transcribed, records.found, k, solution.parameters)
+        return solution

@@ -3,7 +3,7 @@
 import inspect
 from collections.abc import Callable
 from difflib import get_close_matches
-from functools import cache, wraps
+from functools import cache
 from typing import Any, ParamSpec, TypeVar
 
 from ...errors import InvalidCallError, concise
@@ -92,15 +92,11 @@ def require_known_options(function: Callable[P, R]) -> Callable[P, R]:
     names = [name for name in signature.parameters if name != "self"]
 
     @cache  # a call is complete by the number of its arguments and the names of its options
-    def require_all(count: int, given: tuple[str, ...]) -> None:
-        _require_all(signature, what, count, given)
-
-    @wraps(function)
-    def call(*arguments: P.args, **options: P.kwargs) -> R:
-        unknown = next((name for name in options if name not in names), None)
+    def check(count: int, *given: str) -> None:
+        unknown = next((name for name in given if name not in names), None)
         if unknown is None:
-            require_all(len(arguments), tuple(options))
-            return function(*arguments, **options)
+            _require_all(signature, what, count, given)
+            return
         near = intended_name(unknown, names)
         hint = f"did you mean {near}?" if near else missing_option(unknown.lower())
         if "accuracy" in names and any(part in unknown.lower() for part in REFINED):
@@ -109,7 +105,7 @@ def require_known_options(function: Callable[P, R]) -> Callable[P, R]:
             f"{what} has no option {unknown!r}, expected one of {', '.join(names)}" + (f"; {hint}" if hint else "")
         )
 
-    return concise(call)
+    return concise(function, check)
 
 
 def _require_all(signature: inspect.Signature, what: str, count: int, given: tuple[str, ...]) -> None:

@@ -1,6 +1,7 @@
 """Points as flat vectors of real numbers, the form in which the engine holds them."""
 
 import math
+from collections.abc import Callable
 from itertools import accumulate, pairwise
 from typing import Any, final
 
@@ -11,6 +12,10 @@ from jaxtyping import Array
 
 from ...manifolds import Manifold
 from ...manifolds.numerics.ambient import Ambient, Frame
+
+
+def _complex(real: np.ndarray, imaginary: np.ndarray) -> np.ndarray:
+    return real + 1j * imaginary
 
 
 @final
@@ -46,7 +51,7 @@ class PointLayout:
 
     def point(self, flat: Array) -> Ambient:
         """The point with these entries, in a function that is traced."""
-        return self._tree(flat, (), jax.lax.complex)
+        return self.points(flat, jax.lax.complex)
 
     def flat(self, point: Ambient) -> Array:
         """The entries of a point, in a function that is traced."""
@@ -88,14 +93,11 @@ class PointLayout:
         rows = self._rows(leaves, axes)
         return rows if np.isfinite(rows).all() else None
 
-    def points(self, rows: np.ndarray) -> Ambient:
+    def points(self, rows: Any, join: Callable[[Any, Any], Any] = _complex) -> Ambient:
         """Points with the leading axes of an array that has their entries along the last one."""
-        return self._tree(rows, rows.shape[:-1], lambda a, b: a + 1j * b)
-
-    def _tree(self, flat: Any, leading: tuple[int, ...], join: Any) -> Ambient:
-        leaves = []
+        leaves, leading = [], rows.shape[:-1]
         for own, is_complex, place in zip(self.shapes, self._complex, self.places, strict=True):
-            part, shape = flat[..., place], (*leading, *own)
+            part, shape = rows[..., place], (*leading, *own)
             if is_complex:
                 half = part.shape[-1] // 2
                 leaves.append(join(part[..., :half].reshape(shape), part[..., half:].reshape(shape)))

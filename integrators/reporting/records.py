@@ -301,11 +301,10 @@ def _words(value: Any) -> str:
 
 def write_protect(value: Any) -> None:
     """Make the arrays in nested tuples, lists and dictionaries read-only."""
-    if isinstance(value, np.ndarray):
-        value.flags.writeable = False
-    elif isinstance(value, (dict, tuple, list)):
-        for part in value.values() if isinstance(value, dict) else value:
-            if type(part) is np.ndarray:  # at once, where a call takes several times as long
-                part.flags.writeable = False
-            elif not isinstance(part, (float, str)):
-                write_protect(part)
+    parts = [value]
+    while parts:
+        part = parts.pop()
+        if type(part) is np.ndarray or isinstance(part, np.ndarray):  # the first is quick
+            part.flags.writeable = False
+        elif isinstance(part, (dict, tuple, list)):
+            parts += part.values() if isinstance(part, dict) else part

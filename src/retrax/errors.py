@@ -2,14 +2,16 @@
 
 import os
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from functools import wraps
 from types import TracebackType
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 TRACING = frozenset({"retrax", "jax", "jaxlib", "equinox"})  # packages between a call and the user's functions
+CONCISE = "_retrax_concise"  # attribute of a concise function, for the parts of its calls
 TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp.where in place of if"
 
 
@@ -71,16 +73,28 @@ def _users_frames(error: Exception) -> TracebackType | None:
     return places[last + 1] if last + 1 < len(places) else None
 
 
-def concise(function: Callable[P, R]) -> Callable[P, R]:
+def concise(
+    function: Callable[P, R],
+    check: Callable[..., object] | None = None,
+    within: Callable[[], AbstractContextManager[object]] | None = None,
+) -> Callable[P, R]:
     """A public function whose errors are shown with the frames of users and one of the library.
 
-    With the environment variable ``RETRAX_TRACEBACK=full``, all frames and causes are shown.
+    ``check`` is called before with the number of arguments and the names of options; the call runs ``within`` a
+    context. Both are added to a function that is concise already, without a frame more. With the environment variable
+    ``RETRAX_TRACEBACK=full``, all frames and causes are shown.
     """
+    function, check, within = (new or old for new, old in zip((None, check, within), _parts_of(function), strict=True))
 
     @wraps(function)
     def call(*arguments: P.args, **options: P.kwargs) -> R:
         try:
-            return function(*arguments, **options)
+            if check is not None:
+                check(len(arguments), *options)
+            if within is None:
+                return function(*arguments, **options)
+            with within():
+                return function(*arguments, **options)
         except Exception as error:
             frames = error.__traceback__ if isinstance(error, RetraxError) else _users_frames(error)
             if frames is None or os.environ.get("RETRAX_TRACEBACK") == "full":
@@ -88,4 +102,14 @@ def concise(function: Callable[P, R]) -> Callable[P, R]:
             error.__notes__ = [note for note in getattr(error, "__notes__", []) if "internal frames" not in note]
             raise error.with_traceback(None if isinstance(error, RetraxError) else frames) from None
 
+    # A traceback shows this frame by the function's name and without a line of its source, which tells users nothing.
+    own: Any = call
+    own.__code__ = own.__code__.replace(co_filename="<retrax>", co_name=getattr(function, "__name__", "call"))
+    vars(call)[CONCISE] = call, (function, check, within)
     return call
+
+
+def _parts_of(function: Any) -> tuple[Any, ...]:
+    """A function without its concise frame, with the check and the context of its calls."""
+    owner, parts = getattr(function, "__dict__", {}).get(CONCISE, (None, ()))
+    return parts if owner is function else (function, None, None)  # a wrapper has the attributes of what it wraps

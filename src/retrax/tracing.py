@@ -6,12 +6,12 @@ would be ignored.
 """
 
 from collections.abc import Callable, Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
-from functools import partial, wraps
+from functools import partial
 from traceback import walk_tb
 from types import FrameType
-from typing import Any, ParamSpec, TypeVar, final
+from typing import Any, ParamSpec, Self, TypeVar, final
 
 import jax
 from jax._src.interpreters import partial_eval
@@ -52,6 +52,14 @@ class Tracing:
         self.known: dict[Hashable, Any] = {}
         self._mark, self.traces = object(), 0  # JAX keeps the mark
 
+    def __enter__(self) -> Self:
+        self._token = _current.set(self)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        _current.reset(self._token)
+        self.end()
+
     def traced(self, function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
         """``jax.make_jaxpr`` of a function: arrays, or their shapes, as arguments."""
         self.traces += 1
@@ -91,19 +99,10 @@ def resume_tracing(reading: Tracing) -> Iterator[Tracing]:
         _current.reset(token)
 
 
-@contextmanager
-def one_tracing() -> Iterator[Tracing]:
+def one_tracing() -> AbstractContextManager[Tracing]:
     """The reading that goes on, or a new one."""
     current = _current.get()
-    if current is not None:
-        yield current
-        return
-    current = Tracing()
-    try:
-        with resume_tracing(current):
-            yield current
-    finally:
-        current.end()
+    return Tracing() if current is None else nullcontext(current)
 
 
 def is_tracing() -> bool:
@@ -125,13 +124,7 @@ def in_one_tracing(method: Callable[..., Any], own: Any) -> Callable[..., Any]:
 def reads_once(function: Callable[P, R]) -> Callable[P, R]:
     """A public function during whose call a user's functions do not change: each is read once in it, and again in the
     next."""
-
-    @wraps(function)
-    def call(*arguments: P.args, **options: P.kwargs) -> R:
-        with one_tracing():
-            return function(*arguments, **options)
-
-    return concise(call)
+    return concise(function, within=one_tracing)
 
 
 def trace_program(function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:

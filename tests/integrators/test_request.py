@@ -1,6 +1,8 @@
 """What a solver is asked for is checked once, however often it is solved, and reaches all that solves."""
 
+import pickle
 from collections import Counter
+from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -99,3 +101,56 @@ def test_a_singular_problem_with_a_free_horizon_is_refused_with_its_own_classifi
     singular = WEIGHED.with_parameters(0.0)
     with pytest.raises(InvalidInputError, match=r"the problem is singular, .* a free horizon"):
         solve(singular, REST, AHEAD, Free(1.0), method=METHOD, steps=6, classification=classify(singular))
+
+
+SINGLE = {
+    "a horizon": ({"horizon": -1.0}, "horizon must be a positive finite time, got -1.0"),
+    "no number": ({"horizon": np.nan}, "horizon must be a positive finite time, got nan"),
+    "a free horizon": ({"horizon": Free(-1.0, upper=0.0)}, "horizon must be free around a positive finite time"),
+    "a start": ({"start": np.array([np.nan, 0.0])}, "start: .* NaN or infinite"),
+    "an end": ({"end": np.array([1.0, np.inf])}, "end: .* NaN or infinite"),
+    "a guess": ({"guess": 1.0}, "guess must be a Guess or a Solution"),
+    "no parameters": ({"parameters": None}, "the problem's functions take parameters, and none are given"),
+}
+
+
+@pytest.mark.parametrize("name", SINGLE)
+def test_a_batch_of_one_is_refused_as_a_single_trajectory_is(name):
+    given, words = SINGLE[name]
+    asked = {"start": REST, "end": AHEAD, "horizon": 1.0, "guess": None, "parameters": 1.0} | given
+    solver = Solver(WEIGHED, METHOD, 6)
+    with pytest.raises(InvalidInputError, match=words) as single:
+        solver.solve(**asked)
+    many = {**asked, "parameters": None if asked["parameters"] is None else np.ones(1)}
+    with pytest.raises(InvalidInputError) as batch:
+        solver.solve_many(many["start"][None], many["end"], many["horizon"], many["guess"], many["parameters"])
+    assert str(batch.value) == str(single.value)
+
+
+@pytest.mark.parametrize("horizon", [1.0, Free(2.0), Free(0.5, upper=1.5)])
+def test_a_batch_of_one_has_the_record_of_a_single_trajectory(horizon):
+    quick = OptimalControlProblem(PLANE, lambda q, u, w: cart(q, u), lambda q, u, w: 1 + w * u @ u / 2, 1)
+    solver = Solver(quick, METHOD, 6)
+    one = solver.solve(REST, AHEAD, horizon, parameters=0.5)
+    (other,) = solver.solve_many(REST[None], AHEAD, horizon, parameters=np.array([0.5]))
+    assert one.checks == other.checks
+    assert (one.status, one.result, one.cost) == (other.status, other.result, other.cost)
+    for name in ("times", "states", "costates", "controls", "stage_costates", "hamiltonians", "parameters"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+def test_figures_of_a_report_are_computed_when_one_is_read(monkeypatch):
+    solver, computed = Solver(QUICK, METHOD, 6), []
+    diagnosis = solver._transcription.traced(None).diagnosis
+    terms = diagnosis._at_samples
+    monkeypatch.setattr(diagnosis, "_at_samples", lambda *given: [computed.append(1), terms(*given)][1])
+    found = solver.solve(REST, AHEAD, 1.0)
+    assert found.status == "minimum"
+    assert found.checks.defect < 1e-10
+    assert not computed
+    copies = pickle.loads(pickle.dumps(found.checks)), replace(found.checks), found.checks
+    assert computed == [1]
+    assert len({str(own) for own in copies}) == 1
+    assert found.checks.hamiltonian == found.hamiltonians[0]
+    with pytest.raises(AttributeError, match="no attribute 'hamiltonians'"):
+        _ = found.checks.hamiltonians

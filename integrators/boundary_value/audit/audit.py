@@ -116,9 +116,9 @@ class Audit:
             self._needed[key] = self._limited or any(self._examiners(free_horizon, parameters))
         return self._needed[key]
 
-    def is_silent(self, parameters: Any, free_horizon: bool) -> bool:
-        """Whether an earlier audit showed that such a solution needs none."""
-        return not self._named and self._needed.get((structure_of(parameters), free_horizon)) is False
+    def is_silent(self, structure: Any, free_horizon: bool) -> bool:
+        """Whether an earlier audit showed that a solution with parameters of this structure needs none."""
+        return not self._named and self._needed.get((structure, free_horizon)) is False
 
     def _examiners(self, free_horizon: bool, parameters: Any) -> tuple[SmoothnessAlongSolution, DerivativeCheck]:
         """The searches for jumps, and for derivatives that tell nothing of their functions; true where there may be

@@ -19,7 +19,7 @@ from ..inputs.inputs import InputReader, Inputs
 from ..reformulations.free_quantities import Reformulation
 from ..reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationSolver
 from ..reformulations.vanishing_horizons import VanishingHorizon
-from ..solution.builder import SolutionBuilder
+from ..solution.builder import ExtremalRecords, SolutionBuilder
 from ..solution.interpolation import Interpolant
 from ..solution.record import Solution
 from ..solution.resampling import Mesh
@@ -99,8 +99,9 @@ class TranscribedPhase(NamedTuple):
 
     def recorded(self, found: DiscreteExtremals, seconds: tuple[float, float]) -> Solution:
         """The solution of the phase."""
-        _, member = self.inner.builder.of(self.transcribed, self.own.parameters(), found, self.own.options, seconds)
-        solution = member(0)
+        records = ExtremalRecords(self.inner.builder, self.transcribed, self.own, found)
+        records.seconds = seconds
+        solution = records.member(0)
         if self.formulation is not None:
             solution = self.formulation.solution(solution, self.inputs.given.parameters, self.outer.interpolant)
         return solution

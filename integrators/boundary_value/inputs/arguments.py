@@ -26,6 +26,7 @@ MOST_STEPS = 10_000_000  # with arrays much longer memory ends
 LIMITS = "control bounds", "constraints", "node constraints"
 ALONG = *LIMITS, "an initial cost", "an explicit time"
 BETWEEN = "boundary constraints", "periodic ends"
+NO_PARAMETERS = jax.tree.structure(None), ()  # the structure of no parameters, and the shapes of its leaves
 Method = DiscretizationMap | CollocationMethod
 
 
@@ -55,12 +56,13 @@ class Options(NamedTuple):
     def of(cls, tolerance: float | None, max_iterations: int, callback: Any = None, verbose: bool = False) -> "Options":
         """The options as they are given."""
         warn_about_precision()
-        rounding = np.finfo(working_precision()).eps
+        precision = working_precision()
+        rounding = np.finfo(precision).eps
         limit = rounding**DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
         if not (is_finite_number(limit) and limit >= rounding):
             raise InvalidInputError(
                 f"tolerance must be a positive finite number, at least {rounding:.1e}, which is rounding of "
-                f"{working_precision()}; got {tolerance!r}; try None, for {rounding**DEFAULT_TOLERANCE_POWER:.0e}"
+                f"{precision}; got {tolerance!r}; try None, for {rounding**DEFAULT_TOLERANCE_POWER:.0e}"
             )
         if not is_count(max_iterations):
             raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
@@ -71,6 +73,8 @@ class Options(NamedTuple):
 
 def structure_of(parameters: Any, axes: int = 0) -> Any:
     """The structure and the shapes of parameters, leading axes left out."""
+    if parameters is None:
+        return NO_PARAMETERS
     leaves, structure = jax.tree.flatten(parameters)
     return structure, tuple(np.shape(leaf)[axes:] for leaf in leaves)
 

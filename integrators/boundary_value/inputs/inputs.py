@@ -41,11 +41,11 @@ from .arguments import (
     check_parameters,
     check_regular,
     check_singular,
-    copy_parameters,
     structure_of,
 )
 from .boundary_data import BoundaryDataReader, EndPoints, NodeCondition
 from .guess_arrays import FlatGuess, GuessReader
+from .members import are_several, count_members, member_of, repeat_for_all, row_of
 
 ROUNDED_POINT = 5e-6  # violation of its equations by a point whose entries have six digits
 RESTORING = 2  # Newton steps, which converge quadratically, from there to the rounding of double precision
@@ -60,7 +60,7 @@ class InputReader:
         self.guesses = GuessReader(problem, len(mesh.fractions), len(mesh.stages))
         self._violations = evaluator.values(self._violations_of, self.ends.layout.size)
         self._parameters: dict[Any, PointLayout] = {}
-        self._retracts = False  # whether the retraction was looked at
+        self.retracts = False  # whether the retraction was looked at
 
     @cached_property
     def _restored(self) -> PointwiseFunction:
@@ -87,6 +87,8 @@ class InputReader:
     def parameters(self, given: Any, axes: int, count: int) -> tuple[Any, np.ndarray]:
         """The structure of the parameters of a member, and the parameters of all members in rows."""
         structure = structure_of(given, axes)
+        if given is None:
+            return structure, np.empty((count, 0))
         if structure not in self._parameters:
             self._parameters[structure] = parameter_layout(given, axes)
         layout = self._parameters[structure]
@@ -104,9 +106,8 @@ class InputReader:
 
     def require_retraction(self, point: np.ndarray) -> None:
         """Raise unless the retraction of the method is one at a flat point; looked at once."""
-        if not self._retracts:
-            require_retraction(self.method.retraction, self.ends.layout.points(point))
-            self._retracts = True
+        require_retraction(self.method.retraction, self.ends.layout.points(point))
+        self.retracts = True
 
     def _violations_of(self, q: Array) -> tuple[Array]:
         return (jnp.stack([jnp.zeros(()), *self.problem.manifold.violations(self.ends.layout.point(q)).values()]),)
@@ -145,33 +146,24 @@ class Inputs:
         given: BoundaryData,
         guess: Any,
         options: Options,
+        axes: int = 0,
         classification: Classification | None = None,
         integrator: SingularIntegrator | None = None,
     ) -> "Inputs":
-        """A single trajectory.
+        """The inputs of a batch, whose varying data have one more leading axis, or of a single trajectory: a batch of
+        one.
 
         Raises ``InvalidInputError`` or ``NotOnManifoldError`` for a horizon, parameters, a guess, ends or a
         classification that do not belong to the problem and the mesh. Whether the problem is regular is found out
         afterwards, where nobody has said it: see ``classified``.
         """
-        _require_horizon(given.horizon)
         known = _known_guess(reader.problem, given)
+        count = count_members(reader.ends, known, guess) if axes else 1
+        _require_horizon(given.horizon, count if axes and np.ndim(known.horizon) else 0)
         check_parameters(reader.problem, known.parameters)
-        inputs = cls._read(reader, given, known, guess, options, integrator)
-        if classification is None:
-            return inputs
-        check_classification(inputs.problem, classification)
-        return replace(inputs, classification=classification)
-
-    @classmethod
-    def of_many(cls, reader: InputReader, given: BoundaryData, guesses: Any, options: Options) -> "Inputs":
-        """A batch: what is not for all has one more leading axis."""
-        known = _known_guess(reader.problem, given)
-        count = _count(reader.ends, known, guesses)
-        for k, horizon in enumerate(np.atleast_1d(np.asarray(known.horizon)).tolist()):
-            _require_horizon(horizon, "horizon" + (f", member {k}," if np.ndim(known.horizon) and count > 1 else ""))
-        check_parameters(reader.problem, known.parameters)
-        inputs = cls._read(reader, given, known, guesses, options, None, 1, count)
+        inputs = cls._read(reader, given, known, guess, options, integrator, classification, axes, count)
+        if classification is not None:
+            check_classification(inputs.problem, classification)
         if (
             inputs.needs_reformulation
             and len({ReformulationKind.of(own.horizon, own.parameters) for own in inputs.each}) > 1
@@ -188,12 +180,13 @@ class Inputs:
         guess: Any,
         options: Options,
         integrator: SingularIntegrator | None,
-        axes: int = 0,
-        count: int = 1,
+        classification: Classification | None,
+        axes: int,
+        count: int,
     ) -> "Inputs":
         """The inputs in flat arrays; raises if ends or guesses are no points of the manifold."""
         began = time.perf_counter()
-        guesses = reader.flat_guess(guess if axes and _are_several(guess) else [guess])
+        guesses = None if guess is None else reader.flat_guess(guess if axes and are_several(guess) else [guess])
         ends = reader.ends.ends(given.start, given.end, bool(axes))
         if ends.unknown.any():
             at_rest = reader.ends.at_rest
@@ -202,7 +195,8 @@ class Inputs:
             )
         asked = reader, given, known, guess, options, integrator, axes, began
         parameters = reader.parameters(known.parameters, axes, count)
-        return cls(*asked, ends, np.full(count, known.horizon, float), guesses, *parameters)._on_manifold()
+        horizons = np.full(count, known.horizon, float)
+        return cls(*asked, ends, horizons, guesses, *parameters, classification)._on_manifold()
 
     def _on_manifold(self) -> "Inputs":
         """The inputs with ends that are on the manifold to rounding.
@@ -219,25 +213,36 @@ class Inputs:
             violations = reader.violations(np.concatenate([points, states]))
             reader.guesses.require_on_manifold(self.guesses, violations[len(points) :])
             beside = violations[: len(points)]
-        near = beside <= max(ROUNDED_POINT, default_tolerance())
-        if not near.all():
-            for k in np.flatnonzero(~np.all(near.reshape(2, -1), axis=0)):
-                own = self.each[int(k)]
-                reader.ends.require_on_manifold(own.start, own.end, f", member {k}" if len(self) > 1 else "")
-        if np.any(near & (beside > default_tolerance())):
-            _warn_of_rounding(reader.problem.manifold, np.max(beside[near]))
-        off = near & (beside > ROUNDING * np.finfo(working_precision()).eps)
-        for _ in range(RESTORING if off.any() else 0):  # no trajectory ends beside its manifold
-            points[off] = reader.restored(points[off])
-        reader.require_retraction(points[0])
-        if not off.any():
+        on = beside <= ROUNDING * np.finfo(working_precision()).eps
+        exact = bool(on.all())
+        if not exact:
+            points[~on] = self._moved(points[~on], beside, on)
+        if not reader.retracts:
+            reader.require_retraction(points[0])
+        if exact:
             return self
         return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
+
+    def _moved(self, points: np.ndarray, beside: np.ndarray, on: np.ndarray) -> np.ndarray:
+        """The ends that are not ``on`` the manifold, moved onto it.
+
+        ``beside``: the violations of all ends, of the starts first.
+        """
+        tolerance = default_tolerance()
+        near = beside <= max(ROUNDED_POINT, tolerance)
+        for k in np.flatnonzero(~np.all(near.reshape(2, -1), axis=0)):
+            own = self.each[int(k)]
+            self.reader.ends.require_on_manifold(own.start, own.end, f", member {k}" if len(self) > 1 else "")
+        if np.any(near & (beside > tolerance)):
+            _warn_of_rounding(self.reader.problem.manifold, np.max(beside[near]))
+        for _ in range(RESTORING):  # no trajectory ends beside its manifold
+            points = np.where(near[~on, None], self.reader.restored(points), points)
+        return points
 
     def again(self, reader: InputReader, given: BoundaryData, guess: Any) -> "Inputs":
         """The inputs with another problem, mesh or guess, of which only these are checked again."""
         known = _known_guess(reader.problem, given)
-        return self._read(reader, given, known, guess, self.options, self.integrator, self.axes, len(self))
+        return self._read(reader, given, known, guess, self.options, self.integrator, None, self.axes, len(self))
 
     def classified(self, c: Classification | None) -> "Inputs":
         """The inputs with the classification of a singular problem, without one for a regular problem.
@@ -261,12 +266,14 @@ class Inputs:
     @cached_property
     def each(self) -> tuple[BoundaryData, ...]:
         """The data of each member."""
-        return tuple(_member(self.reader.ends, self.given, k) for k in range(len(self))) if self.axes else (self.given,)
+        return (
+            tuple(member_of(self.reader.ends, self.given, k) for k in range(len(self))) if self.axes else (self.given,)
+        )
 
     def member(self, k: int) -> "Inputs":
         """The inputs of one member, without its guess."""
         known, rows = _known_guess(self.reader.problem, self.each[k]), self.rows[k : k + 1]
-        ends = self.ends._replace(start=_row(self.ends.start, k)[None], end=_row(self.ends.end, k)[None])
+        ends = self.ends._replace(start=row_of(self.ends.start, k)[None], end=row_of(self.ends.end, k)[None])
         own: Any = {"known": known, "ends": ends, "horizons": self.horizons[k : k + 1], "rows": rows}
         return replace(self, given=self.each[k], guess=None, guesses=None, axes=0, **own)
 
@@ -292,15 +299,12 @@ class Inputs:
 
     def parameters_of(self, k: int) -> Any:
         """The parameters of a member."""
-        given = self.known.parameters
-        return vec.taken(given, k) if self.axes else given
+        return vec.taken(self.known.parameters, k) if self.axes else self.known.parameters
 
     def parameters(self) -> Any:
         """The parameters as arrays of their own, with the members along the leading axis."""
-        given = self.known.parameters
-        if given is None:  # in no time, where a tree takes some
-            return None
-        return copy_parameters(given) if self.axes else jax.tree.map(lambda leaf: np.array(leaf)[None], given)
+        lead = ... if self.axes else None
+        return jax.tree.map(lambda leaf: np.array(leaf)[lead], self.known.parameters)
 
     def problem_of(self, k: int) -> OptimalControlProblem:
         """The problem with the parameters of a member."""
@@ -314,7 +318,7 @@ class Inputs:
         """The boundary conditions of a member."""
         ends, read = self.ends, self.reader.ends.condition
         first, last = ends.prescribed
-        return read(_row(ends.start, k), first.parts), read(_row(ends.end, k), last.parts)
+        return read(row_of(ends.start, k), first.parts), read(row_of(ends.end, k), last.parts)
 
 
 def _warn_of_rounding(manifold: Manifold, violation: float) -> None:
@@ -333,70 +337,16 @@ def _known_guess(problem: OptimalControlProblem, given: BoundaryData) -> Boundar
     return given._replace(horizon=guess_of(given.horizon), parameters=guesses_of(given.parameters))
 
 
-def _require_horizon(horizon: Any, name: str = "horizon") -> None:
-    if is_free(horizon):
-        if np.ndim(horizon.guess) or not horizon.guess > 0:
-            raise InvalidInputError(
-                f"{name} must be free around a positive finite time, got {horizon!r}; try Free(10.0)"
-            )
-    elif not (is_finite_number(horizon) and horizon > 0):
-        hint = "" if isinstance(horizon, Number) else f"; {HORIZON}"
-        raise InvalidInputError(f"{name} must be a positive finite time, got {horizon!r}{hint}")
-
-
-def _are_several(guesses: Any) -> bool:
-    return isinstance(guesses, Sequence) and not isinstance(guesses, Guess)
-
-
-def _count(ends: BoundaryDataReader, known: BoundaryData, guesses: Any) -> int:
-    """The number of members of a batch."""
-    given = {
-        "starts": ends.lengths(known.start),
-        "ends": ends.lengths(known.end),
-        "horizons": [np.shape(known.horizon)] if np.ndim(known.horizon) else [],
-        "parameters": [np.shape(leaf)[:1] for leaf in jax.tree.leaves(known.parameters)],
-        "guesses": [(len(guesses),)] if _are_several(guesses) else [],
-    }
-    lengths = {length for found in given.values() for length in found}
-    if len(lengths) != 1 or lengths & {(), (0,)}:
-        raise InvalidInputError(_words_on_lengths(given))
-    ((count,),) = lengths
-    return count
-
-
-def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
-    """Words on what has which leading axis, where a batch has none or several lengths."""
-    found = [
-        f"{name} {' and '.join(str(length[0]) if length else 'none' for length in sorted(set(lengths)))}"
-        for name, lengths in given.items()
-        if lengths
-    ]
-    hint = "for a single trajectory call solve"
-    if any((0,) in lengths for lengths in given.values()):
-        hint = "a batch has one member or more"
-    elif given["parameters"]:
-        hint = "parameters have one too: try np.broadcast_to for those that are the same for all"
-    got = ", ".join(found) or "none"
-    return f"a batch has one more axis in front, of one length B, wherever something varies, got {got}; {hint}"
-
-
-def _member(ends: BoundaryDataReader, given: BoundaryData, k: int) -> BoundaryData:
-    """The data of member ``k`` of a batch."""
-
-    def one(leaf: Any) -> Any:
-        if is_free(leaf):
-            return leaf.member(k)
-        return leaf if np.ndim(leaf) == 0 else np.asarray(leaf)[k]
-
-    start, end = ends.member(given.start, k), ends.member(given.end, k)
-    return BoundaryData(start, end, *jax.tree.map(one, (given.horizon, given.parameters), is_leaf=is_free))
-
-
-def repeat_for_all(rows: np.ndarray, count: int) -> np.ndarray:
-    """Rows for so many members, of which there may be one for all."""
-    return rows if len(rows) == count else np.broadcast_to(rows, (count, *rows.shape[1:]))
-
-
-def _row(rows: np.ndarray, k: int) -> np.ndarray:
-    """Row ``k`` of rows of which there may be one for all."""
-    return rows[min(k, len(rows) - 1)]
+def _require_horizon(horizon: Any, count: int) -> None:
+    """Raise for a horizon that is no positive time, alone (``count`` 0) or among ``count`` horizons along an axis."""
+    for k in range(count or 1):
+        one = horizon if not count else horizon.member(k) if is_free(horizon) else np.asarray(horizon).item(k)
+        name = f"horizon, member {k}," if count > 1 else "horizon"
+        if is_free(one):
+            if np.ndim(one.guess) or not one.guess > 0:
+                raise InvalidInputError(
+                    f"{name} must be free around a positive finite time, got {one!r}; try Free(10.0)"
+                )
+        elif not (is_finite_number(one) and one > 0):
+            hint = "" if isinstance(one, Number) else f"; {HORIZON}"
+            raise InvalidInputError(f"{name} must be a positive finite time, got {one!r}{hint}")

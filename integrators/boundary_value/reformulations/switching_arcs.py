@@ -114,15 +114,8 @@ class SwitchingArcs:
         arc, rates = self.arc(found.stage_times), durations[self.arc(found.stage_times)]
         flat = np.where(self.fixed[arc] > 0, self.values[arc], np.asarray(found.controls).reshape(len(arc), -1))
         checks: Any = found.checks
-        hamiltonians = found.hamiltonians / rates
+        hamiltonians, multipliers = found.hamiltonians / rates, self._multipliers(found, durations, rates)
         own = found.parameters[OWN_PARAMETERS] if self.own.takes_parameters else None
-        multipliers = {name: rows for name, rows in found.multipliers.items() if name != LAST}
-        multipliers |= {name: rows / rates[:, None] for name, rows in found.stage_multipliers.items() if name != LAST}
-        for name in (PARAMETERS_LOWER, PARAMETERS_UPPER):  # of the durations first, in the order of the names
-            rows = multipliers.pop(name, None)
-            more = 0 if name == PARAMETERS_UPPER else durations.size - (not is_free(self.horizon))
-            if rows is not None and rows.shape[1] > more:
-                multipliers[name] = rows[:, more:] * rates[:, None] / ends[-1]
         solution = replace(
             found,
             times=np.interp(found.times, np.arange(self.count + 1), ends),
@@ -149,6 +142,17 @@ class SwitchingArcs:
                 multipliers[name] = np.where(at == sign, held, np.where(at == 0, multipliers[name], 0.0))
                 active[name] = int(np.sum(np.any(at == sign, axis=1)))
         return replace(solution, multipliers=multipliers, checks=replace(solution.checks, active=active))
+
+    def _multipliers(self, found: Solution, durations: np.ndarray, rates: np.ndarray) -> dict[str, np.ndarray]:
+        """The multipliers of the problem per unit of time; of bounded controls where the arcs leave them free."""
+        multipliers = {name: rows for name, rows in found.multipliers.items() if name != LAST}
+        multipliers |= {name: rows / rates[:, None] for name, rows in found.stage_multipliers.items() if name != LAST}
+        for name in (PARAMETERS_LOWER, PARAMETERS_UPPER):  # of the durations first, in the order of the names
+            rows = multipliers.pop(name, None)
+            more = 0 if name == PARAMETERS_UPPER else durations.size - (not is_free(self.horizon))
+            if rows is not None and rows.shape[1] > more:
+                multipliers[name] = rows[:, more:] * rates[:, None] / np.sum(durations)
+        return multipliers
 
     def lack(self, solution: Solution, arcs: np.ndarray) -> float:
         """By how much the cost falls, to first order and relative to it, if controls leave bounds to which nothing

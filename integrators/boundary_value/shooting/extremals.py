@@ -212,14 +212,15 @@ def _trajectory_of() -> Callable[..., _ShootingTrajectory]:
 
 
 def _diagnostics(problem: OptimalControlProblem, outcome: _ShootingTrajectory) -> Any:
-    """The diagnostics of the trajectory."""
+    """The values at the nodes, and the diagnostics of the trajectory."""
     state, control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
     first, second, states, costates = (state.rows(part, 1)[None] for part in (*outcome.nodes, *outcome.stages))
     stages = states, control.rows(outcome.controls, 1)[None], costates
     with np.errstate(all="ignore"):  # of an iterate that is no solution
         diagnosis = Diagnosis(problem, None, AutomaticEvaluator())
-        found = diagnosis(diagnosis.at_nodes(first, second), stages, np.zeros((1, 0)))
-    return vec.entries(found, 0)
+        nodes, given = diagnosis.at_nodes(first, second), np.zeros((1, 0))
+        found = diagnosis.of(nodes, diagnosis.along(stages, given), stages, given)
+    return vec.entries((nodes, found), 0)
 
 
 def _judge(
@@ -249,7 +250,8 @@ def _record(
     outcome: _ShootingTrajectory,
     seconds: tuple[float, float],
 ) -> Solution:
-    (states, costates), controls, diagnostics = outcome.nodes, outcome.controls, _diagnostics(inputs.problem, outcome)
+    (states, costates), controls = outcome.nodes, outcome.controls
+    nodes, diagnostics = _diagnostics(inputs.problem, outcome)
     times = np.linspace(0.0, float(inputs.h) * inputs.steps, inputs.steps + 1)
     return Solution(
         times=times,
@@ -261,8 +263,8 @@ def _record(
         controls=controls,
         hamiltonians=diagnostics.hamiltonians,
         momenta=diagnostics.momenta,
-        body_costates=diagnostics.body,
-        spatial_costates=diagnostics.spatial,
+        body_costates=nodes.body,
+        spatial_costates=nodes.spatial,
         cost=float(outcome.cost),
         **_judge(inputs, conditions, shooting.integrator, found, outcome)._asdict(),
         checks=SingularChecks.of(

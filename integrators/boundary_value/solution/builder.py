@@ -1,6 +1,6 @@
 """The records of what an iteration found."""
 
-from collections.abc import Callable
+from functools import cached_property, partial
 from typing import Any, final
 
 import jax
@@ -10,16 +10,17 @@ from ....manifolds.numerics import ambient as vec
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import LOWER, UPPER
 from ...problem.point_layout import PointLayout
+from ...problem.quantities import Quantities
 from ...reporting.results import sentence
 from ..audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
 from ..audit.status import Status, concave_status, termination_statuses
 from ..audit.unmoved_entries import unmoved_words
-from ..inputs.arguments import Options, require_tangent_dynamics
+from ..inputs.arguments import require_tangent_dynamics
+from ..inputs.inputs import Inputs
 from ..transcription.diagnosis import Diagnostics
 from ..transcription.discrete_extremals import DiscreteExtremals
-from ..transcription.functions.steps import AtStages
 from ..transcription.transcribed_problem import TranscribedProblem
-from .diagnostics import RegularChecks
+from .diagnostics import RegularChecks, figures
 from .interpolation import Interpolant
 from .record import Solution, Statistics
 
@@ -31,138 +32,161 @@ VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why 
 
 @final
 class SolutionBuilder:
-    """Makes the records of extremals of a problem, with the stages of a step at some places, fractions of it."""
+    """The common parts of the records of all extremals of a problem; ``stages`` are fractions of a step."""
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
-        self.quantities, self._constrained = problem.quantities, problem._limits.of_points_along
+        self.quantities, self.constrained = problem.quantities, problem._limits.of_points_along
         self.formulation: Any = None  # that the problem is of another one, whose names and times users know
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
-    def of(
-        self,
-        transcribed: TranscribedProblem,
-        parameters: Any,
-        found: DiscreteExtremals,
-        options: Options,
-        seconds: tuple[float, float],
-    ) -> tuple[dict[str, Any], Callable[[int], Solution]]:
-        """The fields of the records of a batch, and what makes the record of a member.
+    @property
+    def names_for_user(self) -> Quantities:
+        """The names of the problem as its user gave it."""
+        return self.quantities if self.formulation is None else self.formulation.own.quantities
 
-        ``parameters``: with the members along the leading axis; ``seconds`` to trace and to run.
-        """
-        nodes, data, traced = found.nodes, transcribed.conditions.data, transcribed.traced
-        at_nodes = traced.diagnosis.at_nodes(nodes, found.costates)
-        costates = at_nodes.costates
-        stages = found.at_stages(costates)
-        diagnostics = traced.diagnosis(at_nodes, stages, data.parameters)
-        require_tangent_dynamics(self.problem, float(np.fmax.reduce(diagnostics.normal)))
-        trajectories = self._trajectories(nodes, costates, stages, data.steps)
-        held = None if found.inequalities is None else found.inequalities.active
-        statuses = self._statuses(transcribed, found, stages, held, trajectories, options.tolerance)
-        success, results = np.array([own.success for own in statuses]), [own.result for own in statuses]
-        statistics = [Statistics(int(count), *seconds, found.stopped) for count in found.iterations]
-        fields = {
-            **trajectories,
-            "hamiltonians": diagnostics.hamiltonians,
-            "momenta": diagnostics.momenta,
-            "body_costates": diagnostics.body,
-            "spatial_costates": diagnostics.spatial,
-            **_multipliers(transcribed, found),
+
+@final
+class ExtremalRecords:
+    """The records of the extremals of a batch; the arrays of a member, and its figures, are made when it is read.
+
+    ``seconds``: to trace and to run.
+    """
+
+    def __init__(
+        self, builder: SolutionBuilder, transcribed: TranscribedProblem, inputs: Inputs, found: DiscreteExtremals
+    ) -> None:
+        self._of, self.transcribed, self.found = builder, transcribed, found
+        self._parameters, self.seconds = inputs.parameters(), (0.0, 0.0)
+        data, diagnosis = transcribed.conditions.data, transcribed.traced.diagnosis
+        self._at_nodes = diagnosis.at_nodes(found.nodes, found.costates)
+        self._stages = found.at_stages(self._at_nodes.costates)
+        self._along = diagnosis.along(self._stages, data.parameters)
+        require_tangent_dynamics(builder.problem, float(np.fmax.reduce(self._along.normal, axis=None)))
+        self._times, self._stage_times = _times(data.steps, builder.stages)
+        self._held = None if found.inequalities is None else found.inequalities.active
+        self._statuses = self._statuses_of(inputs.options.tolerance)
+        self._active = _active(transcribed, self._held)
+        self._multipliers = _multipliers(transcribed, found)
+
+    def member(self, k: int) -> Solution:
+        """The record of a member."""
+        status, residuals = self._statuses[k], self.found.residuals
+        checks = RegularChecks.later(
+            partial(self._figures, k),
+            defect=residuals.defect[k].item(),
+            stationarity=residuals.stationarity[k].item(),
+            strict_minimum=bool(self.found.strict_minimum[k] and status.success),
+            violation=np.maximum(residuals.violation[k], residuals.excess[k]).item(),
+            complementarity=residuals.complementarity[k].item(),
+            active=self._active[k],
+            between={},
+        )
+        return Solution(
+            **self._arrays(k),
+            **status._asdict(),
+            cost=self.found.cost[k].item(),
+            checks=checks,
+            statistics=self._statistics(k),
+            parameters=jax.tree.map(lambda leaf: np.array(leaf[k]), self._parameters),
+            interpolant=self._of.interpolant,
+            quantities=self._of.quantities,
+        )
+
+    @cached_property
+    def fields(self) -> dict[str, Any]:
+        """The fields of all members together, as far as they are arrays or known before the records are made."""
+        return {
+            **self._arrays(...),
+            "cost": self.found.cost,
+            "success": np.array([own.success for own in self._statuses]),
+            "result": [own.result for own in self._statuses],
+            "statistics": [self._statistics(k) for k in range(len(self._statuses))],
+            "parameters": self._parameters,
         }
-        active = _active(transcribed, held)
-        if self._constrained:
-            diagnostics = _without_symmetries(diagnostics, active)
-        known = {**_known_checks(found, success), "active": active}
 
-        def member(k: int) -> Solution:
-            own, arrays = vec.taken((diagnostics, fields), k)
-            return Solution(
-                **arrays,
-                **statuses[k]._asdict(),
-                cost=found.cost[k].item(),
-                checks=RegularChecks.of(own, **{name: values[k] for name, values in known.items()}),
-                statistics=statistics[k],
-                quantities=self.quantities,
-                interpolant=self.interpolant,
-                parameters=None if parameters is None else jax.tree.map(lambda leaf: np.array(leaf[k]), parameters),
-            )
-
-        numbers = {"cost": found.cost, "success": success, "result": results}
-        return {**fields, **numbers, "parameters": parameters, "statistics": statistics}, member
-
-    def _statuses(
-        self,
-        transcribed: TranscribedProblem,
-        found: DiscreteExtremals,
-        stages: AtStages,
-        held: np.ndarray | None,
-        trajectories: dict[str, Any],
-        tolerance: float,
-    ) -> list[Status]:
+    def _statuses_of(self, tolerance: float) -> list[Status]:
         """The status of each member, with reasons."""
-        statuses = termination_statuses(found, tolerance)
-        concave = find_concave_directions(transcribed, found, stages, held, np.array([own.success for own in statuses]))
+        transcribed, found = self.transcribed, self.found
+        statuses, notes = termination_statuses(found, tolerance), found.notes or [""] * len(found.cost)
+        success = np.array([own.success for own in statuses])
+        concave = find_concave_directions(transcribed, found, self._stages, self._held, success)
         for k, own in enumerate(statuses):
             if k in concave:
-                statuses[k] = concave_status(self._where(concave[k], k, trajectories, stages))
-                continue
-            more = self._unmoved(transcribed, found, k) if own.result in STUCK_RESULTS else ""
-            more += _violation_words(transcribed, found, k, tolerance)
-            statuses[k] = own.because(more, found.notes[k] if found.notes else "")
+                statuses[k] = concave_status(self._where(concave[k], k))
+            elif notes[k] or not own.success:
+                more = self._unmoved(k) if own.result in STUCK_RESULTS else ""
+                statuses[k] = own.because(more + _violation_words(transcribed, found, k, tolerance), notes[k])
         return statuses
 
-    def _unmoved(self, transcribed: TranscribedProblem, found: DiscreteExtremals, k: int) -> str:
+    def _unmoved(self, k: int) -> str:
         """Words on a part of the end that follows from the rest, by the names of the user."""
+<<<<<<< HEAD
         own = self.quantities if self.formulation is None else self.formulation.own.quantities
         names = [name for quantity in own.states for name in quantity.columns]
         return unmoved_words(found.system(k), names)
+=======
+        if self.transcribed.conditions.joint:
+            return ""
+        own = self._of.names_for_user
+        names = [name for quantity in own.states for name in quantity.columns]
+        return unmoved_words(self.found.linear(k), names)
+>>>>>>> reader
 
-    def _where(self, one: ConcaveDirection, k: int, fields: dict[str, Any], stages: AtStages) -> str:
+    def _where(self, one: ConcaveDirection, k: int) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""
-        own, times = self.quantities, fields["stage_times"][k]
-        if self.formulation is not None:
-            own = self.formulation.own.quantities
-            times = times * float(self.formulation.rate(vec.taken(fields["states"], (k, 0))))
+        own, times, formulation = self._of.names_for_user, self._stage_times[k], self._of.formulation
+        if formulation is not None:
+            times = times * float(formulation.rate(self._of.state.points(self.found.nodes[k, 0])))
         names = [name for quantity in own.controls for name in quantity.columns]
-        return concave_words(self.problem, one, names, stages[1][k], times)
+        return concave_words(self._of.problem, one, names, self._stages[1][k], times)
 
-    def _trajectories(
-        self, nodes: np.ndarray, costates: np.ndarray, stages: AtStages, steps: np.ndarray
-    ) -> dict[str, Any]:
-        """Times, states, costates and controls of a batch, with a common array for the values at the stages."""
-        times = np.zeros((len(nodes), nodes.shape[1]))
-        steps.cumsum(axis=1, out=times[:, 1:])
-        between = times[:, :-1, None] + steps[:, :, None] * self.stages
+    def _statistics(self, k: int) -> Statistics:
+        return Statistics(int(self.found.iterations[k]), *self.seconds, self.found.stopped)
+
+    def _arrays(self, k: Any) -> dict[str, Any]:
+        """The arrays of a member, or, for ``...``, of all."""
+        state, nodes, (stages, controls, covectors) = self._of.state, self._at_nodes, self._stages
+        named = {
+            "momenta": nodes.momenta, "body_costates": nodes.body, "spatial_costates": nodes.spatial,
+            **self._multipliers,
+        }  # fmt: skip
         return {
-            "times": times,
-            "states": self.state.points(nodes),
-            "costates": self.state.points(costates),
-            "stage_times": between.reshape(len(nodes), -1),
-            "stage_states": self.state.points(stages[0]),
-            "stage_costates": self.state.points(stages[2]),
-            "controls": self.control.points(stages[1]),
-        }
+            "times": self._times[k],
+            "states": state.points(self.found.nodes[k]),
+            "costates": state.points(nodes.costates[k]),
+            "stage_times": self._stage_times[k],
+            "stage_states": state.points(stages[k]),
+            "stage_costates": state.points(covectors[k]),
+            "controls": self._of.control.points(controls[k]),
+            "hamiltonians": self._along.hamiltonians[k],
+        } | {field: {name: rows[k] for name, rows in own.items()} for field, own in named.items()}
+
+    def _figures(self, k: int) -> dict[str, Any]:
+        """The figures of a member that are computed when one is read."""
+        return figures(vec.taken(self._diagnostics, k))
+
+    @cached_property
+    def _diagnostics(self) -> Diagnostics:
+        """The diagnostics of all members.
+
+        Momenta may change where constraints hold a trajectory: they may break symmetries.
+        """
+        diagnosis, given = self.transcribed.traced.diagnosis, self.transcribed.conditions.data.parameters
+        with np.errstate(all="ignore"):
+            found = diagnosis.of(self._at_nodes, self._along, self._stages, given)
+        if not self._of.constrained:
+            return found
+        held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in self._active]
+        free = np.where(held, np.inf, 0.0)[:, None]
+        return found._replace(brackets={name: rates + free for name, rates in found.brackets.items()})
 
 
-def _without_symmetries(diagnostics: Diagnostics, active: list[dict[str, int]]) -> Diagnostics:
-    """The diagnostics, with momenta that may change where constraints hold a trajectory: they may break symmetries."""
-    held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in active]
-    free = np.where(held, np.inf, 0.0)[:, None]
-    return diagnostics._replace(brackets={name: rates + free for name, rates in diagnostics.brackets.items()})
-
-
-def _known_checks(found: DiscreteExtremals, success: np.ndarray) -> dict[str, list[Any]]:
-    """The checks of each member that the iteration computes."""
-    residuals = found.residuals
-    values = {
-        "defect": residuals.defect,
-        "stationarity": residuals.stationarity,
-        "strict_minimum": found.strict_minimum & success,
-        "violation": np.maximum(residuals.violation, residuals.excess),
-        "complementarity": residuals.complementarity,
-    }
-    return {name: array.tolist() for name, array in values.items()}
+def _times(steps: np.ndarray, stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The times of the nodes, and of the stages at some places in each step, from the lengths of the steps."""
+    times = np.zeros((len(steps), steps.shape[1] + 1))
+    steps.cumsum(axis=1, out=times[:, 1:])
+    return times, (times[:, :-1, None] + steps[:, :, None] * stages).reshape(len(times), -1)
 
 
 def _active(transcribed: TranscribedProblem, held: np.ndarray | None) -> list[dict[str, int]]:

@@ -1,8 +1,9 @@
 """The figures of a solution that a user checks."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, field, replace
-from typing import Any, Self, TypeVar, final
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, Self, TypeVar, final
 
 import numpy as np
 
@@ -15,10 +16,28 @@ Record = TypeVar("Record", bound=Any)
 TOO_COARSE = 0.1
 
 
+FIGURES = "violations", "hamiltonian", "hamiltonian_spread", "hamiltonian_size", "momentum_spreads", "conserved"
+LATER = "_later"  # attribute of checks: the function that computes their figures
+
+
 def _spread(values: np.ndarray) -> float:
     """The largest maximum minus minimum along the leading axis; along the last one NumPy takes a third of the time."""
     columns = np.ascontiguousarray(values.T)
     return float((columns.max(axis=-1) - columns.min(axis=-1)).max())
+
+
+def figures(diagnostics: Diagnostics) -> dict[str, Any]:
+    """The figures of one trajectory from its diagnostics, which are NumPy arrays."""
+    hamiltonians, tolerance = diagnostics.hamiltonians, default_tolerance()
+    values = (
+        {name: float(value) for name, value in diagnostics.violations.items()},
+        float(hamiltonians[0]),
+        _spread(hamiltonians),
+        float(diagnostics.hamiltonian_size),
+        {name: _spread(j) for name, j in diagnostics.momenta.items()},
+        {name: int((rates <= tolerance).sum()) for name, rates in diagnostics.brackets.items()},
+    )
+    return dict(zip(FIGURES, values, strict=True))
 
 
 @dataclass(frozen=True)
@@ -68,18 +87,34 @@ class Checks(ABC):
         **more
             Further fields.
         """
-        hamiltonians, tolerance = diagnostics.hamiltonians, default_tolerance()
-        return cls(
-            defect=defect,
-            stationarity=stationarity,
-            violations={name: float(value) for name, value in diagnostics.violations.items()},
-            hamiltonian=float(hamiltonians[0]),
-            hamiltonian_spread=_spread(hamiltonians),
-            hamiltonian_size=float(diagnostics.hamiltonian_size),
-            momentum_spreads={name: _spread(j) for name, j in diagnostics.momenta.items()},
-            conserved={name: int((rates <= tolerance).sum()) for name, rates in diagnostics.brackets.items()},
-            **more,
-        )
+        return cls(defect=defect, stationarity=stationarity, **figures(diagnostics), **more)
+
+    @classmethod
+    def later(cls, make: Callable[[], dict[str, Any]], **known: Any) -> Self:
+        """The known figures, and further figures that are computed when one of them is read.
+
+        Parameters
+        ----------
+        make : callable
+            A function that returns the figures of the Hamiltonian and of momenta, and the violations.
+        **known
+            The remaining fields.
+        """
+        checks = object.__new__(cls)
+        vars(checks).update(known, **{LATER: make})
+        return checks
+
+    if not TYPE_CHECKING:  # a checker knows the fields
+
+        def __getattr__(self, name: str) -> Any:
+            known = vars(self)
+            if name not in FIGURES or LATER not in known:
+                raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
+            known.update(known[LATER]())
+            return known[name]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {own.name: getattr(self, own.name) for own in fields(self)}
 
     gap = former_field("checks", "gap", "defect")
     constraint = former_field("checks", "constraint", "manifold_violation")

@@ -20,13 +20,8 @@ from .interpolation import Interpolant, Sample
 from .plots import HistoryPlots
 
 FILE_VERSION = 7  # of the file
-NAMED_ELSEWHERE = {
-    "x": "states",
-    "y": "states",
-    "J": "cost",
-    "T": "horizon",
-    "nit": "statistics.iterations",
-}  # by others
+# Names of the fields in other libraries.
+NAMED_ELSEWHERE = {"x": "states", "y": "states", "J": "cost", "T": "horizon", "nit": "statistics.iterations"}
 Status = Literal["minimum", "stationary", "failed"]
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
@@ -330,12 +325,17 @@ class Solution(HistoryPlots):
         values["parameters"] = _in_tuples(self.parameters)
         values["multipliers"] = self.stage_multipliers
         values["boundary"] = {name: row for name, row in self.multipliers.items() if row.ndim == 1}
-        _FILE.write(path, {name: vars(value) if is_dataclass(value) else value for name, value in values.items()})
+        _FILE.write(path, {name: _parts(value) if is_dataclass(value) else value for name, value in values.items()})
 
 
 def status_of(success: bool, strict_minimum: bool) -> Status:
     """The status of an extremal with or without success."""
     return ("minimum" if strict_minimum else "stationary") if success else "failed"
+
+
+def _parts(value: Any) -> dict[str, Any]:
+    """The fields of a dataclass by their names."""
+    return {part.name: getattr(value, part.name) for part in fields(value)}
 
 
 def _in_tuples(value: Any) -> Any:

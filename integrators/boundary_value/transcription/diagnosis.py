@@ -20,6 +20,7 @@ from ...problem.point_layout import PointLayout, parameter_layout
 from ...problem_checks.control_probing import flat_directions
 from ...stages.stage import positive
 
+Stages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and costates at the stages
 SAMPLES = 3  # stages at which symmetry and rounding are looked at
 
 
@@ -30,11 +31,16 @@ class Diagnostics(NamedTuple):
     # Largest of the two parts <p, X> and F over the stages, no less than what is rounding in them.
     hamiltonian_size: np.ndarray
     momenta: dict[str, np.ndarray]
-    body: dict[str, np.ndarray]
-    spatial: dict[str, np.ndarray]
     violations: dict[str, np.ndarray]  # of the manifold's equations, largest over the nodes
     brackets: dict[str, np.ndarray]  # {J_i, H} of every momentum, relative to its parts: largest over the samples
-    normal: np.ndarray  # normal part of the dynamics, relative to 1 + its size, largest over the stages
+
+
+class AlongStages(NamedTuple):
+    """Values of a batch along its stages, (B, S)."""
+
+    hamiltonians: np.ndarray
+    sizes: np.ndarray  # the larger one of <p, X> and F
+    normal: np.ndarray  # normal part of the dynamics, relative to 1 + its size
 
 
 class AtNodes(NamedTuple):
@@ -81,18 +87,17 @@ class Diagnosis:
         worst = dict(zip(self._equations, violations.max(axis=1).T[1:], strict=True))
         return AtNodes(projected, momenta, body, spatial, worst)
 
-    def __call__(
-        self, nodes: AtNodes, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray
-    ) -> Diagnostics:
-        """Diagnostics from what the nodes have, and states, controls and costates at the stages, (B, S, ...)."""
-        given = parameters[:, None]
-        hamiltonians, sizes, normal = self._stage.at(2, *stages, given)
-        rounding, brackets = self._at_samples(stages, given)
-        size = np.maximum(sizes.max(axis=1), rounding)
-        own = nodes.momenta, nodes.body, nodes.spatial, nodes.violations
-        return Diagnostics(hamiltonians, size, *own, brackets, normal.max(axis=1))
+    def along(self, stages: Stages, parameters: np.ndarray) -> AlongStages:
+        """Values of states, controls and costates at the stages, (B, S, ...)."""
+        return AlongStages(*self._stage.at(2, *stages, parameters[:, None]))
 
-    def is_curved(self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], parameters: np.ndarray) -> bool:
+    def of(self, nodes: AtNodes, along: AlongStages, stages: Stages, parameters: np.ndarray) -> Diagnostics:
+        """Diagnostics from the values along nodes and stages."""
+        rounding, brackets = self._at_samples(stages, parameters[:, None])
+        size = np.maximum(along.sizes.max(axis=1), rounding)
+        return Diagnostics(along.hamiltonians, size, nodes.momenta, nodes.violations, brackets)
+
+    def is_curved(self, stages: Stages, parameters: np.ndarray) -> bool:
         """Whether ``d2H/du2`` is invertible at the samples of the stages of one trajectory, as for a regular
         problem."""
         return bool(np.all(self.curved(_samples(stages), parameters)))
@@ -134,9 +139,7 @@ class Diagnosis:
         problem, point, control, _ = self._bound(q, u, q, parameters)
         return pull @ problem.inequalities(point, problem._steer(control, d)), jnp.zeros(0)
 
-    def _at_samples(
-        self, stages: tuple[np.ndarray, np.ndarray, np.ndarray], given: np.ndarray
-    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _at_samples(self, stages: Stages, given: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Size below which ``<p, X>`` and ``F`` are rounding of the terms that they are sums of; and the brackets.
 
         The terms of ``F`` show in its derivatives, by coordinates in units of their size or of 1, whichever is larger:

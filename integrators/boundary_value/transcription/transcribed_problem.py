@@ -14,7 +14,8 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
 from ..inputs.arguments import Method, structure_of
 from ..inputs.guess_arrays import FlatGuess
-from ..inputs.inputs import Inputs, repeat_for_all
+from ..inputs.inputs import Inputs
+from ..inputs.members import repeat_for_all
 from .diagnosis import Diagnosis
 from .discrete_phase import DiscretePhase
 from .functions.collocation import CollocationFunctions
@@ -106,11 +107,11 @@ class Transcription:
     def transcribe(self, inputs: Inputs, repeated: bool = False) -> TranscribedProblem:
         """The conditions and guesses of the inputs; ``repeated`` if the constraints of its first node belong to another
         phase."""
-        traced, ends = self.of(inputs), inputs.ends
-        rows = repeat_for_all(ends.start, len(inputs)), repeat_for_all(ends.end, len(inputs))
+        traced, ends, count = self.of(inputs), inputs.ends, len(inputs)
+        rows = repeat_for_all(ends.start, count), repeat_for_all(ends.end, count)
         first, last = ends.prescribed
         mask = traced.rows.mask(len(self.fractions), (first, last), repeated)
-        asked = None if mask is None else repeat_for_all(mask.astype(float)[None], len(inputs))
+        asked = None if mask is None else repeat_for_all(mask.astype(float)[None], count)
         data = Data(inputs.horizons[:, None] * self.fractions, inputs.rows, asked)
         own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
         conditions = DiscretePhase(traced.steps, traced.nodes, own, data)
