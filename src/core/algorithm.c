@@ -67,6 +67,7 @@ void retrax_measure(retrax_search *search, double *iterate) {
         }
         retrax_measure_residuals(phase->layout, iterate + phase->place, &scale, limited ? &phase->limits : NULL);
     }
+    retrax_measure_by_spans(search, iterate);
     if (coupled) {
         retrax_join_residuals(search, iterate);
     }

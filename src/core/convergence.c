@@ -199,6 +199,68 @@ static double stationarity_of(const retrax_layout *layout, const double *traject
     return found;
 }
 
+/* What an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size of a control. */
+static double span_of(const retrax_layout *layout, const double *trajectory, retrax_index i) {
+    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
+    double found = i < n ? 0.0 : retrax_control_size(layout, trajectory, i - n);
+    for (retrax_index e = 0; e < E && i < n; e++) {
+        const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e];
+        const double size = retrax_larger(high + low, RETRAX_VALUE_SHARE * retrax_larger(high, low));
+        found = retrax_larger(found, ARRAY(SUPPORT)[i * E + e] * size);
+    }
+    return found;
+}
+
+/* The largest curvature of the Lagrangian by an unknown of the steps, other than through what follows of it: of a step
+ * whose points are condensed, that by the unknown of a point itself. */
+static double own_curvature(const retrax_layout *layout, const double *trajectory, retrax_index i) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index n = problem->state_size, m = problem->control_size, q = retrax_point_unknowns(problem);
+    const retrax_index place = i < n ? i : q - m + (i - n) % m;
+    double found = retrax_collocates(problem) ? 0.0 : ARRAY(CURVATURES)[i];
+    for (retrax_index point = 0; point < problem->steps * problem->points && retrax_collocates(problem); point++) {
+        found = retrax_larger(found, fabs(ARRAY(POINT_HESSIANS)[(point * q + place) * q + place]));
+    }
+    for (int side = 0; side < 2 && i < n; side++) {
+        const retrax_end_cost cost = retrax_end_cost_of(layout, trajectory, side == 1);
+        found = retrax_larger(found, cost.derivative != NULL ? fabs(cost.curvature[i * n + i]) : 0.0);
+    }
+    return found;
+}
+
+/* What the Lagrangian of a step is made of: its cost, the parts of its derivative by unknowns that move by what they span,
+ * and, where these vanish, its curvature; with a barrier that has no bound. */
+static double content_of(const retrax_phase *phase, const double *trajectory) {
+    const retrax_layout *const layout = phase->layout;
+    const bool limited = retrax_is_limited(layout->problem);
+    double found = limited ? phase->judging.cost : 0.0;
+    for (retrax_index k = 0; k < layout->problem->steps; k++) {
+        found = retrax_larger(found, fabs(ARRAY(COSTS)[k]));
+    }
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
+        const double span = span_of(layout, trajectory, i), unit = phase->judging.unknowns[i];
+        const double size = i < layout->problem->state_size ? span : retrax_larger(span, unit); /* at rest controls are 0 */
+        found = retrax_larger(found, span * ARRAY(PARTS)[i]);
+        found = retrax_larger(found, limited ? 0.0 : size * size * own_curvature(layout, trajectory, i));
+    }
+    return found;
+}
+
+void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
+    double content = 0.0;
+    EACH_PHASE(phase) { content = retrax_larger(content, content_of(phase, iterate + phase->place)); }
+    EACH_PHASE(phase) {
+        const retrax_layout *const layout = phase->layout;
+        double *const trajectory = iterate + phase->place, *const found = ARRAY(RESIDUALS);
+        for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
+            const double span = span_of(layout, trajectory, i);
+            const double parts = retrax_larger(span * ARRAY(PARTS)[i], RETRAX_SHARE * content);
+            found[RETRAX_STATIONARITY] = retrax_larger(found[RETRAX_STATIONARITY], span * ARRAY(LARGEST_SLOPES)[i] / or_one(parts));
+        }
+        found[RETRAX_FINAL] = retrax_larger(found[RETRAX_FINAL], found[RETRAX_STATIONARITY]);
+    }
+}
+
 /* Adds the residuals of the inequalities. */
 static void measure_inequalities(const retrax_layout *layout, double *trajectory, const retrax_limit_scale *limits,
                                  double *found) {

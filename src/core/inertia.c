@@ -4,7 +4,8 @@
  * Where the Hessian is not positive definite on the null space of the constraints, its diagonal is raised until the inertia
  * says that it is: else the way to a minimum leads past saddles. Where constraints depend on each other no inertia is right.
  * From a large shift on positive curvature along the step is enough [Chiang, Zavala, An inertia-free filter line-search
- * algorithm, Comput. Optim. Appl. 64, 2016].
+ * algorithm, Comput. Optim. Appl. 64, 2016]; so it is where the steps of a trajectory are farther apart than it is long,
+ * since the multipliers of such equations, and the curvature that these weigh, tell nothing of a minimum.
  */
 #include "search.h"
 
@@ -17,6 +18,8 @@
 #define FIRST_SHIFT 1e-4
 /* A shift that makes the Hessian convex on the null space of the constraints, if these are independent. */
 #define CONVEX 1e2
+/* Times the spread of a trajectory: gaps from which on its pieces do not belong together. */
+#define APART 1.0
 /* Share of the largest curvature of a coordinate in natural sizes that others are shifted by at least. */
 #define SOFTEST 1e-3
 /* Share of the way to the boundary that slacks and multipliers may go. */
@@ -180,16 +183,18 @@ double retrax_step_length(const retrax_search *search) {
 }
 
 /* Whether the step has positive curvature, and the inertia of a convex problem, or a shift that is large. */
-static bool descends(const retrax_direction *step, bool loose) {
-    return step->curvature >= CURVATURE * step->size && (step->convex || step->shift >= CONVEX || loose);
+static bool descends(const retrax_search *search, bool loose) {
+    const retrax_direction *const step = &search->direction;
+    const bool enough = loose || step->shift >= CONVEX || RESIDUAL(search->at, DEFECT) > APART;
+    return step->curvature >= CURVATURE * step->size && (step->convex || enough);
 }
 
 void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose) {
     retrax_direction *const step = &search->direction;
     retrax_newton_step(search, shift);
-    step->descends = descends(step, loose);
+    step->descends = descends(search, loose);
     while (!(step->descends || keep) && step->shift < RETRAX_LARGEST_SHIFT) {
         retrax_newton_step(search, fmax(RAISE * step->shift, FIRST_SHIFT));
-        step->descends = descends(step, loose);
+        step->descends = descends(search, loose);
     }
 }
