@@ -12,7 +12,6 @@ from ....undisturbed import undisturbed
 from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
-from ..engine import first_use
 from ..engine.collocation import Collocation
 from ..engine.conditions import Conditions
 from ..engine.coupling import Coupling
@@ -69,12 +68,6 @@ class Transcription:
         other._found, other._start = self._found, self._start
         return other
 
-    def compile(self) -> bool:
-        """Make machine code of what is traced; whether the functions of the problem are."""
-        self.evaluator.compile()
-        self._start.compile()
-        return bool(self._found)
-
     def traced(self, parameters: Any) -> TracedFunctions:
         """The functions with parameters of this structure."""
         key = structure_of(parameters)
@@ -91,8 +84,6 @@ class Transcription:
             steps: Any = Collocation(self.problem, self.method, *given[1:])
         else:
             steps = OneStage(self.problem, self.method.discretization_map, *given[1:])
-        if self.evaluator.name == "tape":
-            first_use.begin()
         rows = InequalityRows(self.problem, parameters, len(self.stages))
         own = PhaseProblem(self.problem, parameters)
         coupling = linkages_of([own], self.evaluator) if self.problem._boundary.any else None

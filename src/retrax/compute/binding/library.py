@@ -25,7 +25,7 @@ from ...errors import InvalidInputError, RetraxError
 
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
-HEADER_VERSION = 5  # of the header that the structs below repeat
+HEADER_VERSION = 6  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
@@ -389,7 +389,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_tape_lanes": (c_ssize_t, [POINTER(TapeStruct), c_ssize_t]),
     "retrax_tape_run": (
         None,
-        [POINTER(TapeStruct), POINTER(TapeDataStruct), c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
+        [c_void_p, c_void_p, c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
     ),
     "retrax_lu_factorise": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
     "retrax_lu_solve": (None, [c_ssize_t, c_void_p, c_void_p, c_ssize_t, c_void_p, c_int]),
