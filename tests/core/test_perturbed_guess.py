@@ -12,7 +12,7 @@ from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 
-from ..integrators.engine.test_trial import CASES
+from ..integrators.search_cases import CASES
 from ..integrators.problems import IDENTITY, REST, RIGID, SLEW, half_square
 from .test_transcription import posed, put, run_on_core
 

@@ -17,7 +17,7 @@ from retrax.integrators.boundary_value.engine.transcription import Moves
 from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import InvalidInputError
 
-from ..integrators.engine.test_trial import CASES, SLEWS
+from ..integrators.search_cases import CASES, SLEWS
 
 SETS = range(best_instruction_set() + 1)
 NAMES = list(CASES)
