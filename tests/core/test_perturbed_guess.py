@@ -12,8 +12,8 @@ from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 
-from ..integrators.search_cases import CASES
 from ..integrators.problems import IDENTITY, REST, RIGID, SLEW, half_square
+from ..integrators.search_cases import CASES
 from .test_transcription import posed, put, run_on_core
 
 SPACE, PLANE = Euclidean(3), Euclidean(2)

@@ -20,8 +20,8 @@ from retrax.integrators.boundary_value.transcription import core_search
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss, Midpoint
 
-from ..integrators.search_cases import CASES
 from ..integrators.problems import half_square
+from ..integrators.search_cases import CASES
 from .test_transcription import posed, run_on_core
 
 LINE, PLANE = Euclidean(1), Euclidean(2)

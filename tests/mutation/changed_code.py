@@ -12,7 +12,8 @@ def change(path: Path, wrong: str) -> int:
     What the file has computed while it was imported stays as it is.
     """
     new = {(code.co_qualname, code.co_firstlineno): code for code in _parts(compile(wrong, str(path), "exec"))}
-    functions = [f for f in gc.get_objects() if type(f) is FunctionType and Path(f.__code__.co_filename).resolve() == path]
+    held = (own for own in gc.get_objects() if type(own) is FunctionType)
+    functions = [own for own in held if Path(own.__code__.co_filename).resolve() == path]
     changed = 0
     for function in functions:
         code = new.get((function.__code__.co_qualname, function.__code__.co_firstlineno))

@@ -32,8 +32,8 @@ class Tape:
 
     Notes
     -----
-    A tape takes arrays of many points, with the axis of the points last, in double precision. The compiled core runs the
-    instructions: no code is compiled for a function, which runs some milliseconds after the trace.
+    A tape takes arrays of many points, with the axis of the points last, in double precision. The compiled core runs
+    the instructions: no code is compiled for a function, which runs some milliseconds after the trace.
     """
 
     def __init__(self, graph: Graph, values: list[Entries], arguments: tuple[list[Leaf], Any], structure: Any) -> None:
