@@ -41,7 +41,7 @@ def main() -> None:
         "precision": "double" if config.jax_enable_x64 else "single, until jax_enable_x64 is set",
         "devices of JAX": ", ".join(str(device) for device in jax.devices()),
         "threads": f"{os.cpu_count()} processors",
-        "compiled core": compiled_core(),
+        "core": compiled_core(),
         "XLA programs kept in": config.jax_compilation_cache_dir or "no folder",
         **{name: value for name, value in sorted(os.environ.items()) if name.startswith(VARIABLES)},
     }
