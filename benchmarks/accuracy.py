@@ -70,8 +70,6 @@ def measured(repeats):
     built, rows = list(cases()), []
     for name, size, slew in built:
         slew.solve()
-        if name.startswith("retrax"):
-            slew.solver.compile()
         torque = slew.torque()
         error, excess = attitude_error(torque), torque.cost() - OPTIMUM
         rows.append({"method": name, "size": size, "attitude_error": error, "cost_excess": excess, "seconds": []})

@@ -304,7 +304,7 @@ def trajectories(name, seconds, compilations):
         calls[COUNT][solver] = partial(batch, starts, tolerance)
     warm = {count: seconds_of(sides, seconds) for count, sides in calls.items()}
     for solver, row in rows.items():
-        label = {"compiled core": f"{OURS}: compiled kernels", OURS: f"{OURS}: find_root"}.get(solver, solver)
+        label = {"compiled core": f"{OURS}: compiled core", OURS: f"{OURS}: find_root"}.get(solver, solver)
         row = {"trajectory": name, "solver": label, "tolerance": None, "apart": 0.0} | row
         for count, times in warm.items():
             row[f"microseconds a step, {count}"] = round(1e6 * times[solver] / STEPS / count, 3)

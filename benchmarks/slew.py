@@ -6,8 +6,8 @@
 All sides solve the same problem by a midpoint scheme from the same kind of guess (attitude interpolated, rates zero),
 in one run, calls taken in turns; medians. One JSON line a case.
 
-- ``warm``: a solve with everything built, machine code too (``solver.compile``), the whole call; of calls in turns,
-  where each finds the processor's caches filled by the other sides, and of ten in a row, as a controller makes them.
+- ``warm``: a solve with everything built, the whole call; of calls in turns, where each finds the processor's
+  caches filled by the other sides, and of ten in a row, as a controller makes them.
 - ``limited``: the same with each torque within 10 N m, which one of them reaches in three tenths of the horizon; IPOPT
   alone.
 - ``fastest``: in the least time with each torque within 50 N m; IPOPT alone.
@@ -75,7 +75,6 @@ def warm(steps, repeats):
 
     slews = {"retrax": RetraxSlew(steps), **casadi_slews(steps)}
     costs = {name: slew.solve() if name == "retrax" else slew.solve()[0] for name, slew in slews.items()}
-    slews["retrax"].solver.compile()
     calls, rows = {name: slew.solve for name, slew in slews.items()}, {}
     for words, row in (("in turns", 1), ("in a row", ROW)):
         medians = in_turns(calls, repeats, row)
@@ -106,7 +105,6 @@ def fastest(steps, repeats):
 def beside_ipopt(ours, other, steps, repeats):
     """Median milliseconds of a warm solve of both sides, iterations and costs."""
     costs = {"retrax": ours.solve(), "IPOPT": other.solve()[0]}
-    ours.solver.compile()
     medians = in_turns({"retrax": ours.solve, "IPOPT": other.solve}, repeats)
     return {
         "steps": steps,
@@ -175,8 +173,6 @@ def cold(repeats):
         )
         for name, side, environment in cases:
             rows[name] = cold_row([cold_process(side, environment) for _ in range(repeats)])
-        with tempfile.TemporaryDirectory() as kernels:
-            rows["retrax, very first use"] = cold_row([cold_process("retrax", uncached | {"NUMBA_CACHE_DIR": kernels})])
     return {"case": "cold process, 100 steps", **rows}
 
 
@@ -233,7 +229,6 @@ def at_once(steps, stages, angles, axes, evaluator="automatic"):
     found = call()
     seconds = time.perf_counter() - began
     torques = [polynomials(s.require_success().times, s.stage_times, s.controls) for s in found]
-    solver.compile()
     return seconds, errors(torques, angles, axes), call
 
 
@@ -313,7 +308,6 @@ def batch(repeats):
         return slew.solver.solve_many(at_rest(np.eye(3)), ends, HORIZON, tolerance=TOLERANCE)
 
     solved = int(np.sum(call().success))
-    slew.solver.compile()
     seconds = statistics.median(timed(call) for _ in range(repeats))
     return {"case": f"{BATCH} limited slews", "ms_each": round(1e3 * seconds / BATCH, 3), "solved": solved}
 
@@ -326,7 +320,6 @@ def long(repeats):
     for steps in (100, 1000, 10_000):
         slew = RetraxSlew(steps)
         slew.solve()
-        slew.solver.compile()
         rows[str(steps)] = round(1e6 * statistics.median(timed(slew.solve) for _ in range(repeats)) / steps, 2)
     return {"case": "long", "microseconds_a_step": rows}
 

@@ -3,7 +3,7 @@ cost.
 
 Counted is time of the processor, so that other programs on the machine do not count. ``alone`` is ``solve_many`` in one
 thread, chunk by chunk, without a sweep. The overhead of a sweep is all time of its processes that is not spent in
-solves, from the difference of two sweeps of different lengths: what a worker needs once, its imports and its kernels,
+solves, from the difference of two sweeps of different lengths: what a worker needs once, its imports and first solves,
 is shown apart.
 
     python benchmarks/sweep.py [--members 10000] [--workers 2] [--chunk 100] [--steps 60]
@@ -100,7 +100,7 @@ def main():
         f"in a worker: {rate:.0f} members a second of the processor; overhead of store and executor: {overhead:.2%} of "
         "the solves"
     )
-    print(f"imports, kernels and first solves of the process that leads and of its workers: {once:.1f} s in all")
+    print(f"imports and first solves of the process that leads and of its workers: {once:.1f} s in all")
 
 
 if __name__ == "__main__":

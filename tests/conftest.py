@@ -109,8 +109,7 @@ def pytest_unconfigure(config):
         os._exit(0)
 
 
-# Long files, or folders of them, which would be among the last: a worker that begins one then keeps others waiting. And
-# the file that compiles the kernel of initial-value problems, for which others would wait.
+# Long files, or folders of them, which would be among the last: a worker that begins one then keeps others waiting.
 FIRST = {"test_changed_functions.py", "test_docs.py", "test_threads.py", "testing"}
 
 

@@ -13,13 +13,6 @@ ROOMS = "manifolds", "retractions", "integrators", "src/retrax"
 # Files that are not mended yet, with the reason.
 LATER = {
     "integrators/boundary_value/engine/": "the compiled core replaces the engine",
-    **dict.fromkeys(
-        (
-            *(f"src/retrax/{name}.py" for name in ("aligned", "kernels", "linked")),
-            *(f"src/retrax/tape/{name}.py" for name in ("emitted", "native", "often", "transfers")),
-        ),
-        "goes with Numba",
-    ),
 }
 FORMULA = re.compile(r"``[^`]*``|:\w+:`[^`]*`|`[^`]*`")
 BEGINNINGS = re.compile(r"(What|That|Those|Of|Whose|Which)\b")

@@ -60,9 +60,6 @@ EXCEPTIONS: dict[str, frozenset[str]] = {
     "retractions/groups/special_euclidean.py": frozenset({"SEDecoupled"}),
     "retractions/restored.py": frozenset({"file"}),
     "src/retrax/aligned.py": frozenset({"file"}),
-    "src/retrax/errors.py": frozenset({"CompilingInterrupted"}),
-    "src/retrax/linked.py": frozenset({"file"}),
-    "src/retrax/tape/emitted.py": frozenset({"file"}),
     "src/retrax/undisturbed.py": frozenset({"file"}),
 }
 

@@ -1,6 +1,7 @@
 """A solver that its user holds: a problem traced once, then solved between many pairs of ends in milliseconds each."""
 
 import time
+import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from copy import copy
@@ -169,19 +170,12 @@ class Solver:
         return self._evaluator.reason
 
     def compile(self) -> None:
-        """The traced functions become machine code now, for callers with fixed times.
-
-        Otherwise a thread compiles them when they have run often. ``InvalidInputError`` if nothing is traced yet.
-        """
-        if not self._compile():
-            raise InvalidInputError(
-                "nothing is traced yet that could be compiled: what the functions take is known at the first call; try "
-                "solver.solve(...) before solver.compile()"
-            )
-
-    def _compile(self) -> bool:
-        """Make machine code of what is traced; whether anything is."""
-        return any([self._transcription.compile(), *(inner._compile() for inner in self._reformulation.solvers)])
+        """A former method without effect: a solver compiles nothing after its first call."""
+        warnings.warn(
+            "Solver.compile is deprecated: a solver compiles nothing after its first call; remove the call",
+            DeprecationWarning,
+            stacklevel=2,
+        )
 
     def __repr__(self) -> str:
         return (

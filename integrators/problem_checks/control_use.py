@@ -28,7 +28,7 @@ def warn_of_broadcast(program: ClosedJaxpr) -> None:
 
 def unread_controls(program: ClosedJaxpr, quantities: Quantities) -> list[str]:
     """The names of the entries of the controls that no function reads; none where the functions have no tape."""
-    from ...tape import NotTraceableError, Tape  # they load CasADi and Numba
+    from ...tape import NotTraceableError, Tape  # they load CasADi
 
     zeros = [np.zeros(kind.shape, kind.dtype) for kind in program.in_avals]
     try:

@@ -24,12 +24,12 @@ const char *retrax_tape_instruction_name(int code) {
     return code >= 0 && code < RETRAX_CODES ? names[code] : NULL;
 }
 
-/* Number of arguments of an instruction, RETRAX_RESERVED where no tape may have it. */
+/* Number of arguments of an instruction. */
 static int arguments_of(uint8_t code) {
 #define ARGUMENTS_OF(name, arguments) arguments,
     static const signed char arguments[] = {RETRAX_INSTRUCTIONS(ARGUMENTS_OF)};
 #undef ARGUMENTS_OF
-    return code < RETRAX_CODES ? arguments[code] : RETRAX_RESERVED;
+    return arguments[code];
 }
 
 /* Whether a value is a whole number with least <= value < end. */
@@ -87,11 +87,10 @@ retrax_status retrax_tape_check(const retrax_tape *tape) {
     retrax_index begin = 0; /* first instruction of the loop that is open, 0 if there is none */
     for (retrax_index k = 0; k < tape->instructions; k++) {
         const uint8_t code = tape->codes[k];
-        const int arguments = arguments_of(code);
-        if (arguments == RETRAX_RESERVED) {
+        if (code >= RETRAX_CODES) {
             return RETRAX_BAD_INSTRUCTION;
         }
-        if (!has_registers(tape, k, arguments)) {
+        if (!has_registers(tape, k, arguments_of(code))) {
             return RETRAX_BAD_REGISTER;
         }
         if ((code == RETRAX_INPUT && !has_place(tape, k, tape->inputs)) ||

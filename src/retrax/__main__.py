@@ -8,9 +8,11 @@ from typing import Any
 import jax
 
 from . import __version__
+from .compute.binding.library import MissingCoreError, best_instruction_set
 
-PACKAGES = "numpy", "scipy", "jax", "jaxlib", "equinox", "casadi", "numba", "geomstats", "pymanopt", "matplotlib"
-VARIABLES = "JAX_", "XLA_", "PJRT_", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_"  # beginnings of names that change results
+PACKAGES = "numpy", "scipy", "jax", "jaxlib", "equinox", "casadi", "geomstats", "pymanopt", "matplotlib"
+INSTRUCTION_SETS = "portable C", "AVX2", "AVX-512"  # in the order of ``retrax_instruction_set``
+VARIABLES = "JAX_", "XLA_", "PJRT_", "OMP_", "OPENBLAS_", "MKL_"  # beginnings of names that change results
 
 
 def installed(package: str) -> str:
@@ -21,6 +23,14 @@ def installed(package: str) -> str:
         return "not installed"
 
 
+def compiled_core() -> str:
+    """The instruction set with which the core runs, or the reason why it does not."""
+    try:
+        return INSTRUCTION_SETS[best_instruction_set()]
+    except MissingCoreError as error:
+        return f"missing: {error}"
+
+
 def main() -> None:
     """Print them."""
     config: Any = jax.config
@@ -28,11 +38,10 @@ def main() -> None:
         "retrax": __version__,
         "Python": f"{platform.python_version()} on {platform.platform()}",
         **{package: installed(package) for package in PACKAGES},
-        "evaluator": "tape" if installed("numba") != "not installed" else "xla, because Numba is not installed",
         "precision": "double" if config.jax_enable_x64 else "single, until jax_enable_x64 is set",
         "devices of JAX": ", ".join(str(device) for device in jax.devices()),
         "threads": f"{os.cpu_count()} processors",
-        "kernels kept in": os.environ.get("NUMBA_CACHE_DIR") or "__pycache__ beside the files of retrax",
+        "core": compiled_core(),
         "XLA programs kept in": config.jax_compilation_cache_dir or "no folder",
         **{name: value for name, value in sorted(os.environ.items()) if name.startswith(VARIABLES)},
     }

@@ -1,4 +1,4 @@
-"""Arrays that begin where a cache line begins, so that no vector of the processor lies across two of them."""
+"""Arrays that begin at a cache line, so that no vector of the processor lies across two lines."""
 
 import math
 import threading
@@ -38,8 +38,10 @@ _scratch = _Scratch()
 
 
 def scratch(shapes: Shapes) -> list[np.ndarray]:
-    """Arrays of these shapes, of numbers that are not set, for a kernel to work in: the next call in the thread for the
-    same shapes returns the same ones."""
+    """Working arrays of these shapes, of numbers that are not set.
+
+    The next call in the thread for the same shapes returns the same arrays.
+    """
     found = _scratch.known.get(shapes)
     if found is not None:
         return found

@@ -47,10 +47,6 @@ class InvalidCallError(InvalidInputError, TypeError):
     """
 
 
-class CompilingInterrupted(KeyboardInterrupt):
-    """An interrupt while a kernel is compiled: there is nothing yet that could be returned."""
-
-
 class NotDifferentiableError(RetraxError, ValueError):
     """The error of a function without derivatives: costates and Newton's method need them, forward and backward.
 

@@ -6,8 +6,6 @@ from contextlib import contextmanager
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
-from .errors import CompilingInterrupted
-
 ROOM = 70_000  # places on the stack, of 8 bytes
 
 P = ParamSpec("P")
@@ -24,15 +22,6 @@ def put_off() -> Iterator[None]:
     finally:
         if collects:
             gc.enable()
-
-
-@contextmanager
-def compiling() -> Iterator[None]:
-    """A time in which kernels are compiled, of which an interrupt says so."""
-    try:
-        yield
-    except KeyboardInterrupt as interrupt:
-        raise CompilingInterrupted(*interrupt.args) from interrupt
 
 
 def with_room(run: Callable[P, R], *arguments: P.args, **options: P.kwargs) -> R:

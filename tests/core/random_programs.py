@@ -90,11 +90,27 @@ def random_program(rng, length=30):
 
 def _of_libm(name):
     function = getattr(ctypes.CDLL(ctypes.util.find_library("m")), {"CONSTPOW": "pow"}.get(name, name.lower()))
-    function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double] * ARGUMENTS[name]
+    function.restype, function.argtypes = ctypes.c_double, [ctypes.c_double] * ARGUMENTS.get(name, 3)
     return lambda v, *arguments: np.array([function(*point) for point in zip(*arguments, strict=True)])
 
 
 TWO_NUMBERS = ("POW", "CONSTPOW", "FMOD", "COPYSIGN", "ATAN2", "HYPOT")
+
+
+def _products(fused):
+    """Instructions of products and sums, by ``fused(x, y, z)``, which is ``x y + z``, rounded once or twice."""
+    return {
+        "MUL_ADD": lambda v, x, y, z: fused(x, y, z),
+        "MUL_SUB": lambda v, x, y, z: fused(x, y, -z),
+        "SUB_MUL": lambda v, x, y, z: fused(-x, y, z),
+        "MUL_ADD_ADD": lambda v, x, y, z, t: fused(x, y, z) + t,
+        "TWO_MUL": lambda v, x, y, z, t: fused(z, t, x * y),
+        "TWO_MUL_ADD": lambda v, x, y, s, z, t: fused(z, t, fused(x, y, s)),
+        "MUL_SUB_MUL": lambda v, x, y, z, t: fused(z, t, -(x * y)),
+        "THREE_MUL": lambda v, x, y, z, t, q, r: fused(q, r, fused(z, t, x * y)),
+        "THREE_MUL_ADD": lambda v, x, y, s, z, t, q, r: fused(q, r, fused(z, t, fused(x, y, s))),
+    }
+
 
 # What each instruction computes of its constant and its arguments; products and sums are rounded each.
 MEANING = {
@@ -103,16 +119,8 @@ MEANING = {
     "SUB": lambda v, x, y: x - y,
     "MUL": lambda v, x, y: x * y,
     "DIV": lambda v, x, y: x / y,
-    "MUL_ADD": lambda v, x, y, z: x * y + z,
-    "MUL_SUB": lambda v, x, y, z: x * y - z,
-    "SUB_MUL": lambda v, x, y, z: z - x * y,
+    **_products(lambda x, y, z: x * y + z),
     "ADD_ADD": lambda v, x, y, z: x + y + z,
-    "MUL_ADD_ADD": lambda v, x, y, z, t: x * y + z + t,
-    "TWO_MUL": lambda v, x, y, z, t: z * t + x * y,
-    "TWO_MUL_ADD": lambda v, x, y, s, z, t: z * t + (x * y + s),
-    "MUL_SUB_MUL": lambda v, x, y, z, t: z * t - x * y,
-    "THREE_MUL": lambda v, x, y, z, t, q, r: q * r + (z * t + x * y),
-    "THREE_MUL_ADD": lambda v, x, y, s, z, t, q, r: q * r + (z * t + (x * y + s)),
     "ADD_CONST": lambda v, x: x + v,
     "MUL_CONST": lambda v, x: x * v,
     "CONST_SUB": lambda v, x: v - x,
@@ -140,10 +148,16 @@ MEANING = {
     "SIGN": lambda v, x: np.where(x > 0, 1.0, np.where(x < 0, -1.0, x)),
 }
 
+FUSED_MEANING = MEANING | _products(lambda *arguments: _of_libm("FMA")(None, *arguments))
+
 
 @np.errstate(all="ignore")
-def interpreted(program, inputs):
-    """Outputs of a program, shape ``(points, outputs)``, all points being one lane; it works for every program."""
+def interpreted(program, inputs, fused=False):
+    """Outputs of a program, shape ``(points, outputs)``, all points being one lane; it works for every program.
+
+    ``fused``: a product and a sum are rounded once.
+    """
+    meaning = FUSED_MEANING if fused else MEANING
     registers, outputs = np.full((program.size, len(inputs)), np.nan), np.empty((len(inputs), program.outputs))
     k = left = 0
     while k < len(program.codes):
@@ -161,7 +175,7 @@ def interpreted(program, inputs):
             if left > 0 and (registers[operands[0]] == 0).any():
                 k = int(value) - 1
         else:
-            registers[to] = MEANING[name](value, *(registers[i] for i in operands[: ARGUMENTS[name]]))
+            registers[to] = meaning[name](value, *(registers[i] for i in operands[: ARGUMENTS[name]]))
         k += 1
     return outputs
 

@@ -1,4 +1,4 @@
-"""The compiled core runs tapes: numbers of the machine, whatever the lanes, and no layout that leaves its arrays."""
+"""The compiled core runs tapes: numbers of an interpreter, whatever the lanes, and no layout that leaves its arrays."""
 
 from dataclasses import replace
 
@@ -8,8 +8,9 @@ import pytest
 from retrax.compute.binding.library import best_instruction_set, library
 from retrax.compute.binding.tape_machine import MachineProgram
 from retrax.manifolds import InvalidInputError
-from retrax.tape import Tape, machine
+from retrax.tape import Tape
 from retrax.tape.instructions import CODES, NAMES
+from retrax.tape.program import Program
 
 from ..tape.functions import SMOOTH, SPECIAL
 from .random_programs import ARGUMENTS, HARD, MEANING, assert_same_numbers, interpreted, random_program
@@ -40,34 +41,25 @@ def run(program, inputs, own=None, lanes=None):
     return outputs
 
 
-def run_by_numba(program, inputs, lanes=None):
-    outputs = np.full((len(inputs), program.outputs), 7.0)
-    width = machine.lanes_for(len(inputs), program) if lanes is None else lanes
-    registers = np.empty((program.size, width))
-    arrays = program.codes, program.registers, program.values
-    machine.run(*arrays, *ends_of(inputs, outputs), registers, 0, len(inputs))
-    return outputs
-
-
 def test_both_lists_of_instructions_are_one():
     names = [library().retrax_tape_instruction_name(code) for code in range(-1, len(NAMES) + 1)]
     assert names == [None, *(name.encode() for name in NAMES), None]
-    assert {"INPUT", "LOOP", "CODE", "READ", "WRITE"} == NAMES_WITHOUT_ARGUMENTS
+    assert {"INPUT", "LOOP"} == NAMES_WITHOUT_ARGUMENTS
 
 
 NAMES_WITHOUT_ARGUMENTS = set(NAMES) - set(ARGUMENTS)
 
 
 @pytest.mark.parametrize("name", [*SMOOTH, *SPECIAL])
-def test_numbers_are_those_of_the_machine_to_the_last_bit(name):
-    """Values and second derivatives, where they are no numbers too; fused products and sums as Numba has them."""
+def test_numbers_are_those_of_an_interpreter_to_the_last_bit(name):
+    """Values and second derivatives, where they are no numbers too; products and sums rounded once, or each."""
     function, x = (SMOOTH[name], POINTS) if name in SMOOTH else (SPECIAL[name][0], SPECIAL[name][1][:, None])
     weights = np.arange(1.0, 4.0)
     value = Tape.trace(lambda y: jnp.sum(jnp.sin(weights * function(y))), x[:, 0])
     for tape in (Tape.trace(function, x[:, 0]), value.second_order()):
-        expected = run_by_numba(tape.program, x.T.copy())
-        for own in range(1, best_instruction_set() + 1):
-            assert_same_numbers(run(tape.program, x.T.copy(), own), expected)
+        expected = [interpreted(tape.program, x.T, fused) for fused in (False, True)]
+        for own in range(best_instruction_set() + 1):
+            assert_same_numbers(run(tape.program, x.T.copy(), own), expected[own > PORTABLE])
 
 
 @pytest.mark.parametrize("own", [-1, 7])
@@ -87,7 +79,7 @@ def test_every_instruction_is_what_it_says():
         registers[:count, 0], registers[count, 0], registers[count + 1, 1] = range(count), count, count
         registers[count, 1 : count + 1] = range(count)
         for value in (0.0, -1.5, np.nan):
-            program = machine.Program(codes, registers, np.array([*range(count), value, 0.0]), count, 1, count + 1)
+            program = Program(codes, registers, np.array([*range(count), value, 0.0]), count, 1, count + 1)
             with np.errstate(all="ignore"):
                 expected = MEANING[name](value, *x.T)[:, None]
             for own in SETS[: best_instruction_set() + 1] if "MUL_" not in name and "_MUL" not in name else (PORTABLE,):
@@ -104,9 +96,8 @@ def test_random_programs_give_the_numbers_of_an_interpreter(part):
         x = rng.choice([*HARD, *rng.normal(size=30)], (count, program.inputs))
         lanes = -(-count // 8) * 8
         assert_same_numbers(run(program, x, PORTABLE, lanes), interpreted(program, x))
-        best = [run(program, x, own, lanes) for own in range(1, best_instruction_set() + 1)]
-        for found in best:
-            assert_same_numbers(found, run_by_numba(program, x, lanes))
+        for own in range(1, best_instruction_set() + 1):
+            assert_same_numbers(run(program, x, own, lanes), interpreted(program, x, fused=True))
 
 
 def test_lanes_change_nothing():
@@ -123,11 +114,13 @@ def test_lanes_change_nothing():
 
 
 @pytest.mark.parametrize("registers", [1, 10, 600, 5000])
-def test_lanes_are_those_of_the_machine(registers):
+def test_lanes_are_vectors_that_fit_the_points_and_the_near_caches(registers):
     program = replace(random_program(np.random.default_rng(6)), size=registers + 40)
-    own = checked(program)
+    own, most = checked(program), max(64, min(256, 2**17 // (registers + 40)))
     for points in [*range(1, 70), 100, 255, 256, 257, 1000, 4001]:
-        assert own.lanes(points) == machine.lanes_for(points, program)
+        lanes, blocks = own.lanes(points), -(-points // most)
+        assert lanes % 8 == 0
+        assert lanes * blocks - 8 * blocks < points <= lanes * blocks, "as few as serve all points in so many blocks"
 
 
 def test_a_part_of_the_points_and_places_in_any_order():
@@ -193,7 +186,6 @@ def malformed():
     begin, end, first, out = (at(program, name) for name in ("LOOP", "REPEAT", "INPUT", "OUTPUT"))
     alone, behind = changed(program, first, register=(2, 0)), begin + 1
     yield "codes", changed(program, 5, code=len(NAMES)), "a code is not in the list"
-    yield "machine code", changed(program, 5, code=CODES["CODE"]), "a code is not in the list"
     yield "result", changed(program, behind, register=(0, program.size)), "not a register"
     yield "argument", changed(program, out, register=(1, program.size)), "not a register"
     yield "argument of REPEAT", changed(program, end, register=(1, 2**32 - 1)), "not a register"

@@ -14,7 +14,6 @@ from enum import Enum
 from functools import partial
 from pathlib import Path
 
-import numba
 import pytest
 
 ROOT = Path(__file__).parents[2]
@@ -51,7 +50,6 @@ class ProjectCopy:
             (package / path.name).symlink_to(path)
         for name in ROOMS:
             (package / name).symlink_to(self.tree / name)
-        numba.config.CACHE_DIR = str(self.folder / "kernels")
         sys.dont_write_bytecode = True
         sys.path[:] = [str(package.parent), str(self.tree), *(path for path in sys.path if path != str(ROOT))]
         forgotten()

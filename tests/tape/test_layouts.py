@@ -16,9 +16,8 @@ LAYOUTS = {
 }
 
 
-@pytest.mark.parametrize("native", [False, True], ids=["machine", "machine code"])
 @pytest.mark.parametrize(("given", "found"), list(zip(LAYOUTS, [*LAYOUTS][::-1], strict=True)))
-def test_numbers_of_points_stand_anywhere_in_memory(given, found, native):
+def test_numbers_of_points_stand_anywhere_in_memory(given, found):
     """In groups of sixteen, of four, and alone; as many points as there are lanes, and not."""
 
     def mixed(x):
@@ -26,8 +25,6 @@ def test_numbers_of_points_stand_anywhere_in_memory(given, found, native):
 
     size = 31
     tape = Tape.trace(mixed, np.ones(size))
-    if native:
-        tape.compile()
     for count in (*range(1, 10), 15, 64, 67, 130):
         sources, targets = (np.array(LAYOUTS[name](size, count)) for name in (given, found))
         inputs = np.random.default_rng(count).standard_normal(2 * size * count)

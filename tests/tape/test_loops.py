@@ -2,15 +2,12 @@
 
 import casadi as ca
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.manifolds.numerics.root import find_root
 from retrax.tape import Tape
 from retrax.tape.arrays import scalars
 from retrax.tape.graph import Graph
 from retrax.tape.instructions import CODES
-from retrax.tape.native import native
 from retrax.tape.packing import Leaf
 
 from .functions import run_alone
@@ -60,16 +57,6 @@ def test_loops_give_the_state_after_their_rounds(rounds, twice):
         np.testing.assert_array_equal(run_alone(tape.program, POINTS[:, k].copy()), values[:, k])
 
 
-@pytest.mark.parametrize("twice", [False, True])
-def test_machine_code_runs_loops_to_the_last_bit_as_the_machine_does(twice):
-    tape = looped(9, twice)
-    values = tape(POINTS)
-    code = native(tape.program)
-    assert np.count_nonzero(code.codes == CODES["REPEAT"]) == 2 + twice
-    tape.compile()
-    np.testing.assert_array_equal(tape(POINTS), values)
-
-
 @pytest.mark.parametrize("rounds", range(1, 6))
 def test_numbers_of_a_state_change_places(rounds):
     x = ca.SX.sym("x", 3)
@@ -79,23 +66,6 @@ def test_numbers_of_a_state_change_places(rounds):
     tape = Tape(graph, [scalars(values, (3,))], ([Leaf((3,), False)], jax.tree.structure((0,))), jax.tree.structure(0))
     points = np.arange(27.0).reshape(3, 9)
     np.testing.assert_array_equal(tape(points), np.roll(points, rounds, axis=0))
-    tape.compile()
-    np.testing.assert_array_equal(tape(points), np.roll(points, rounds, axis=0))
-
-
-def test_machine_code_of_long_rounds_keeps_what_they_are_given():
-    """A round is several functions of the code, which leave numbers to each other in rows of a memory."""
-
-    def root(a):
-        unknown = find_root(lambda c: c + c**3 / 9 + 0.1 * jnp.roll(c, 1) * jnp.cos(a) - a * a[0], jnp.zeros(9))[0]
-        return unknown, a**2
-
-    points = np.random.default_rng(1).normal(size=(9, 20))
-    tape = Tape.trace(root, points[:, 0])
-    expected = tape(points)
-    tape.compile()
-    for one, other in zip(tape(points), expected, strict=True):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_what_nothing_needs_does_not_run():

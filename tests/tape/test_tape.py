@@ -16,7 +16,6 @@ from retrax.compute import threads
 from retrax.manifolds import SE, SO, SU, Hyperbolic, InvalidInputError, Oblique, Sphere, Stiefel
 from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
-from retrax.tape import tape as module
 from retrax.tape.arrays import column
 from retrax.tape.instructions import NAMES
 from retrax.tape.program import FUSED_SUMS, assembled
@@ -125,17 +124,6 @@ def test_threads_change_nothing(monkeypatch):
     monkeypatch.setattr(threads, "WORTH_A_THREAD", 1)
     monkeypatch.setattr(os, "cpu_count", lambda: 3)
     jax.tree.map(np.testing.assert_array_equal, tape(data), alone)
-
-
-def test_without_numba_the_values_are_the_same(monkeypatch):
-    data = sample(5)
-    tape = Tape.trace(rotor, (ROTOR, (ROTOR, 0.1)))
-    expected = tape(data)
-    module._machine.cache_clear()
-    monkeypatch.setattr(module, "numba_is_there", lambda: False)
-    values = tape(data)
-    module._machine.cache_clear()
-    jax.tree.map(lambda a, b: np.testing.assert_allclose(a, b, rtol=1e-14, atol=1e-15), values, expected)
 
 
 @pytest.mark.parametrize("name", REMARKABLE)

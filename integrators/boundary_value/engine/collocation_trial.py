@@ -6,7 +6,6 @@ from typing import Any, final
 
 import numpy as np
 
-from ....compute.base import ProgramPlacement
 from ..transcription.iterate import CollocationUnknowns, Iterate
 from .arrays import whole
 from .collocation import Collocation, Inner
@@ -47,7 +46,7 @@ LIMITED = {"columns": "pushed:", "whole": "slopes"}
 class CollocationTrial(Trial):
     """That of a Gauss method, without inequalities at nodes."""
 
-    def __init__(self, programs: list[ProgramPlacement], steps: Collocation, count: int) -> None:
+    def __init__(self, programs: list[Any], steps: Collocation, count: int) -> None:
         self.tableau = steps.tableau.matrix, steps.tableau.weights
         super().__init__(programs, steps, count)
 

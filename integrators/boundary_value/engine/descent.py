@@ -17,7 +17,6 @@ from typing import Any, final
 
 import numpy as np
 
-from ....errors import CompilingInterrupted
 from ....manifolds.numerics.ambient import joined, taken
 from ....manifolds.numerics.tolerances import EPS
 from ..transcription.iterate import Iterate, Slacks
@@ -73,8 +72,6 @@ class Descent:
         """The result of the search from a guess, which an interrupt ends."""
         try:
             self.run(guess)
-        except CompilingInterrupted:  # that takes seconds, and nothing is found before
-            raise
         except KeyboardInterrupt:
             self.stopped = True
             if self.state is None:  # what the first pass has found takes milliseconds to find again

@@ -1,13 +1,14 @@
 """The tapes of a compiled pass in one vector, which the kernel takes."""
 
+from typing import Any
+
 import numpy as np
 
 from ....aligned import LINE
-from ....compute.base import ProgramPlacement
 from .fields import Fields
 
 
-def joined(programs: list[ProgramPlacement]) -> tuple[np.ndarray, np.ndarray, int]:
+def joined(programs: list[Any]) -> tuple[np.ndarray, np.ndarray, int]:
     """All programs in one vector, where their parts stand there, and the size of the memory that they need.
 
     The last part is a table: for each program the begin and the end of its instructions, of its sources, and of its

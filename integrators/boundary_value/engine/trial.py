@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Self
 import numpy as np
 
 from ....aligned import scratch
-from ....compute.base import PointwiseFunction, ProgramPlacement
+from ....compute.base import PointwiseFunction
 from ..transcription.iterate import Iterate, Slacks
 from .barrier import LAST, LOWERING, PRICES
 from .elimination import WEIGHT, clear_pivot, positive_definite
@@ -124,7 +124,7 @@ class Trial(ABC):
 
     tableau: tuple[np.ndarray, np.ndarray] = np.zeros((0, 0)), np.zeros(0)
 
-    def __init__(self, programs: list[ProgramPlacement], steps: Any, count: int) -> None:
+    def __init__(self, programs: list[Any], steps: Any, count: int) -> None:
         from . import pursuit_kernels
 
         self._kernels, self.limited = pursuit_kernels, steps.inequalities > 0
@@ -141,10 +141,9 @@ class Trial(ABC):
 
     @classmethod
     def of(cls, steps: Any, nodes: Nodes, count: int) -> Self | None:
-        """That of a transcription; None where its functions do not run as tapes, or threads share them."""
-        found = [function.placed(axes, given) for function, axes, given in cls.functions(steps, nodes, count)]
-        programs = [program for program in found if program is not None]
-        return cls(programs, steps, count) if len(programs) == len(found) else None
+        """None: there are no compiled passes."""
+        del steps, nodes, count
+        return None
 
     @property
     def is_current(self) -> bool:

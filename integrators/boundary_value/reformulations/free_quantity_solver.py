@@ -59,11 +59,6 @@ class ReformulationSolver:
         other._found = self._found
         return other
 
-    @property
-    def solvers(self) -> list[Any]:
-        """The solvers that are made."""
-        return [solver for _, solver in self._made.values()]
-
     def of(self, horizon: Any, parameters: Any) -> tuple[Reformulation, Any]:
         """The reformulation for a horizon and parameters, and its solver."""
         kind = ReformulationKind.of(horizon, parameters)

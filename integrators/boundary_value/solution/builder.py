@@ -121,17 +121,8 @@ class ExtremalRecords:
 
     def _unmoved(self, k: int) -> str:
         """Words on a part of the end that follows from the rest, by the names of the user."""
-<<<<<<< HEAD
-        own = self.quantities if self.formulation is None else self.formulation.own.quantities
-        names = [name for quantity in own.states for name in quantity.columns]
-        return unmoved_words(found.system(k), names)
-=======
-        if self.transcribed.conditions.joint:
-            return ""
-        own = self._of.names_for_user
-        names = [name for quantity in own.states for name in quantity.columns]
-        return unmoved_words(self.found.linear(k), names)
->>>>>>> reader
+        names = [name for quantity in self._of.names_for_user.states for name in quantity.columns]
+        return unmoved_words(self.found.system(k), names)
 
     def _where(self, one: ConcaveDirection, k: int) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""

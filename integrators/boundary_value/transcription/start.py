@@ -46,11 +46,6 @@ class Start:
         )
         self._walk: Curve | None = None
 
-    def compile(self) -> None:
-        """Make machine code of what is traced."""
-        self._tapes.compile()
-        self._evaluator.compile()
-
     def states(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> np.ndarray:
         """Flat states, shape (B, K, E), at ascending fractions of the way between flat points, shape (B, E).
 

@@ -70,12 +70,6 @@ class Transcription:
         other._found, other._start = self._found, self._start
         return other
 
-    def compile(self) -> bool:
-        """Make machine code of what is traced; whether the functions of the problem are."""
-        self.evaluator.compile()
-        self._start.compile()
-        return bool(self._found)
-
     def traced(self, parameters: Any) -> TracedFunctions:
         """The functions with parameters of this structure."""
         key = structure_of(parameters)

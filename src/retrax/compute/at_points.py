@@ -68,7 +68,7 @@ def _evaluate_tape(tape: "Tape | None", function: Callable[..., Any], points: An
 @undisturbed  # the imports too
 def _tape(function: Callable[..., Any], *examples: Any) -> "Tape | None":
     """The tape of a function; None where there is none, or it would be long."""
-    from ..tape import NotTraceableError, Tape  # they load CasADi and Numba
+    from ..tape import NotTraceableError, Tape  # they load CasADi
 
     if sum(np.size(leaf) for leaf in jax.tree.leaves(examples)) > MOST_ENTRIES:
         return None

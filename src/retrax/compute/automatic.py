@@ -11,7 +11,6 @@ from jax.extend.core import ClosedJaxpr
 
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
-from ..optional import WITHOUT_NUMBA, numba_is_there
 from ..tracing import trace_program
 from .base import Arrays, Evaluator, Function, PointwiseFunction
 from .jit_cache import chunked, of_rows
@@ -46,9 +45,6 @@ class XlaEvaluator(Evaluator):
             return curvature, scalar_slope[0], *jax.tree.leaves((jacobians, function(zero, *arguments)[1:]))
 
         return _XlaFunction(trace_program(at_point, *(np.zeros(size) for size in sizes)))
-
-    def compile(self) -> None:
-        """There is nothing to do."""
 
 
 @final
@@ -106,15 +102,10 @@ class AutomaticEvaluator(Evaluator):
         from ..tape import NotTraceableError
 
         try:
-            if numba_is_there():
-                return self._tape._made(function, sizes, first)
-            self._refusals.append(WITHOUT_NUMBA)
+            return self._tape._made(function, sizes, first)
         except (NotTraceableError, LargeTapeError) as error:
             self._refusals.append(str(error))
         return XlaEvaluator(self._refusals[-1])._made(function, sizes, first)
-
-    def compile(self) -> None:
-        self._tape.compile()
 
 
 def choose_evaluator(evaluator: str | Evaluator) -> Evaluator:

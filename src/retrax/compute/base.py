@@ -2,16 +2,11 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .compile_time import report_compile_time
-
-if TYPE_CHECKING:
-    from ..tape import Tape
-    from ..tape.program import Program
 
 Arrays = tuple[np.ndarray, ...]
 Function = Callable[..., Any]  # of flat vectors
@@ -36,26 +31,6 @@ class PointwiseFunction(ABC):
     def precision(self) -> np.dtype[Any]:
         """The precision in which it computes."""
         return np.dtype(float)
-
-    def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> "ProgramPlacement | None":
-        """The data with which a kernel evaluates the function itself, for arrays of these shapes.
-
-        None if the function is not a tape, or takes so long that threads had better share the evaluation.
-        """
-        del axes, shapes
-        return None
-
-
-@dataclass(frozen=True, eq=False)
-class ProgramPlacement:
-    """A tape for arrays of fixed shapes, one after the other in what it reads and in what it writes."""
-
-    tape: "Tape"
-    code: "Program"
-    sources: np.ndarray  # the place of the number of the first point, and how far that of the next is
-    targets: np.ndarray
-    numbers: tuple[int, int]  # how many are read, and written
-    registers: tuple[int, int]  # their shape
 
 
 class Evaluator(ABC):
@@ -84,10 +59,6 @@ class Evaluator(ABC):
         """
         with report_compile_time():
             return self._made(function, sizes[1:], first=sizes[0])
-
-    @abstractmethod
-    def compile(self) -> None:
-        """Make machine code of the tapes among the functions of this evaluator; XLA has compiled the rest."""
 
     @abstractmethod
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:

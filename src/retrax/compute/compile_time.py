@@ -1,16 +1,13 @@
-"""Seconds that compiling takes, apart from running: of kernels once for a computer, of XLA for a problem.
+"""Seconds that tracing and XLA's compiling take, apart from running.
 
-Nothing in JAX says how long XLA takes in a way that can be taken back, so listeners are told here.
+JAX reports how long XLA takes only to listeners that cannot be removed, so listeners register here.
 """
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
 from types import TracebackType
-from typing import Any, Self, final
-
-from ..optional import numba_is_there
+from typing import Self, final
 
 _listeners: list[Callable[[float], None]] = []
 
@@ -37,21 +34,14 @@ def stop_listening(listener: Callable[[float], None]) -> None:
     _listeners.remove(listener)
 
 
-_COMPILING: Any = "numba:compile"
-
-
 @final
 class Stopwatch:
-    """Seconds since a start, apart from the seconds in which Numba or XLA has compiled in the body of ``with``."""
+    """Seconds since a start, apart from the seconds of tracing and compiling in the body of ``with``."""
 
     def __init__(self) -> None:
-        self._began, self._told = time.perf_counter(), 0.0
-        self._event = _events()
-        self._heard = self._event and self._event.TimingListener()
+        self._began, self._compiling = time.perf_counter(), 0.0
 
     def __enter__(self) -> Self:
-        if self._event:
-            self._event.register(_COMPILING, self._heard)
         listen(self._add)
         return self
 
@@ -59,23 +49,10 @@ class Stopwatch:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         stop_listening(self._add)
-        if self._event:
-            self._event.unregister(_COMPILING, self._heard)
 
     def seconds(self) -> tuple[float, float]:
         """Seconds that took to compile, of all threads together, and the remaining seconds."""
-        compiling = self._told + (self._heard.duration if self._heard and self._heard.done else 0.0)
-        return compiling, max(0.0, time.perf_counter() - self._began - compiling)
+        return self._compiling, max(0.0, time.perf_counter() - self._began - self._compiling)
 
     def _add(self, seconds: float) -> None:
-        self._told += seconds
-
-
-@cache
-def _events() -> Any:
-    """The events of Numba; None where it is not."""
-    if not numba_is_there():
-        return None
-    from numba.core import event  # here: who only imports the library does not wait for Numba
-
-    return event
+        self._compiling += seconds

@@ -4,27 +4,24 @@ import itertools
 import math
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import TYPE_CHECKING, Any, Self, final
-from weakref import WeakSet
 
 import numpy as np
 
 from ..aligned import LINE, aligned
 from ..errors import RetraxError
-from .base import Arrays, Evaluator, Function, PointwiseFunction, ProgramPlacement
+from .base import Arrays, Evaluator, Function, PointwiseFunction
+from .binding.tape_machine import TapeCall
 from .program_digest import content_key
+from .threads import worth_threads
 
 if TYPE_CHECKING:
     from ..tape import Tape
-    from ..tape.program import Program
 
 MOST_TAPES = 256
 MOST_OPERATIONS = 2_500_000  # of a graph, expected: a tape of more takes half a minute to make, and XLA a tenth of it
 PLANS = 8  # of a tape, for as many shapes of its arrays
 SHARED_MEMORY = 2**17  # numbers that the small tapes of a thread share, in the near caches
-# As many times more operations are one thread's in a pass of several kernels, which spares what is between them.
-IN_ONE_PASS = 4.0
 ALL_TRACED = "all functions are traced to scalar operations"
 
 
@@ -48,7 +45,7 @@ class TapeEvaluator(Evaluator):
     """
 
     def __init__(self, most: float = math.inf) -> None:
-        self._tapes, self._most = WeakSet["Tape"](), most
+        self._most = most
 
     @property
     def name(self) -> str:
@@ -62,13 +59,7 @@ class TapeEvaluator(Evaluator):
 
     def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
         d = [] if first is None else [np.zeros(first)]
-        tape = _tape(function, [*d, *(np.zeros(size) for size in sizes)], first is not None, self._most)
-        self._tapes.add(tape)
-        return _TapeFunction(tape)
-
-    def compile(self) -> None:
-        for tape in list(self._tapes):
-            tape.compile()
+        return _TapeFunction(_tape(function, [*d, *(np.zeros(size) for size in sizes)], first is not None, self._most))
 
 
 def _tape(function: Function, examples: list[np.ndarray], expanded: bool, most: float) -> "Tape":
@@ -147,13 +138,11 @@ class _TapeFunction(PointwiseFunction):
     """A tape with arguments and values in rows."""
 
     def __init__(self, tape: "Tape") -> None:
-        self.tape, self._code = tape, tape.program
+        self.tape = tape
         self._plans: dict[Any, tuple[_Plan, _SmallTape | None]] = {}
 
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
         key = axes, *[a.shape for a in arguments]
-        if self._code is not self.tape.code:
-            self._code, self._plans = self.tape.code, {}
         plan, small = self._plans.get(key) or self._planned(key)
         if small is not None:
             return small.at(arguments)
@@ -172,11 +161,6 @@ class _TapeFunction(PointwiseFunction):
         found = self._plans[key] = plan, _SmallTape.of(self.tape, plan)
         return found
 
-    def placed(self, axes: int, shapes: list[tuple[int, ...]]) -> ProgramPlacement | None:
-        plan = _Plan.of(axes, shapes, self.tape.shapes)
-        found = self.tape.alone(plan.count, IN_ONE_PASS)
-        return found and ProgramPlacement(self.tape, found[0], plan.sources, plan.targets, plan.numbers, found[1])
-
 
 @final
 class _Memory:
@@ -193,26 +177,24 @@ _rooms: list[_Memory] = []  # those that no tape runs in
 class _SmallTape:
     """The arrays of a tape whose loop takes no longer than Python, made once for some shapes."""
 
-    def __init__(self, tape: "Tape", code: "Program", registers: tuple[int, int], plan: _Plan) -> None:
-        from ..tape.machine import run
-
-        self._tape, self._registers, self._plan = tape, registers, plan  # the tape keeps its code alive
-        self._run = partial(run, code.codes, code.registers, code.values)
+    def __init__(self, tape: "Tape", lanes: int, plan: _Plan) -> None:
+        self._program, self._lanes, self._plan = tape.on_core, lanes, plan
         self._numbers = plan.numbers[1]
         # Fields of a structure are views that are made in less time than slices.
         self._fields = [str(k) for k in range(len(plan.written))]
         self._structure = np.dtype(
             [(name, float, cut[2]) for name, cut in zip(self._fields, plan.written, strict=True)]
         )
-        self._kept: dict[_Memory, tuple[list[np.ndarray], np.ndarray, np.ndarray]] = {}
+        self._kept: dict[_Memory, tuple[list[np.ndarray], TapeCall]] = {}
 
     @classmethod
     def of(cls, tape: "Tape", plan: _Plan) -> Self | None:
         """The arrays for a tape; None if threads share the loop, or if the loop needs more room."""
-        found, (read, written) = tape.alone(plan.count), plan.numbers
-        if found is None or not written or math.prod(found[1]) + read + LINE > SHARED_MEMORY:
+        lanes, (read, written) = tape.on_core.lanes(plan.count), plan.numbers
+        shared = worth_threads(plan.count, tape.program.work)
+        if shared or not (plan.count and written) or tape.program.size * lanes + read + LINE > SHARED_MEMORY:
             return None
-        return cls(tape, *found, plan)
+        return cls(tape, lanes, plan)
 
     def at(self, arguments: Arrays) -> Arrays:
         """The values for arrays of the shapes of the plan."""
@@ -220,21 +202,21 @@ class _SmallTape:
             room = _rooms.pop()
         except IndexError:  # one for each thread that is here at the same time
             room = _Memory()
-        places, read, registers = self._kept.get(room) or self._in(room)
+        places, write = self._kept.get(room) or self._in(room)
         for place, a in zip(places, arguments, strict=True):
             place[...] = a
-        written, plan = np.empty(self._numbers), self._plan
-        self._run(read, plan.sources, written, plan.targets, registers, 0, plan.count)
-        self._tape.ran(plan.count)
+        written = np.empty(self._numbers)
+        write(written)
         _rooms.append(room)
         structure = np.ndarray((), self._structure, written)
         return tuple([structure[name] for name in self._fields])
 
-    def _in(self, room: _Memory) -> tuple[list[np.ndarray], np.ndarray, np.ndarray]:
-        """Where arrays are copied to in a room, all that is read, and registers."""
-        size = math.prod(self._registers)
+    def _in(self, room: _Memory) -> tuple[list[np.ndarray], TapeCall]:
+        """Where arrays are copied to in a room, and the call of the core with registers there."""
+        plan, size = self._plan, self._program.sizes[-1] * self._lanes
         begin = -(-size // LINE) * LINE
-        read = room.numbers[begin : begin + self._plan.numbers[0]]
-        found = _parts(read, self._plan.read), read, room.numbers[:size].reshape(self._registers)
-        self._kept[room] = found
+        read = room.numbers[begin : begin + plan.numbers[0]]
+        ends = read, plan.sources, np.empty(self._numbers), plan.targets
+        call = TapeCall(self._program, range(plan.count), ends, self._lanes, room.numbers[:size])
+        found = self._kept[room] = _parts(read, plan.read), call
         return found

@@ -1,4 +1,4 @@
-"""Threads that share the loops of compiled kernels, which run without Python's lock."""
+"""Threads that share the loops of the compiled core, which run without Python's lock."""
 
 import itertools
 import os
@@ -7,19 +7,17 @@ from concurrent.futures import FIRST_EXCEPTION, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cache
-from threading import Lock, main_thread
 from typing import TypeVar
 
 WORTH_A_THREAD = 300_000  # operations that one thread does before a second is worth its start
 
 R = TypeVar("R")
-_going = Lock()  # of what is done later
 _alone: ContextVar[bool] = ContextVar("retrax_one_thread", default=False)
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """A time in which kernels run in the thread that calls them: the other processors are busy with as much."""
+    """A time in which loops run in the thread that calls them: the other processors are busy with as much."""
     token = _alone.set(True)
     try:
         yield
@@ -28,11 +26,11 @@ def one_thread() -> Iterator[None]:
 
 
 def in_threads(run: Callable[[range], None], count: int, work: float, unit: int = 1) -> None:
-    """Run a kernel on ranges of ``count`` items, each of them ``work`` operations, in threads where that is faster.
+    """Run a loop on ranges of ``count`` items, each of them ``work`` operations, in threads where that is faster.
 
     All ranges but the last are multiples of ``unit`` long.
     """
-    if not worth_threads(count, work):  # the system is asked only where it matters: that takes as long as a kernel
+    if not worth_threads(count, work):  # the system is asked only where it matters: that takes as long as a loop
         run(range(count))
         return
     units = -(-count // unit)
@@ -41,7 +39,7 @@ def in_threads(run: Callable[[range], None], count: int, work: float, unit: int 
         run(range(count))
         return
     *others, own = _ranges(count, parts, unit)
-    futures = [_pool("kernels").submit(run, part) for part in others]
+    futures = [_pool("loops").submit(run, part) for part in others]
     run(own)
     for future in futures:
         future.result()
@@ -60,7 +58,7 @@ def _ranges(count: int, parts: int, unit: int = 1) -> list[range]:
 
 
 def on_its_own(run: Callable[[range], R], part: range) -> "Future[R]":
-    """The future result of a part, computed in a thread of its own with kernels of one thread."""
+    """The future result of a part, computed in a thread of its own with loops of one thread."""
 
     def alone() -> R:
         with one_thread():
@@ -98,30 +96,11 @@ def each_in_threads(run: Callable[[int], R], count: int, stop: Callable[[], None
     return [found[k] for k in range(count)]
 
 
-def later(run: Callable[[], None]) -> None:
-    """Run a function in another thread, one function after the other, and none once Python ends; an error is logged."""
-
-    def alone() -> None:
-        with _going:
-            if main_thread().is_alive():
-                run()
-
-    if main_thread().is_alive():  # else there are no new threads
-        done = _pool("later", 1).submit(alone)
-        done.add_done_callback(lambda done: done.result())  # what it raises here is logged by Python
-
-
-def settled() -> None:
-    """Wait until nothing is left to be done later."""
-    _pool("later", 1).submit(int).result()
-
-
 @cache
-def _pool(kind: str, most: int | None = None) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(most or os.cpu_count() or 1, thread_name_prefix=f"retrax {kind}")
+def _pool(kind: str) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix=f"retrax {kind}")
 
 
 if hasattr(os, "register_at_fork"):
-    # The child of a fork has none of the threads that its pools believe to have, and what these hold is never released.
-    os.register_at_fork(before=_going.acquire, after_in_parent=_going.release, after_in_child=_going.release)
+    # The child of a fork has none of the threads that its pools believe to have.
     os.register_at_fork(after_in_child=_pool.cache_clear)

@@ -9,13 +9,12 @@ import casadi as ca
 from ..errors import RetraxError
 from .graph import Loop
 
-# Instructions with the names of CasADi's, those that stand for two or more of them; of loops, a number of the state
-# before, where the rounds begin, the next value of a number of the state, and where a round ends; and, of programs that
-# call machine code, the call, and what reads all inputs and writes all outputs.
+# Instructions with the names of CasADi's, those that stand for two or more of them; and of loops, a number of the state
+# before, where the rounds begin, the next value of a number of the state, and where a round ends.
 NAMES = (
     "ADD", "SUB", "MUL", "DIV", "MUL_ADD", "MUL_SUB", "SUB_MUL", "ADD_ADD", "MUL_ADD_ADD", "TWO_MUL", "TWO_MUL_ADD",
     "MUL_SUB_MUL", "THREE_MUL", "THREE_MUL_ADD", "ADD_CONST", "MUL_CONST", "CONST_SUB", "CONST_DIV", "SELECT", "CONST",
-    "INPUT", "OUTPUT", "CODE", "READ", "WRITE", "STATE", "LOOP", "NEXT", "REPEAT", "IF_ELSE_ZERO", "POW", "CONSTPOW",
+    "INPUT", "OUTPUT", "STATE", "LOOP", "NEXT", "REPEAT", "IF_ELSE_ZERO", "POW", "CONSTPOW",
     "LT", "LE", "EQ", "NE", "AND", "OR", "FMOD", "COPYSIGN", "FMIN", "FMAX", "ATAN2", "HYPOT", "NEG", "SQ", "TWICE",
     "SQRT", "INV", "ASSIGN", "NOT", "FLOOR", "CEIL", "FABS", "SIGN", "SIN", "COS", "TAN", "EXP", "LOG", "ASIN", "ACOS",
     "ATAN", "ERF", "SINH", "COSH", "TANH", "ASINH", "ACOSH", "ATANH", "LOG1P", "EXPM1",

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from .graph import Loop
 from .instructions import CODES, OPERANDS, Instruction, lasting, read
 
-VECTOR = 8  # numbers that are loaded at once; lanes are whole vectors
+VECTOR = 8  # lanes of the machine are multiples of so many
 FOUR = 4  # inputs or outputs that stand together: the machine reads and writes as many at once
 SUMMANDS = {"ADD": (0, 1), "MUL_ADD": (2,), "MUL_SUB": (2,)}  # the operands of sums that may be sums themselves
 FUSED_SUMS = {
@@ -42,7 +41,6 @@ class Program:
     inputs: int
     outputs: int
     size: int  # registers
-    engine: Any = None  # what keeps the machine code alive that it calls, if it is one that does
 
     @cached_property
     def work(self) -> int:
@@ -251,7 +249,7 @@ def _allocated(instructions: list[Instruction], kept: list[int], inputs: int, ou
             operands = [operands[0] if operands else 0, together]
         rows.append((to, *operands, *[0] * (OPERANDS - len(operands))))
         free += [where[i] for i in ends.get(k, ())]
-    registers = np.array(rows, np.uint32).reshape(-1, 1 + OPERANDS)  # Numba wraps signed indices, at a cost
+    registers = np.array(rows, np.uint32).reshape(-1, 1 + OPERANDS)
     return Program(codes, registers, values, inputs, outputs, size)
 
 

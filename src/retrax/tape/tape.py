@@ -3,31 +3,25 @@
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, cached_property
-from types import ModuleType
+from functools import cached_property
 from typing import Any, Self, final
 
 import casadi as ca
 import jax
 import numpy as np
 
-from ..aligned import scratch
-from ..compute.binding.library import PARTS_ON_CORE
 from ..compute.binding.tape_machine import MachineProgram
-from ..compute.threads import in_threads, worth_threads
+from ..compute.threads import in_threads
 from ..errors import InvalidInputError
-from ..optional import numba_is_there
-from ..undisturbed import put_off
 from .arrays import Entries, column, is_complex, parts, scalars
 from .graph import Graph, Loop
-from .often import Often
 from .packing import Argnums, Leaf, argument_places, packed, require_numbers, unpacked
 from .program import VECTOR, Program, assembled
 from .trace import Flat, flat, readable, trace
 
 
 @final
-class Tape(Often):
+class Tape:
     """A function of arrays as a list of scalar instructions, with exact derivatives; ``Tape.trace`` makes one.
 
     Parameters
@@ -38,8 +32,8 @@ class Tape(Often):
 
     Notes
     -----
-    A tape takes arrays of many points, with the axis of the points last, in double precision. A new function runs some
-    milliseconds after the trace. A function that has run at many points becomes machine code, with the same results.
+    A tape takes arrays of many points, with the axis of the points last, in double precision. The compiled core runs
+    the instructions: no code is compiled for a function, which runs some milliseconds after the trace.
     """
 
     def __init__(self, graph: Graph, values: list[Entries], arguments: tuple[list[Leaf], Any], structure: Any) -> None:
@@ -47,8 +41,6 @@ class Tape(Often):
         self._leaves, self._arguments = arguments
         self._values = values
         self._results = [Leaf(tuple(v.shape), is_complex(v)) for v in values]
-        super().__init__()
-        self._native: Program | None = None
 
     @classmethod
     def trace(cls, function: Callable[..., Any], *examples: Any) -> Self:
@@ -163,31 +155,15 @@ class Tape(Often):
         (outputs,), loops = self._scheduled
         return assembled(self.inputs, outputs, loops)
 
-    @property
-    def code(self) -> Program:
-        """The code that the machine runs: the instructions, or machine code instead of them."""
-        return self._native or self.program
-
     @cached_property
-    def _on_core(self) -> MachineProgram:
+    def on_core(self) -> MachineProgram:
         """The instructions for the compiled core."""
         p = self.program
         return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size)
 
-    def compile(self) -> None:
-        """Compile the instructions to machine code now, unless they are compiled.
-
-        This takes some hundred microseconds an instruction and gives the same numbers. Without Numba, nothing happens.
-        """
-        if self._native is None and _machine() is not None:
-            from .native import native
-
-            self._native = native(self.program)
-
     def __getstate__(self) -> dict[str, Any]:
-        """The state of a copy, which has no machine code: that belongs to its process."""
-        state = {name: value for name, value in vars(self).items() if name != "_on_core"}
-        return {**state, "_native": None, "_points": 0, "_asked": False}
+        """The state of a copy, without addresses in this process."""
+        return {name: value for name, value in vars(self).items() if name != "on_core"}
 
     def jacobian(self, argnums: Argnums = None) -> "Tape":
         """The derivatives of all values with respect to arguments, as a tape of a matrix.
@@ -353,56 +329,8 @@ class Tape(Often):
             ``(rows, 2)``, a row for each real number of the arguments or values in C order: the place of the number at
             the first point, and the distance to the number at the next point.
         """
-        if not count:
-            return
-        if "tape" in PARTS_ON_CORE:
-            self.ran(count)
-            in_threads(lambda part: self._on_core.run(part, ends), count, self.program.work, VECTOR)
-            return
-        machine = _machine()
-        if machine is None:
-            self._run_slowly(count, *ends)
-            return
-        p = self.code
-        self.ran(count)
-
-        def run(part: range) -> None:
-            (registers,) = scratch(((p.size, machine.lanes_for(len(part), p)),))
-            machine.run(p.codes, p.registers, p.values, *ends, registers, part.start, part.stop)
-
         if count:
-            in_threads(run, count, self.program.work, machine.VECTOR)
-
-    def alone(self, count: int, saved: float = 1.0) -> tuple[Program, tuple[int, int]] | None:
-        """The code for a few points, which one thread evaluates, and the shape of its registers.
-
-        Parameters
-        ----------
-        count : int
-            The number of points.
-        saved : float
-            A factor for the largest number of points, if one thread saves other work.
-
-        Returns
-        -------
-        tuple or None
-            None for no points, for more points than one thread should evaluate, and without Numba.
-        """
-        machine, p = _machine(), self.code
-        if machine is None or not count or worth_threads(count, self.program.work / saved):
-            return None
-        return p, (p.size, machine.lanes_for(count, p))
-
-    def _run_slowly(
-        self, count: int, inputs: np.ndarray, sources: np.ndarray, outputs: np.ndarray, targets: np.ndarray
-    ) -> None:
-        points = np.arange(count)
-        read, write = (places[:, :1] + places[:, 1:] * points for places in (sources, targets))
-        outputs[write] = np.array(self._casadi(inputs[read])).reshape(write.shape)
-
-    @cached_property
-    def _casadi(self) -> ca.Function:
-        return ca.Function("f", [self.inputs], self.graph.unmarked([ca.densify(self.outputs)]), {"cse": True})
+            in_threads(lambda part: self.on_core.run(part, ends), count, self.program.work, VECTOR)
 
 
 def _halves(a: Entries) -> tuple[Any, ...]:
@@ -413,13 +341,3 @@ def _halves(a: Entries) -> tuple[Any, ...]:
 def _rows(count: int, points: int) -> np.ndarray:
     """The places of numbers in an array with a row for each number and a column for each point."""
     return np.stack([points * np.arange(count), np.ones(count, int)], axis=1)
-
-
-@cache
-def _machine() -> ModuleType | None:
-    """The compiled machine, or None without Numba."""
-    if not numba_is_there():
-        return None
-    with put_off():
-        from . import machine
-    return machine

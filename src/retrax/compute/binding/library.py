@@ -400,7 +400,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_tape_lanes": (c_ssize_t, [POINTER(TapeStruct), c_ssize_t]),
     "retrax_tape_run": (
         None,
-        [POINTER(TapeStruct), POINTER(TapeDataStruct), c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
+        [c_void_p, c_void_p, c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
     ),
     "retrax_lu_factorise": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
     "retrax_lu_solve": (None, [c_ssize_t, c_void_p, c_void_p, c_ssize_t, c_void_p, c_int]),

@@ -1,6 +1,6 @@
 """Programs of tapes on the compiled core."""
 
-from ctypes import addressof, byref, c_void_p, cast, pointer
+from ctypes import addressof, byref, c_char, c_void_p, cast, pointer
 from typing import final
 
 import numpy as np
@@ -90,6 +90,10 @@ class MachineProgram:
         ``ends``: numbers that are read, and for each input where the number of point 0 stands and how far the next
         point is, shape ``(inputs, 2)``; numbers that are written, and the same for each output.
         """
+        TapeCall(self, points, ends, self.lanes(len(points)) if lanes is None else lanes)(ends[2])
+
+    def checked_data(self, points: range, ends: Ends, lanes: int) -> TapeDataStruct:
+        """The arrays of ``run`` for C; raises ``InvalidInputError`` where points lie outside of them."""
         inputs, sources, outputs, targets = ends
         data = TapeDataStruct(
             address_of(inputs, FLOAT, (inputs.size,), "inputs of a program"),
@@ -99,18 +103,37 @@ class MachineProgram:
             outputs.size,
             address_of(targets, PLACE, (self._tape.outputs, 2), "places of outputs"),
         )
-        lanes = self.lanes(len(points)) if lanes is None else lanes
         first, last = points.start, points.stop
         status = self._library.retrax_tape_check_data(byref(self._tape), byref(data), first, last, lanes)
         require_ok(status, f"a program at points {first} to {last}, {lanes} at once")
-        (registers,) = scratch(((self._tape.registers, lanes),))
-        own = best_instruction_set() if self._set is None else self._set
-        self._library.retrax_tape_run(
-            byref(self._tape),
-            byref(data),
-            first,
-            last,
-            address_of(registers, FLOAT, registers.shape, "registers"),
-            lanes,
-            own,
-        )
+        return data
+
+    def address_and_set(self) -> tuple[int, int]:
+        """Where the tape is for C, and the instruction set."""
+        return addressof(self._tape), best_instruction_set() if self._set is None else self._set
+
+
+@final
+class TapeCall:
+    """A program at points whose places are checked once, as a function of the array that it writes.
+
+    ``registers``: as many numbers as those of all lanes; one thread uses them at a time.
+    """
+
+    def __init__(
+        self, program: MachineProgram, points: range, ends: Ends, lanes: int, registers: np.ndarray | None = None
+    ) -> None:
+        self._data = program.checked_data(points, ends, lanes)
+        if registers is None:
+            (registers,) = scratch(((program.sizes[-1], lanes),))
+        room = address_of(registers, FLOAT, registers.shape, "registers")
+        tape, instruction_set = program.address_and_set()
+        self._kept = program, ends[0], ends[1], ends[3], registers  # C reads them
+        # Numbers pass to C in half of the time that references take.
+        self._arguments = tape, addressof(self._data), points.start, points.stop, room, lanes, instruction_set
+        self._run = library().retrax_tape_run
+
+    def __call__(self, outputs: np.ndarray) -> None:
+        """Write the values to an array as large as the one that was checked."""
+        self._data.outputs = addressof(c_char.from_buffer(outputs)) if outputs.size else 0
+        self._run(*self._arguments)
