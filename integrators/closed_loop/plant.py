@@ -1,8 +1,10 @@
 """The motion of a plant under given controls, and the controls that act on it."""
 
 from collections.abc import Callable, Iterator
-from typing import Any, final
+from itertools import pairwise
+from typing import Any, NamedTuple, final
 
+import jax
 import numpy as np
 
 from ...manifolds import DomainError, Euclidean, InvalidInputError
@@ -13,11 +15,33 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout, parameter_layout
 from ..stages.explicit_runge_kutta import ExplicitRungeKutta, dop853
 
-Signal = Callable[[float], Any]  # the control at a time
+
+class Signal(NamedTuple):
+    """A control as a function of time, of one time or an array of times, and the times at which it is not smooth."""
+
+    function: Callable[[Any], Any]
+    breaks: np.ndarray
+
+    def __call__(self, t: Any) -> Any:
+        return self.function(t)
+
+    @classmethod
+    def constant(cls, control: Any) -> "Signal":
+        """A control that is held."""
+        return cls(
+            lambda t: jax.tree.map(lambda leaf: np.broadcast_to(leaf, (*np.shape(t), *np.shape(leaf))), control),
+            np.zeros(0),
+        )
+
+    def since(self, begin: float) -> "Signal":
+        """The control as a function of the time since another time."""
+        return Signal(lambda t: self.function(begin + t), self.breaks - begin)
+
 
 ACCURACY = 1e-9  # of the motion between two samples, relative to the largest entries of each array of the state
 ENOUGH = 1e-6  # the same where more substeps no longer help
 MOST_SUBSTEPS = 512  # between two samples
+INSIDE = 1e-9  # of a span: by how much the times at its ends are moved inside, where a control may jump at the ends
 
 
 @final
@@ -68,16 +92,16 @@ class Plant:
         parameters: np.ndarray, refined: int = 1,
     ) -> np.ndarray:  # fmt: skip
         """The flat state at the end of a span."""
-        count, (begin, end) = refined * self.substeps, span
-        h, q = (end - begin) / count, row[None]
+        count, (begin, end), places = refined * self.substeps, span, method.tableau.nodes
+        h, q, at = (end - begin) / count, row[None], {place: k for k, place in enumerate(places)}
         rest, turn = np.zeros((1, self.problem.manifold.dimension)), np.zeros((1, self.problem.controls.dimension))
+        times = begin + h * np.arange(count)
+        inside = np.clip(times[:, None] + h * places, begin + INSIDE * (end - begin), end - INSIDE * (end - begin))
+        controls = self._control.rows(signal(inside), 2)
         with np.errstate(all="ignore"):  # the error is NaN where the state is not finite
-            for t in begin + h * np.arange(count):
-
-                def control(fraction: float, t: float = t) -> tuple[np.ndarray, np.ndarray]:
-                    return self._control.rows(signal(t + fraction * h), 0)[None], turn
-
-                c = method.step(q, rest, np.array([[t]]), np.array([[h]]), control, parameters[None])
+            for t, own in zip(times, controls, strict=True):
+                step = np.array([[t]]), np.array([[h]])
+                c = method.step(q, rest, *step, lambda place, own=own: (own[at[place]][None], turn), parameters[None])
                 q = method.points(q, c)
         return q[0]
 
@@ -95,20 +119,23 @@ class SentControls:
     """The controls that were sent to a plant: each acts from its time until the next one does."""
 
     def __init__(self, idle: Any) -> None:
-        self._acting: list[tuple[float, Signal]] = [(-np.inf, lambda _: idle)]
+        self._acting: list[tuple[float, Signal]] = [(-np.inf, Signal.constant(idle))]
 
     def send(self, time: float, signal: Signal) -> None:
         """Add a control that acts from a time on."""
         self._acting.append((time, signal))
 
     def between(self, begin: float, end: float) -> Iterator[tuple[Signal, float, float]]:
-        """The controls that act between two times, and from when to when; controls before are forgotten."""
+        """The controls that act between two times, and from when to when each is smooth; controls before are
+        forgotten."""
         last = max(k for k, (time, _) in enumerate(self._acting) if time <= begin)
         del self._acting[:last]
-        times = [max(time, begin) for time, _ in self._acting] + [end]
-        for (_, signal), first, following in zip(self._acting, times, times[1:], strict=False):
-            if first < min(following, end):
-                yield signal, first, min(following, end)
+        times = [*(max(time, begin) for time, _ in self._acting), np.inf]
+        for (_, signal), (first, following) in zip(self._acting, pairwise(times), strict=True):
+            until = min(following, end)
+            inside = signal.breaks[(signal.breaks > first) & (signal.breaks < until)]
+            for a, b in pairwise([first, *inside, until] if first < until else []):
+                yield signal, float(a), float(b)
 
 
 def idle_control(problem: OptimalControlProblem, given: Any, delay: float) -> Any:

@@ -1,69 +1,23 @@
 """Receding horizon control: a solve at each sample, from a warm start, within a budget."""
 
 import time
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
-import jax
 import numpy as np
 
 from ...manifolds import DomainError, InvalidInputError
 from ...manifolds.numerics.ambient import is_finite_number
-from ..boundary_value.guess import Guess
 from ..boundary_value.solution.feedback import Feedback
 from ..boundary_value.solution.record import Solution
 from ..boundary_value.solver import Solver
-from ..boundary_value.transcription.iteration import Iteration
 from ..problem.argument_errors import require_known_options
 from ..reporting.text import brief
+from .plan import Budget, Plan
 from .plant import Plant, SentControls, Signal, clipped, idle_control
 from .soft_constraints import soften
 from .statistics import ControllerStatistics, Source
 
 DEFAULT_ITERATIONS = 100  # of a solve without a budget, as of Solver.solve
-
-
-class Plan(NamedTuple):
-    """A solution, and the time at which it begins."""
-
-    solution: Solution
-    begin: float
-
-    def after(self, time: float) -> float:
-        """The time since the beginning, at most the horizon."""
-        return min(max(time - self.begin, 0.0), self.solution.horizon)
-
-    def guess(self, begin: float, horizon: float) -> Guess | None:
-        """The plan from a time on over a horizon, a warm start; its last state and control continue after its end.
-
-        None if nothing of the plan is left, or if it has no polynomials between its nodes.
-        """
-        if not begin - self.begin < self.solution.horizon:
-            return None
-        try:
-            return self.solution.guess(max(begin - self.begin, 0.0), horizon)
-        except DomainError:
-            return None
-
-
-class Budget:
-    """A callback that stops a solve before its iterations or its time exceed a budget."""
-
-    def __init__(self, iterations: int | None, milliseconds: float | None) -> None:
-        self.iterations, self.seconds = iterations, None if milliseconds is None else milliseconds / 1000
-        self.began = self.last = time.perf_counter()
-        self.count, self.longest = -1, 0.0  # the first call is the evaluation of the guess
-
-    def __call__(self, _: Iteration) -> bool:
-        now = time.perf_counter()
-        self.count, self.longest, self.last = self.count + 1, max(self.longest, now - self.last), now
-        if self.iterations is not None and self.count >= self.iterations:
-            return True
-        return self.seconds is not None and now - self.began + self.longest > self.seconds
-
-    @property
-    def is_limited(self) -> bool:
-        """Whether there is a budget at all."""
-        return self.iterations is not None or self.seconds is not None
 
 
 @final
@@ -98,6 +52,8 @@ class RecedingHorizon:
         The control that acts before the first one, with a delay; by default the nearest to zero within the bounds.
     tolerance : float, optional
         As in ``Solver.solve``.
+    acceptable : float
+        The largest residual with which the controller applies the iterate of a solve that the budget stopped.
 
     Raises
     ------
@@ -110,9 +66,11 @@ class RecedingHorizon:
     After the end of that solution, the guess holds its last state, costate and control. A solve that the budget stops
     is continued at the next sample, from its shifted iterate.
 
-    If a solve has no success within its budget, the control is that of the feedback law along the last successful
-    solution, :math:`u^*(t) + K(t)\,R^{-1}_{q^*(t)}(q)`, and where there is no such law the control :math:`u^*(t)` of
-    that solution. ``statistics`` counts these controls, and names the reasons. All controls lie within their bounds.
+    If the budget stops a solve, its iterate is the plan where its residual is acceptable, the largest of its relative
+    defects, violations and stationarity: a real-time iteration [Diehl, Bock, Schloeder 2005]. Otherwise, and after a
+    solve without success, the plan before stays. The control is then that of the feedback law along it,
+    :math:`u^*(t) + K(t)\,R^{-1}_{q^*(t)}(q)`, and where there is no law, as along an iterate, that of the plan alone.
+    ``statistics`` counts these controls, and names the reasons. All controls lie within their bounds.
 
     With a delay, the solve starts from the state that the problem predicts at the time at which the control will act,
     from the controls that were returned before. Use one controller for one loop.
@@ -146,6 +104,7 @@ class RecedingHorizon:
         delay: float = 0.0,
         idle: Any = None,
         tolerance: float | None = None,
+        acceptable: float = 1e-2,
     ) -> None:
         if not isinstance(solver, Solver):
             raise InvalidInputError(
@@ -157,24 +116,25 @@ class RecedingHorizon:
                 "they end; got neither"
             )
         _require_times(horizon=horizon, milliseconds=milliseconds, hold=hold)
-        if not (is_finite_number(delay) and delay >= 0):
-            raise InvalidInputError(f"delay must be a finite time of at least zero, got {delay!r}")
+        for name, value in (("delay", delay), ("acceptable", acceptable)):
+            if not (is_finite_number(value) and value >= 0):
+                raise InvalidInputError(f"{name} must be a finite number of at least zero, got {value!r}")
         self.problem, self.horizon, self.end_time = solver.problem, horizon, end_time
         self.solver = Solver(soften(self.problem, soft), solver.method, solver.fractions) if soft else solver
-        self._end, self._parameters, self._tolerance = end, parameters, tolerance
+        self._end, self._parameters, self._tolerance, self.acceptable = end, parameters, tolerance, acceptable
         self._budget, self.hold, self.delay = (max_iterations, milliseconds), hold, float(delay)
         self._plant = Plant(self.problem)
         self._sent = SentControls(idle_control(self.problem, idle, delay))
-        self._plan: Plan | None = None  # the last successful solution
-        self._iterate: Plan | None = None  # the last solution or iterate, from which the next solve starts
-        self._feedback: Feedback | None = None  # along the plan
+        self._plan: Plan | None = None  # the last solution or acceptable iterate
+        self._iterate: Plan | None = None  # from which the next solve starts
+        self._feedback: Feedback | None = None  # along a solution that was the plan when a solve failed
         self._signal: Signal | None = None
         self._samples: list[tuple[float, int, float, Source]] = []
         self._failures: dict[float, str] = {}
 
     @property
     def plan(self) -> Solution:
-        """The last successful solution; raises ``InvalidInputError`` before the first call."""
+        """The last solution or acceptable iterate; raises ``InvalidInputError`` before the first call."""
         return self._last_plan.solution
 
     @property
@@ -233,14 +193,11 @@ class RecedingHorizon:
         own = self._at(self._parameters, begin) if parameters is None else parameters
         end = self._at(self._end, begin + horizon) if reference is None else reference
         for signal, first, last in self._sent.between(float(t), begin):
-            q = self._plant.advance(q, _shifted(signal, begin), first - begin, last - begin, own)
+            q = self._plant.advance(q, signal.since(begin), first - begin, last - begin, own)
         solution = self._solved(q, end, begin, horizon, own)
-        source: Source = "solve"
-        if not solution.success:
+        source, self._signal = self._choose(Plan(solution, begin), q)
+        if source != "solve":
             self._failures[float(t)] = solution.result
-            source, self._signal = self._fallback(q, begin)
-        else:
-            self._signal = self._along(Plan(solution, begin), begin)
         control = self._signal(begin)
         self._sent.send(begin, self._signal)
         spent = 1000 * (time.perf_counter() - began)
@@ -249,42 +206,52 @@ class RecedingHorizon:
 
     def _solved(self, q: Any, end: Any, begin: float, horizon: float, parameters: Any) -> Solution:
         """The solution from a state, or the best iterate within the budget."""
-        budget, first = Budget(*self._budget), self._plan is None
+        budget, first, guess = Budget(*self._budget), self._plan is None, None
         limited = {} if first or not budget.is_limited else {"callback": budget}
         most = max(DEFAULT_ITERATIONS, self._budget[0] or 0)
-        guess = None
-        for last in (self._iterate, self._plan):
-            guess = last.guess(begin, horizon) if guess is None and last is not None else guess
+        for last in filter(None, (self._iterate, self._plan)):
+            guess = last.guess(begin, horizon) if guess is None else guess
         options: Any = {"guess": guess, "parameters": parameters, "tolerance": self._tolerance, "throw": first}
-        solution = self.solver.solve(q, end, horizon, **options, **limited, max_iterations=most)
-        if solution.success:
-            self._plan = self._iterate = Plan(solution, begin)
-            self._feedback = None
-        else:
-            self._iterate = Plan(solution, begin) if solution.statistics.stopped and _is_finite(solution) else None
-        return solution
+        return self.solver.solve(q, end, horizon, **options, **limited, max_iterations=most)
+
+    def _choose(self, found: Plan, q: Any) -> tuple[Source, Signal]:
+        """The controls from now on, and their source."""
+        self._iterate = found if found.is_usable else None
+        if found.solution.success:
+            self._plan = found
+            return "solve", self._along(found, found.begin)
+        if found.residual <= self.acceptable:
+            self._plan = found
+            return "iterate", self._along(found, found.begin)
+        control = self._corrected(found.begin, q)
+        if control is None:
+            return "plan", self._along(self._last_plan, found.begin)
+        return "feedback", Signal.constant(control)
+
+    def _corrected(self, begin: float, q: Any) -> Any:
+        """The control of the feedback law along the plan; None where there is no law."""
+        plan = self._last_plan
+        try:
+            if self._feedback is None or self._feedback.solution is not plan.solution:
+                self._feedback = self.solver.feedback(plan.solution)
+            after = begin - plan.begin
+            return self._bounded(self._feedback(after, q)) if after <= self._feedback.until else None
+        except (InvalidInputError, DomainError):
+            return None
 
     def _along(self, plan: Plan, begin: float) -> Signal:
         """The controls of a plan from a time on, held or followed until the next sample."""
+        if self.hold is not None:
+            return Signal.constant(self._controls(plan, begin + self.hold / 2))
+        return Signal(lambda time: self._controls(plan, time), plan.begin + plan.solution.times)
 
-        def signal(time: float) -> Any:
-            return self._bounded(plan.solution(plan.after(time)).controls)
-
-        return signal if self.hold is None else _constant(signal(begin + self.hold / 2))
-
-    def _fallback(self, q: Any, begin: float) -> tuple[Source, Signal]:
-        """The feedback along the last plan; the controls of the plan where there is no feedback law."""
-        plan = self._last_plan
-        try:
-            if self._feedback is None:
-                self._feedback = self.solver.feedback(plan.solution)
-            return "feedback", _constant(self._bounded(self._feedback(plan.after(begin), q)))
-        except (InvalidInputError, DomainError):
-            return "plan", self._along(plan, begin)
+    def _controls(self, plan: Plan, time: Any) -> Any:
+        """The controls of a plan at a time, or at an array of times."""
+        return self._bounded(plan.solution(plan.after(time)).controls)
 
     def _bounded(self, u: Any) -> Any:
         """The controls of the problem, without slacks, inside their bounds."""
-        own = u if self.solver.problem is self.problem else u[: self.problem.controls.dimension]
+        own = u if self.solver.problem is self.problem else u[..., : self.problem.controls.dimension]
         return clipped(self.problem, own)
 
     @property
@@ -317,19 +284,6 @@ class RecedingHorizon:
     def _at(self, given: Any, time: float) -> Any:
         """A value, or the value of a function of time."""
         return given(time) if callable(given) else given
-
-
-def _constant(control: Any) -> Signal:
-    return lambda _: control
-
-
-def _shifted(signal: Signal, begin: float) -> Signal:
-    """The control as a function of the time since the beginning of a plan, the time of the functions of a problem."""
-    return lambda time: signal(begin + time)
-
-
-def _is_finite(solution: Solution) -> bool:
-    return all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves((solution.states, solution.controls)))
 
 
 def _require_times(**given: Any) -> None:

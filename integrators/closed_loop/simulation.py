@@ -122,7 +122,7 @@ def _record(
 
 def _signal_of(controller: Any, control: Any) -> Signal:
     """The control until the next sample as a function of time."""
-    return controller.signal if isinstance(controller, RecedingHorizon) else lambda _: control
+    return controller.signal if isinstance(controller, RecedingHorizon) else Signal.constant(control)
 
 
 def _samples(plant: Any, controller: Any, horizon: Any, sample_time: Any) -> int:

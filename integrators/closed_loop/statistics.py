@@ -11,7 +11,7 @@ from ...manifolds import InvalidInputError
 from ..reporting.records import write_protect
 from ..reporting.text import brief, counted
 
-Source = Literal["solve", "feedback", "plan"]
+Source = Literal["solve", "iterate", "feedback", "plan"]
 ARRAYS = {"times": float, "iterations": int, "milliseconds": float}
 
 
@@ -29,8 +29,8 @@ class ControllerStatistics:
     milliseconds : array of shape (K,)
         The time of each call, on the clock of the computer.
     sources : tuple of str
-        The source of each control: ``"solve"``; ``"feedback"``, the feedback law along the last successful solution;
-        or ``"plan"``, that solution alone.
+        The source of each control: ``"solve"``; ``"iterate"``, an acceptable iterate of a solve that the budget
+        stopped; ``"feedback"``, the feedback law along an earlier solution; or ``"plan"``, an earlier plan alone.
     failures : dict of float to str
         The results of the solves without success, by the times of their samples.
     """
@@ -78,14 +78,14 @@ class ControllerStatistics:
 
     @property
     def fallbacks(self) -> int:
-        """The number of controls that are not of a successful solve at their sample."""
-        return sum(source != "solve" for source in self.sources)
+        """The number of controls that are neither of a solution nor of an acceptable iterate at their sample."""
+        return sum(source in ("feedback", "plan") for source in self.sources)
 
     def __repr__(self) -> str:
         """The essential numbers."""
         if not self.sources:
             return "ControllerStatistics(no controls yet)"
-        words = {"solve": "by solves", "feedback": "by feedback", "plan": "by the plan alone"}
+        words = {"solve": "by solves", "iterate": "by iterates", "feedback": "by feedback", "plan": "by an old plan"}
         counts = Counter(self.sources)
         sources = ", ".join(f"{counts[name]} {said}" for name, said in words.items() if counts[name])
         return (
