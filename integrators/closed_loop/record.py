@@ -73,18 +73,6 @@ class ClosedLoop(HistoryPlots):
         span = f"times={self.times[0]:.6g}..{self.times[-1]:.6g}, samples={len(self.stage_times)}"
         return "\n  ".join(["ClosedLoop(", span, *arrays, f"solves={self.solves!r})"])
 
-    def to_pandas(self, at: Any = "nodes") -> Any:
-        """The closed loop as a ``pandas.DataFrame``; see ``retrax.interop.to_pandas``.
-
-        Parameters
-        ----------
-        at : {"nodes", "stages"}
-            The rows: states at the samples, or controls.
-        """
-        from ...interop import to_pandas
-
-        return to_pandas(self, at)
-
     def save(self, path: str | Path) -> None:
         """An ``.npz`` file with the closed loop, which ``load_closed_loop`` and ``load`` read.
 

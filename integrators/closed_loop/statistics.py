@@ -52,7 +52,13 @@ class ControllerStatistics:
 
     @classmethod
     def from_text(cls, text: str) -> Self:
-        """The figures that wrote a text; raises ``InvalidInputError`` for another text."""
+        """The figures that wrote a text; raises ``InvalidInputError`` for another text.
+
+        Parameters
+        ----------
+        text : str
+            The text.
+        """
         try:
             given = json.loads(text)
             arrays = (np.array(given[name], kind) for name, kind in ARRAYS.items())
