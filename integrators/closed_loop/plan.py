@@ -26,12 +26,12 @@ class Plan(NamedTuple):
         return is_finite and (found.success or found.statistics.stopped)
 
     @property
-    def residual(self) -> float:
-        """The largest of the relative defects, stationarity and violations; infinite for a failed solve."""
+    def infeasibility(self) -> float:
+        """The largest of the relative defects and violations; infinite for a failed solve."""
         if not self.is_usable:
             return np.inf
         checks = self.solution.checks
-        return max(checks.defect, checks.stationarity, getattr(checks, "violation", 0.0))
+        return max(checks.defect, getattr(checks, "violation", 0.0))
 
     def after(self, time: Any) -> Any:
         """The time since the beginning, at most the horizon."""

@@ -53,7 +53,8 @@ class RecedingHorizon:
     tolerance : float, optional
         As in ``Solver.solve``.
     acceptable : float
-        The largest residual with which the controller applies the iterate of a solve that the budget stopped.
+        The largest relative defect and violation of an iterate that the controller applies after the budget stopped
+        its solve.
 
     Raises
     ------
@@ -66,9 +67,9 @@ class RecedingHorizon:
     After the end of that solution, the guess holds its last state, costate and control. A solve that the budget stops
     is continued at the next sample, from its shifted iterate.
 
-    If the budget stops a solve, its iterate is the plan where its residual is acceptable, the largest of its relative
-    defects, violations and stationarity: a real-time iteration [Diehl, Bock, Schloeder 2005]. Otherwise, and after a
-    solve without success, the plan before stays. The control is then that of the feedback law along it,
+    If the budget stops a solve, its iterate is the plan where it is feasible up to ``acceptable``, without being
+    optimal [Scokaert, Mayne, Rawlings 1999; Diehl, Bock, Schloeder 2005]. Otherwise, and after a solve without success,
+    the plan before stays. The control is then that of the feedback law along it,
     :math:`u^*(t) + K(t)\,R^{-1}_{q^*(t)}(q)`, and where there is no law, as along an iterate, that of the plan alone.
     ``statistics`` counts these controls, and names the reasons. All controls lie within their bounds.
 
@@ -220,7 +221,7 @@ class RecedingHorizon:
         if found.solution.success:
             self._plan = found
             return "solve", self._along(found, found.begin)
-        if found.residual <= self.acceptable:
+        if found.infeasibility <= self.acceptable:
             self._plan = found
             return "iterate", self._along(found, found.begin)
         control = self._corrected(found.begin, q)
