@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from ..former_names import former
 from ..retractions import Gauss
-from . import boundary_value, dirac, initial_value, stages
+from . import boundary_value, closed_loop, dirac, initial_value, stages
 from .boundary_value import *
+from .closed_loop import *
 from .dirac import *
 from .initial_value import *
 from .problem.free_quantities import Free
@@ -37,6 +38,7 @@ __all__ = [
     "singular_integrator",
 ]
 __all__ += boundary_value.__all__
+__all__ += closed_loop.__all__
 __all__ += dirac.__all__
 __all__ += initial_value.__all__
 __all__ += stages.__all__

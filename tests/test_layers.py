@@ -45,6 +45,7 @@ FLOORS = (
     ("export", f"{VALUE}.export"),
     ("solver", f"{VALUE}.solver"),
     ("drivers", f"{VALUE}.drivers"),
+    ("closed loop", "integrators.closed_loop"),
     ("solve", f"{VALUE} integrators"),
     ("doors", "named_columns loading interop testing problems plotting sweeps"),
     ("retrax", "__main__ "),

@@ -14,7 +14,11 @@ from ...manifolds import InvalidInputError
 from .archives import archived_words, read_archived_arrays
 from .text import brief
 
-LOADERS = {"Solution": "load_solution", "Trajectory": "load_trajectory"}  # what reads the files of which class
+LOADERS = {
+    "Solution": "load_solution",
+    "Trajectory": "load_trajectory",
+    "ClosedLoop": "load_closed_loop",
+}  # what reads the files of which class
 BATCH_ENTRY = "schema.txt"  # the entry of a batch with its kind
 LONGEST_TEXT = 100  # characters
 REAL_TYPES = tuple(map(np.dtype, (np.float32, np.float64)))

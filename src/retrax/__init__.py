@@ -15,9 +15,11 @@ from .integrators import (
     Guess,
     OptimalControlProblem,
     Phase,
+    RecedingHorizon,
     Solver,
     classify,
     integrate,
+    simulate,
     solve,
     solve_phases,
 )
@@ -45,6 +47,7 @@ __all__ = [
     "OptimalControlProblem",
     "Phase",
     "Radau",
+    "RecedingHorizon",
     "Solver",
     "Sphere",
     "Stiefel",
@@ -59,6 +62,7 @@ __all__ = [
     "plotting",
     "problems",
     "retractions",
+    "simulate",
     "solve",
     "solve_phases",
 ]

@@ -3,15 +3,20 @@
 from pathlib import Path
 from typing import Any
 
-from .integrators import load_solution, load_solutions, load_trajectory
+from .integrators import load_closed_loop, load_solution, load_solutions, load_trajectory
 from .integrators.reporting.records import record_kind
 from .manifolds import InvalidInputError
 
-READERS = {"Solution": load_solution, "Solutions": load_solutions, "Trajectory": load_trajectory}
+READERS = {
+    "Solution": load_solution,
+    "Solutions": load_solutions,
+    "Trajectory": load_trajectory,
+    "ClosedLoop": load_closed_loop,
+}
 
 
 def load(path: str | Path) -> Any:
-    """Load a ``Solution``, a batch of solutions, a ``Trajectory``, or a sweep.
+    """Load a ``Solution``, a batch of solutions, a ``Trajectory``, a ``ClosedLoop``, or a sweep.
 
     Parameters
     ----------
@@ -20,7 +25,7 @@ def load(path: str | Path) -> Any:
 
     Returns
     -------
-    Solution, Solutions, Trajectory or Sweep
+    Solution, Solutions, Trajectory, ClosedLoop or Sweep
         The record that was saved, with its numbers to the last bit.
 
     Raises

@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .integrators import OptimalControlProblem, Quantities, Quantity, Solution, Trajectory
+from .integrators import ClosedLoop, OptimalControlProblem, Quantities, Quantity, Solution, Trajectory
 from .integrators.problem.quantities import with_unit
 from .integrators.reporting.text import brief
 from .manifolds import Euclidean, InvalidInputError, Manifold
@@ -64,11 +64,10 @@ class NamedColumn(NamedTuple):
 
 
 class View(NamedTuple):
-    """Times, states and costates at the nodes, and controls at the stages, of a solution or a trajectory, array by
-    array.
+    """Times, states and costates at the nodes, and controls at the stages, of a record, array by array.
 
     ``stage_times`` and ``controls`` have one leading axis, that of all stages; ``controls`` is empty where there are
-    none. ``is_held``: each step has one control, which holds along it.
+    none, and ``costates`` too. ``is_held``: each step has one control, which holds along it.
     """
 
     times: np.ndarray
@@ -86,8 +85,8 @@ class View(NamedTuple):
 
 
 def view(record: Any, problem: About = None) -> View:
-    """The arrays of a ``Solution`` or a ``Trajectory``, of which ``problem`` has the names and units, or a manifold the
-    spaces.
+    """The arrays of a ``Solution``, a ``Trajectory`` or a ``ClosedLoop``, of which ``problem`` has the names and
+    units, or a manifold the spaces.
 
     Raises ``InvalidInputError`` for anything else, for a batch of trajectories, and if the problem is one of other
     arrays.
@@ -98,6 +97,10 @@ def view(record: Any, problem: About = None) -> View:
         given = record.quantities if problem is None else problem
         quantities, is_held = _quantities(given, states, controls), len(record.stage_times) == record.steps
         found = View(record.times, states, costates, record.stage_times, controls, quantities, is_held)
+    elif isinstance(record, ClosedLoop):
+        states, controls = map(_leaves, (record.states, record.controls))
+        quantities = _quantities(record.quantities if problem is None else problem, states, controls)
+        found = View(record.times, states, [], record.stage_times, controls, quantities, record.is_held)
     elif isinstance(record, Trajectory) and np.ndim(record.times) == 1:
         states, costates, stages = _leaves(record.q), _leaves(record.p), np.asarray(record.stage_times)
         controls = [a.reshape(-1, *a.shape[stages.ndim :]) for a in _leaves(record.controls)]
@@ -106,7 +109,7 @@ def view(record: Any, problem: About = None) -> View:
         found = View(times, states, costates, stages.ravel(), controls, quantities, _is_held(times, stages))
     else:
         raise InvalidInputError(
-            f"expected a Solution or a Trajectory, got {brief(record)}; try one member of a batch, "
+            f"expected a Solution, a Trajectory or a ClosedLoop, got {brief(record)}; try one member of a batch, "
             "record[0], or one of the phases, record.phases[0]"
         )
     found.quantities.require_fits("", tuple(found.states), tuple(found.controls or _nothing(found.quantities)))

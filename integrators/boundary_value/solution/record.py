@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
 import numpy as np
 
 from ....manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
+from ....manifolds.numerics.ambient import is_finite_number
 from ....manifolds.numerics.tolerances import ACTIVE
 from ....retractions import Retraction
 from ...problem.quantities import Quantities
@@ -188,22 +189,28 @@ class Solution(HistoryPlots):
             hint = f"; did you mean {near}?" if near and not name.startswith("_") else ""
             raise AttributeError(f"a Solution has no attribute {name!r}{hint}")
 
-    def guess(self, after: float = 0.0) -> Guess:
-        """This solution as a guess with the same steps and stages, or its rest from a time on, for a warm start.
+    def guess(self, after: float = 0.0, horizon: float | None = None) -> Guess:
+        """This solution as a guess with the same steps and stages, or a part of it from a time on, for a warm start.
 
         Parameters
         ----------
         after : float
             The time since the beginning at which the guess starts; ``InvalidInputError`` if nothing is left.
+        horizon : float, optional
+            The duration of the guess, by default the rest. After the end of this solution the guess holds its last
+            state, costate and control.
         """
         if not 0 <= after < self.horizon:
             raise InvalidInputError(
                 f"a guess was asked for after {after:.6g} of a horizon of {self.horizon:.6g}, expected a time in it; "
                 "try solution.guess(after=0.1 * solution.horizon)"
             )
-        if after > 0:
-            begin, left = self.times[0] + after, 1 - after / self.horizon
-            places = (begin + left * (times - self.times[0]) for times in (self.times, self.stage_times))
+        if not (horizon is None or (is_finite_number(horizon) and horizon > 0)):
+            raise InvalidInputError(f"the horizon of a guess must be a positive finite time, got {horizon!r}")
+        share = (self.horizon - after if horizon is None else horizon) / self.horizon
+        if after > 0 or share != 1.0:
+            begin = self.times[0] + after
+            places = (begin + share * (times - self.times[0]) for times in (self.times, self.stage_times))
             return self._between_nodes.guess(self, *places)
         multipliers = self.stage_multipliers, self.node_multipliers
         return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates, *multipliers)

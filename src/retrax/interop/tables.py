@@ -97,7 +97,8 @@ def _indexed(xarray: Any, member: Solution, problem: About, k: int) -> Any:
 
 def _groups(found: View) -> Iterator[tuple[str, list[np.ndarray], Sequence[Quantity], str]]:
     yield "", found.states, found.quantities.states, "time"
-    yield "costate of ", found.costates, found.quantities.states, "time"
+    if found.costates:
+        yield "costate of ", found.costates, found.quantities.states, "time"
     if found.controls:
         yield "", found.controls, found.quantities.controls, "stage_time"
 
@@ -199,7 +200,8 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
     words = isinstance(at, str)
     if words and at == "nodes":
         more = _multipliers(record.node_multipliers) if isinstance(record, Solution) else []
-        return found.times, [*_named("", own, found.states), *_named("costate of ", own, found.costates), *more]
+        costates = _named("costate of ", own, found.costates) if found.costates else []
+        return found.times, [*_named("", own, found.states), *costates, *more]
     if words and at == "stages" and not isinstance(record, Solution):
         return found.stage_times, _named("", controls, found.controls)
     if not isinstance(record, Solution) or (words and at != "stages"):
