@@ -22,7 +22,7 @@ VALUE = "integrators.boundary_value"
 # From the ground up; a module belongs to the floor of the longest prefix of its name.
 FLOORS = (
     ("tools", "errors module optional progress former_names newton_constants jaxpr_tools constant_folding tracing "
-     "index_bounds undisturbed aligned kernels linked _version "
+     "index_bounds undisturbed aligned _version "
      "compute.threads compute.binding"),
     ("tape", "tape"),
     ("manifolds", "manifolds"),
@@ -35,8 +35,7 @@ FLOORS = (
     ("initial value", "integrators.initial_value"),
     ("dirac", "integrators.dirac"),
     ("singular", "integrators.singular"),
-    ("inputs", f"{VALUE}.inputs {VALUE}.guess"),
-    ("engine", f"{VALUE}.engine {VALUE}.iteration_table"),
+    ("inputs", f"{VALUE}.inputs {VALUE}.guess {VALUE}.iteration_table"),
     ("transcription", f"{VALUE}.transcription"),
     ("solution", f"{VALUE}.solution"),
     ("reformulations and audit", " ".join(

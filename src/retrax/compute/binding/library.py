@@ -1,7 +1,6 @@
 """The library of the compiled core, called through ctypes: what ``src/core/retrax_core.h`` declares."""
 
 import ctypes
-import os
 from ctypes import (
     POINTER,
     Structure,
@@ -29,9 +28,6 @@ HEADER_VERSION = 6  # of the header that the structs below repeat
 OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0
 BYTES = 8  # of a number
-
-# Private: parts that run on the core, while the engine is still there.
-PARTS_ON_CORE = frozenset(os.environ.get("RETRAX_CORE", "search,tape,elimination").split(","))
 
 
 class MissingCoreError(RetraxError, ImportError):
