@@ -247,12 +247,13 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
 }
 
 void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
-    double content = 0.0;
+    double content = retrax_is_coupled(search) ? retrax_largest_curvature(search, iterate) : 0.0;
     EACH_PHASE(phase) { content = retrax_larger(content, content_of(phase, iterate + phase->place)); }
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
         double *const trajectory = iterate + phase->place, *const found = ARRAY(RESIDUALS);
-        for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
+        const bool reaches = layout->problem->control_size > 0; /* else no natural size is what controls reach */
+        for (retrax_index i = 0; reaches && i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
             const double span = span_of(layout, trajectory, i);
             const double parts = retrax_larger(span * ARRAY(PARTS)[i], RETRAX_SHARE * content);
             found[RETRAX_STATIONARITY] = retrax_larger(found[RETRAX_STATIONARITY], span * ARRAY(LARGEST_SLOPES)[i] / or_one(parts));
