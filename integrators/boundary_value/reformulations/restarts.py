@@ -119,14 +119,15 @@ def with_larger_penalty(member: MemberSearch, first: SearchRecord, found: Search
     return _better(member, found, member.guess.bare, firm=LARGER) if limited and _is_open(found) else found
 
 
+# In their order, with tests that need them.
 RESTARTS: tuple[Callable[[MemberSearch, SearchRecord, SearchRecord], SearchRecord], ...] = (
     from_degenerate_guess,
-    from_perturbed_guess,
+    from_perturbed_guess,  # test_a_guess_through_the_middle_of_an_obstacle_is_led_around
     from_least_violation,
-    from_slow_convergence,
-    from_feasible_trajectory,
-    from_forward_simulation,
-    with_larger_penalty,
+    from_slow_convergence,  # test_great_circles_beyond_half_a_turn_are_found_from_guesses_on_them
+    from_feasible_trajectory,  # test_dynamic_soaring_is_not_contradictory
+    from_forward_simulation,  # test_a_skip_through_the_atmosphere_is_found_from_a_constant_height
+    with_larger_penalty,  # test_dynamic_soaring_is_not_contradictory
 )
 
 

@@ -1,11 +1,10 @@
 """Discrete extremals: the result of a search, for records, audits and derivatives alike."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, final
+from typing import NamedTuple, final
 
 import numpy as np
 
-from ....manifolds.numerics.ambient import joined, taken
 from .functions.steps import AtStages
 from .kkt_system import KKTSystem
 
@@ -66,21 +65,3 @@ class DiscreteExtremals(NamedTuple):
     stopped: bool
     boundary: dict[str, np.ndarray] | None = None  # multipliers of boundary constraints by their names, each (B, k)
     notes: Sequence[str] | None = None  # to be said of each member beside its result
-
-    def joined(self, other: "DiscreteExtremals", order: np.ndarray) -> "DiscreteExtremals":
-        """The members of both batches in an order: places in this batch, then in the other batch."""
-        count, parts = len(self.cost), (self, other)
-        arrays = [own[: self._fields.index("at_stages")] for own in parts]
-
-        def system(k: int) -> KKTSystem:
-            place = int(order[k])
-            return parts[place >= count].system(place - count if place >= count else place)
-
-        def at_stages(costates: np.ndarray) -> AtStages:
-            back = costates[np.argsort(order)]
-            first, second = self.at_stages(back[:count]), other.at_stages(back[count:])
-            return taken(joined([first, second]), order)
-
-        own: dict[str, Any] = dict(zip(self._fields, taken(joined(arrays), order), strict=False))
-        own |= {"at_stages": at_stages, "system": system}
-        return DiscreteExtremals(**own, stopped=self.stopped or other.stopped)
