@@ -3,6 +3,7 @@
 from functools import cache
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.compute.binding.library import best_instruction_set
@@ -11,8 +12,8 @@ from retrax.compute.binding.transcription import FunctionName, LimitScale, Scale
 from retrax.integrators import OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.transcription import core_search
 from retrax.integrators.boundary_value.transcription.discrete_phase import DiscretePhase
-from retrax.manifolds import InvalidInputError
-from retrax.retractions import Midpoint, default_retraction
+from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.retractions import Addition, Midpoint, default_retraction
 
 from ..integrators.problems import SPHERE, half_square
 from .discrete_equations import DiscreteEquations, Expansion
@@ -185,12 +186,32 @@ def test_ends_that_are_far_apart_meet_along_the_arc_between_them(angle, monkeypa
     at.evaluate()
     sizes = [np.linalg.norm(at[name].reshape(3, 2)[1]) for name in ("DEFECTS", "ASKED")]
     node = at["NODES"].reshape(3, 3)[1]
-    if 2 * np.sin(angle / 2) < 0.9:
+    if np.abs(centres[1] - centres[0]).max() < 0.9:  # of the largest entry of a node
         np.testing.assert_allclose(sizes, np.sin(angle), rtol=1e-12)
         np.testing.assert_allclose(node, centres[0], atol=1e-14)
     else:
         np.testing.assert_allclose(node, [np.sin(angle / 2), 0, np.cos(angle / 2)], atol=1e-2)
         np.testing.assert_allclose(sizes, [angle, angle * np.cos(angle / 2)], rtol=1e-2)
+
+
+@pytest.mark.parametrize("power", [-9, -3, 2, 9])
+def test_natural_sizes_change_with_the_units_of_the_problem(power, monkeypatch):
+    """A cart in another unit of length: its states and controls have sizes in that unit, its cost is the same."""
+    plane, found = Euclidean(2), []
+    for unit in (1.0, 10.0**power):
+        problem = OptimalControlProblem(
+            plane, lambda q, u: jnp.stack([q[1], u[0]]), lambda q, u, unit=unit: u @ u / (2 * unit**2), 1
+        )
+        way = np.zeros(2), np.array([unit, 0.0]), 2.0
+        phase, guess = posed(Solver(problem, Midpoint(Addition(plane)), 8), way, monkeypatch)
+        search = Search(core_search.made(phase), 1e-9, 100)
+        put(search.trajectory, phase, guess)
+        assert search.run() is SearchStatus.CONVERGED
+        found.append(search.read().judging.copy)
+    one, other = found
+    np.testing.assert_allclose(other.unknowns, one.unknowns * 10.0**power, rtol=1e-9)
+    np.testing.assert_allclose(other.nodes, one.nodes * 10.0**power, rtol=1e-9)
+    assert other.cost == pytest.approx(one.cost, rel=1e-9)
 
 
 def test_what_does_not_fit_is_refused(monkeypatch):

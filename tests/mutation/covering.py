@@ -9,7 +9,7 @@ from coverage import CoverageData
 
 SETTINGS = "[run]\nsource = manifolds,retractions,integrators,src/retrax\ndata_file = {}\n"
 # Compiled code runs without Python: no coverage tells which tests run it.
-COMPILED = ("tests/integrators/engine", "tests/tape", "tests/integrators/test_inequalities.py")
+COMPILED = ("tests/core", "tests/tape", "tests/integrators/test_inequalities.py")
 
 
 class Covering:

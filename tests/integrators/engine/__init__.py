@@ -1,1 +1,0 @@
-"""Tests of the linear algebra of trajectories, against dense solves."""
