@@ -259,6 +259,8 @@ def test_a_reference_and_parameters_may_be_functions_of_time():
         (lambda: rx.RecedingHorizon(regulated(), None), "got neither"),
         (lambda: rx.RecedingHorizon(regulated(), None, horizon=-1.0), "horizon must be a positive"),
         (lambda: rx.RecedingHorizon(regulated(), None, horizon=1.0, delay=-1.0), "delay must be"),
+        (lambda: rx.RecedingHorizon(regulated(), None, horizon=1.0, max_iterations=0), "at least 1, got 0"),
+        (lambda: rx.RecedingHorizon(regulated(), None, horizon=1.0)(AWAY, "now"), "t must be a finite time"),
         (lambda: rx.RecedingHorizon(regulated(), None, horizon=1.0, budget=1.0), "no option 'budget'"),
         (lambda: rx.RecedingHorizon(regulated(), None, horizon=1.0).plan, "before the first call"),
         (lambda: rx.RecedingHorizon(regulated(), None, end_time=1.0)(AWAY, 1.0), "give horizon"),
