@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import retrax as rx
 from retrax.integrators import soften
+from retrax.integrators.closed_loop.plan import Budget
 from retrax.integrators.closed_loop.plant import Plant, Signal
 from retrax.interop import to_pandas
 from retrax.manifolds import DomainError, InvalidInputError
@@ -282,3 +283,10 @@ def test_a_time_that_is_not_later_raises_an_error():
     controller(AWAY, 1.0)
     with pytest.raises(InvalidInputError, match="not later"):
         controller(AWAY, 1.0)
+
+
+def test_a_budget_in_milliseconds_leaves_room_for_an_iteration_as_long_as_the_longest(monkeypatch):
+    clock = iter([0.0, 0.001, 0.003, 0.008, 0.009])
+    monkeypatch.setattr("retrax.integrators.closed_loop.plan.time.perf_counter", lambda: next(clock))
+    budget = Budget(None, 12.0)
+    assert [budget(None) for _ in range(4)] == [False, False, True, True]
