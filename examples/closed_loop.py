@@ -89,7 +89,6 @@ controller = rx.RecedingHorizon(
     end=None,
     horizon=12.0,
     max_iterations=8,
-    tolerance=1e-6,
     soft={"rate": 50.0, "sun": 1000.0},
     hold=SAMPLE,
 )

@@ -51,10 +51,10 @@ class RecedingHorizon:
     idle : control, optional
         The control that acts before the first one, with a delay; by default the nearest to zero within the bounds.
     tolerance : float, optional
-        As in ``Solver.solve``.
+        The tolerance of the solves, as in ``Solver.solve``.
     acceptable : float
-        The largest relative defect and violation of an iterate that the controller applies after the budget stopped
-        its solve.
+        The largest relative defect and violation of an iterate that the controller applies after a solve without
+        success.
 
     Raises
     ------
@@ -67,9 +67,9 @@ class RecedingHorizon:
     After the end of that solution, the guess holds its last state, costate and control. A solve that the budget stops
     is continued at the next sample, from its shifted iterate.
 
-    If the budget stops a solve, its iterate is the plan where it is feasible up to ``acceptable``, without being
-    optimal [Scokaert, Mayne, Rawlings 1999; Diehl, Bock, Schloeder 2005]. Otherwise, and after a solve without success,
-    the plan before stays. The control is then that of the feedback law along it,
+    If the budget stops a solve, or if it has no success, its iterate is the plan where it is feasible up to
+    ``acceptable``, without being optimal [Scokaert, Mayne, Rawlings 1999; Diehl, Bock, Schloeder 2005]. Otherwise the
+    plan before stays. The control is then that of the feedback law along it,
     :math:`u^*(t) + K(t)\,R^{-1}_{q^*(t)}(q)`, and where there is no law, as along an iterate, that of the plan alone.
     ``statistics`` counts these controls, and names the reasons. All controls lie within their bounds.
 
@@ -104,7 +104,7 @@ class RecedingHorizon:
         hold: float | None = None,
         delay: float = 0.0,
         idle: Any = None,
-        tolerance: float | None = None,
+        tolerance: float | None = 1e-6,
         acceptable: float = 1e-2,
     ) -> None:
         _require_solver(solver)
