@@ -56,9 +56,9 @@ def off_target(q):
 problem = rx.OptimalControlProblem(
     Q,
     lambda q, u: move(q, u, J),
-    lambda q, u: 5 * off_target(q) + 300 * q[1] @ q[1] + u @ u / 10,
+    lambda q, u: 20 * off_target(q) + 300 * q[1] @ q[1] + u @ u / 10,
     controls=4,
-    terminal_cost=lambda q: 50 * off_target(q) + 2000 * q[1] @ q[1],
+    terminal_cost=lambda q: 200 * off_target(q) + 2000 * q[1] @ q[1],
     control_bounds=(-TORQUE, TORQUE),
     constraints={
         "rate": lambda q, u: q[1] @ q[1] / RATE**2 - 1,
@@ -134,7 +134,7 @@ R, w, h = loop.q
 cone = np.rad2deg(np.arccos(R @ camera @ sun))
 error = np.rad2deg((target.inv() * Rotation.from_matrix(R)).magnitude())
 figure, axis = plt.subplots(figsize=(8, 4), layout="constrained")
-axis.semilogy(loop.t, error, label="camera to its target")
+axis.semilogy(loop.t, error, label="attitude to its target")
 axis.semilogy(loop.t, cone, label="camera to the Sun")
 axis.axhline(np.rad2deg(CONE), color="k", linestyle="--", label="limit")
 axis.set(xlabel="time [s]", ylabel="angle [deg]")

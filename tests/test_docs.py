@@ -38,6 +38,7 @@ SLOW = (
     "phases.md",
     "pictures.md",
     "problems.md",
+    "receding_horizon.md",
     "singular.md",
     "sweeps.md",
     "warm_starts.md",

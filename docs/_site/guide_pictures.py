@@ -306,6 +306,18 @@ def own_manifold(names: Names) -> Any:
     return figure
 
 
+def receding_horizon(names: Names) -> Any:
+    """The pendulum on a cart in closed loop: angle and position, and the force."""
+    loop, figure = names["loop"], plt.figure(figsize=(9, 2.8), layout="constrained")
+    axis, force = figure.subplots(1, 2)
+    axis.plot(loop.t, loop.q[:, 2], label="angle from upright [rad]")
+    axis.plot(loop.t, loop.q[:, 0], label="position of the cart [m]")
+    axis.set(xlabel="time [s]")
+    axis.legend()
+    plotting.controls(loop, ax=force).set(xlabel="time [s]", ylabel="force [N]")
+    return figure
+
+
 # What draws the picture of a page, and after which blocks of its code: the first ones, or those in a list.
 PAGES: dict[str, tuple[Callable[[Names], Any], int | list[int]]] = {
     "accuracy": (accuracy, [0, 2]),
@@ -324,6 +336,7 @@ PAGES: dict[str, tuple[Callable[[Names], Any], int | list[int]]] = {
     "parameter_studies": (parameter_studies, [0, 1, 5]),
     "phases": (phases, 2),
     "pictures": (pictures, 4),
+    "receding_horizon": (receding_horizon, 3),
     "singular": (singular, [0, 5]),
     "sweeps": (sweeps, 1),
     "warm_starts": (warm_starts, 6),

@@ -22,13 +22,18 @@ class Plan(NamedTuple):
     def is_usable(self) -> bool:
         """Whether a solve may start from here: from a solution, or an iterate that a budget stopped."""
         found = self.solution
-        is_finite = all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves((found.states, found.controls)))
-        return is_finite and (found.success or found.statistics.stopped)
+        return self.is_finite and (found.success or found.statistics.stopped)
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether all states and controls are finite."""
+        leaves = jax.tree.leaves((self.solution.states, self.solution.controls))
+        return all(np.all(np.isfinite(leaf)) for leaf in leaves)
 
     @property
     def infeasibility(self) -> float:
-        """The largest of the relative defects and violations; infinite for a failed solve."""
-        if not self.is_usable:
+        """The largest of the relative defects and violations; infinite where numbers are not finite."""
+        if not self.is_finite:
             return np.inf
         checks = self.solution.checks
         return max(checks.defect, getattr(checks, "violation", 0.0))

@@ -6,7 +6,7 @@ from typing import Any, final
 import numpy as np
 
 from ...manifolds import DomainError, InvalidInputError
-from ...manifolds.numerics.ambient import is_finite_number
+from ...manifolds.numerics.ambient import is_count, is_finite_number
 from ..boundary_value.solution.feedback import Feedback
 from ..boundary_value.solution.record import Solution
 from ..boundary_value.solver import Solver
@@ -51,10 +51,10 @@ class RecedingHorizon:
     idle : control, optional
         The control that acts before the first one, with a delay; by default the nearest to zero within the bounds.
     tolerance : float, optional
-        As in ``Solver.solve``.
+        The tolerance of the solves, as in ``Solver.solve``.
     acceptable : float
-        The largest relative defect and violation of an iterate that the controller applies after the budget stopped
-        its solve.
+        The largest relative defect and violation of an iterate that the controller applies after a solve without
+        success.
 
     Raises
     ------
@@ -67,9 +67,9 @@ class RecedingHorizon:
     After the end of that solution, the guess holds its last state, costate and control. A solve that the budget stops
     is continued at the next sample, from its shifted iterate.
 
-    If the budget stops a solve, its iterate is the plan where it is feasible up to ``acceptable``, without being
-    optimal [Scokaert, Mayne, Rawlings 1999; Diehl, Bock, Schloeder 2005]. Otherwise, and after a solve without success,
-    the plan before stays. The control is then that of the feedback law along it,
+    If the budget stops a solve, or if it has no success, its iterate is the plan where it is feasible up to
+    ``acceptable``, without being optimal [Scokaert, Mayne, Rawlings 1999; Diehl, Bock, Schloeder 2005]. Otherwise the
+    plan before stays. The control is then that of the feedback law along it,
     :math:`u^*(t) + K(t)\,R^{-1}_{q^*(t)}(q)`, and where there is no law, as along an iterate, that of the plan alone.
     ``statistics`` counts these controls, and names the reasons. All controls lie within their bounds.
 
@@ -104,22 +104,12 @@ class RecedingHorizon:
         hold: float | None = None,
         delay: float = 0.0,
         idle: Any = None,
-        tolerance: float | None = None,
+        tolerance: float | None = 1e-6,
         acceptable: float = 1e-2,
     ) -> None:
-        if not isinstance(solver, Solver):
-            raise InvalidInputError(
-                f"RecedingHorizon takes a Solver, got {brief(solver)}; try Solver(problem, method, steps)"
-            )
-        if horizon is None and end_time is None:
-            raise InvalidInputError(
-                "a receding horizon needs horizon=..., the duration of its plans, or end_time=..., the time at which "
-                "they end; got neither"
-            )
-        _require_times(horizon=horizon, milliseconds=milliseconds, hold=hold)
-        for name, value in (("delay", delay), ("acceptable", acceptable)):
-            if not (is_finite_number(value) and value >= 0):
-                raise InvalidInputError(f"{name} must be a finite number of at least zero, got {value!r}")
+        _require_solver(solver)
+        _require_horizon(horizon, end_time)
+        _require_numbers(horizon, max_iterations, milliseconds, hold, delay, acceptable)
         self.problem, self.horizon, self.end_time = solver.problem, horizon, end_time
         self.solver = Solver(soften(self.problem, soft), solver.method, solver.fractions) if soft else solver
         self._end, self._parameters, self._tolerance, self.acceptable = end, parameters, tolerance, acceptable
@@ -188,8 +178,9 @@ class RecedingHorizon:
         ConvergenceError
             If the first solve has no success. It has no budget, as there is nothing to return instead.
         """
-        began, begin = time.perf_counter(), float(t) + self.delay
+        began = time.perf_counter()
         self._require_later(t)
+        begin = float(t) + self.delay
         horizon = self._horizon_from(begin)
         own = self._at(self._parameters, begin) if parameters is None else parameters
         end = self._at(self._end, begin + horizon) if reference is None else reference
@@ -287,8 +278,33 @@ class RecedingHorizon:
         return given(time) if callable(given) else given
 
 
-def _require_times(**given: Any) -> None:
-    """Raise unless these are positive times, or None."""
-    for name, value in given.items():
+def _require_solver(solver: Any) -> None:
+    if not isinstance(solver, Solver):
+        raise InvalidInputError(
+            f"RecedingHorizon takes a Solver, got {brief(solver)}; try Solver(problem, method, steps)"
+        )
+
+
+def _require_horizon(horizon: Any, end_time: Any) -> None:
+    """Raise unless the plans have an end."""
+    if horizon is None and end_time is None:
+        raise InvalidInputError(
+            "a receding horizon needs horizon=..., the duration of its plans, or end_time=..., the time at which they "
+            "end; got neither"
+        )
+    if not (end_time is None or is_finite_number(end_time)):
+        raise InvalidInputError(f"end_time must be a finite time, got {end_time!r}")
+
+
+def _require_numbers(
+    horizon: Any, max_iterations: Any, milliseconds: Any, hold: Any, delay: Any, acceptable: Any
+) -> None:
+    """Raise unless times are positive or None, and the other numbers at least zero."""
+    for name, value in {"horizon": horizon, "milliseconds": milliseconds, "hold": hold}.items():
         if value is not None and not (is_finite_number(value) and value > 0):
-            raise InvalidInputError(f"{name} must be a positive finite time, got {value!r}")
+            raise InvalidInputError(f"{name} must be a positive finite number, got {value!r}")
+    if not (max_iterations is None or is_count(max_iterations)):
+        raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
+    for name, value in {"delay": delay, "acceptable": acceptable}.items():
+        if not (is_finite_number(value) and value >= 0):
+            raise InvalidInputError(f"{name} must be a finite number of at least zero, got {value!r}")

@@ -97,6 +97,20 @@ def load_closed_loop(path: str | Path) -> ClosedLoop:
     ----------
     path : str or Path
         The file; ``InvalidInputError`` if it is something else, damaged, incomplete, or of another version.
+
+    Returns
+    -------
+    ClosedLoop
+        The record that was saved, with its numbers to the last bit.
+
+    Examples
+    --------
+    >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
+    >>> loop = simulate(line, lambda q, t: -q, np.ones(1), horizon=1.0, sample_time=0.5)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     loop.save(f"{folder}/loop.npz")
+    ...     load_closed_loop(f"{folder}/loop.npz").times.tolist()
+    [0.0, 0.5, 1.0]
     """
     values = _FILE.read(path)
     solves, names = (values.pop(name) for name in IN_TEXT)

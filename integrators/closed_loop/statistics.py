@@ -29,8 +29,8 @@ class ControllerStatistics:
     milliseconds : array of shape (K,)
         The time of each call, on the clock of the computer.
     sources : tuple of str
-        The source of each control: ``"solve"``; ``"iterate"``, an acceptable iterate of a solve that the budget
-        stopped; ``"feedback"``, the feedback law along an earlier solution; or ``"plan"``, an earlier plan alone.
+        The source of each control: ``"solve"``; ``"iterate"``, a feasible iterate of a solve without success within
+        its budget; ``"feedback"``, the feedback law along an earlier solution; or ``"plan"``, an earlier plan alone.
     failures : dict of float to str
         The results of the solves without success, by the times of their samples.
     """

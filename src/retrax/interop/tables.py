@@ -20,7 +20,7 @@ def to_xarray(record: Any, problem: About = None) -> Any:
 
     Parameters
     ----------
-    record : Solution, Solutions or Trajectory
+    record : Solution, Solutions, Trajectory or ClosedLoop
         The record.
     problem : OptimalControlProblem or Manifold, optional
         The names and units of a trajectory, or its manifold.
@@ -109,7 +109,7 @@ def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
 
     Parameters
     ----------
-    record : Solution, Solutions or Trajectory
+    record : Solution, Solutions, Trajectory or ClosedLoop
         The record.
     at : {"nodes", "stages"} or array_like
         ``"nodes"``: states, costates and multipliers of node constraints. ``"stages"``: controls, and for a solution
@@ -150,7 +150,7 @@ def to_csv(record: Any, path: str | Path, at: Any = "nodes", problem: About = No
 
     Parameters
     ----------
-    record : Solution, Solutions or Trajectory
+    record : Solution, Solutions, Trajectory or ClosedLoop
         The record; ``InvalidInputError`` as ``to_pandas``.
     path : str or Path
         The file.

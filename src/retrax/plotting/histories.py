@@ -15,7 +15,7 @@ def histories(record: Any, problem: About = None, ax: Any = None, degrees: bool 
 
     Parameters
     ----------
-    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+    record : Solution, Trajectory, ClosedLoop, PhasedSolution, Solutions, list or dict
         One record; the members of a batch; or records to compare, in a dictionary with their names. Four named records
         have line styles of their own, more are thin lines.
     problem : OptimalControlProblem or Manifold, optional
@@ -54,7 +54,7 @@ def state(record: Any, array: int = 0, problem: About = None, ax: Any = None, de
 
     Parameters
     ----------
-    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+    record : Solution, Trajectory, ClosedLoop, PhasedSolution, Solutions, list or dict
         The records, as in ``histories``.
     array : int
         The index of the array in the state.
@@ -88,7 +88,7 @@ def controls(record: Any, problem: About = None, ax: Any = None, degrees: bool =
 
     Parameters
     ----------
-    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+    record : Solution, Trajectory, ClosedLoop, PhasedSolution, Solutions, list or dict
         The records, as in ``histories``.
     problem, ax, degrees
         As in ``histories``, with one ``Axes``.
@@ -124,7 +124,7 @@ def attitude(
 
     Parameters
     ----------
-    record : Solution, Trajectory, PhasedSolution, Solutions, list or dict
+    record : Solution, Trajectory, ClosedLoop, PhasedSolution, Solutions, list or dict
         The records, as in ``histories``.
     array : int, optional
         The index of the array with the attitude in the state; by default the first array on SO(3) or SE(3).
