@@ -7,8 +7,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ...aligned import aligned
 from ...errors import InvalidInputError
+from ..working_memory import aligned
 from .library import (
     ARRAYS,
     BYTES,
