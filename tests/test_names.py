@@ -51,7 +51,6 @@ EXCEPTIONS: dict[str, frozenset[str]] = {
     "retractions/groups/group_map.py": frozenset({"Translated"}),
     "retractions/groups/special_euclidean.py": frozenset({"SEDecoupled"}),
     "retractions/restored.py": frozenset({"file"}),
-    "src/retrax/aligned.py": frozenset({"file"}),
     "src/retrax/undisturbed.py": frozenset({"file"}),
 }
 

@@ -81,7 +81,6 @@ def test_the_tape_stands_below_the_layers():
     modules = (ROOT / "src" / "retrax" / "tape").rglob("*.py")
     nodes = [node for path in modules for node in ast.walk(ast.parse(path.read_text()))]
     beside = (
-        "aligned",
         "compute.binding.tape_machine",
         "newton_constants",
         "jaxpr_tools",

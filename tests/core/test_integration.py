@@ -1,6 +1,9 @@
 """Implicit steps by the core, against closed forms and SciPy: one trajectory and lanes of them, failures, pieces."""
 
+import subprocess
+import sys
 from itertools import pairwise
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -169,11 +172,40 @@ def test_methods_and_arrays_that_do_not_fit_are_refused():
             begun(method, starts, sizes).run(*numbers)
 
 
-def test_a_library_that_is_missing_or_of_another_version_is_named(monkeypatch):
+def test_a_library_that_is_missing_broken_or_of_another_version_is_named(monkeypatch, tmp_path):
     with monkeypatch.context() as other:
         other.setattr(library, "HEADER_VERSION", library.HEADER_VERSION + 1)
         with pytest.raises(library.MissingCoreError, match=r"version .* of its interface, expected .*; try"):
             library.library.__wrapped__()
+    broken = tmp_path / "_core.so"
+    broken.write_text("text")
+    monkeypatch.setattr(library, "find_spec", lambda name: SimpleNamespace(origin=str(broken)))
+    with pytest.raises(library.MissingCoreError, match=r"cannot be loaded: .*_core.so.*; try: pip install"):
+        library.library.__wrapped__()
     monkeypatch.setattr(library, "find_spec", lambda name: None)
     with pytest.raises(library.MissingCoreError, match=r"core of retrax is not installed: .*; try: *pip install"):
         library.library.__wrapped__()
+
+
+WITHOUT = """
+import runpy
+import numpy as np
+from retrax.compute.binding import library
+library.find_spec = lambda name: None
+import retrax as rx
+line = rx.Euclidean(1)
+try:
+    rx.solve(rx.OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u, 1), [0.0], [1.0], 1.0, steps=2)
+except library.MissingCoreError as error:
+    print(error)
+runpy.run_module("retrax", run_name="__main__")
+"""
+
+
+def test_without_the_library_the_package_is_imported_and_a_solve_names_it():
+    command = [sys.executable, "-W", "ignore", "-c", WITHOUT]
+    said, *report = subprocess.run(command, capture_output=True, text=True, check=True).stdout.splitlines()
+    assert said.startswith("the compiled core of retrax is not installed")
+    assert said.endswith("try: pip install --force-reinstall --no-deps retrax")
+    (core,) = [line for line in report if line.startswith("core ")]
+    assert "missing: the compiled core" in core

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any, Self, final
 
 import numpy as np
 
-from ..aligned import LINE, aligned
 from ..errors import RetraxError
 from .base import Arrays, Evaluator, Function, PointwiseFunction
 from .binding.tape_machine import TapeCall
 from .program_digest import content_key
 from .threads import worth_threads
+from .working_memory import LINE, aligned
 
 if TYPE_CHECKING:
     from ..tape import Tape

@@ -5,8 +5,8 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ...aligned import scratch
 from ...errors import InvalidInputError
+from ..working_memory import scratch
 from .library import BYTES, FLOAT, BlockSolutionStruct, BlockSystemStruct, address_of, best_instruction_set, library
 
 

@@ -6,9 +6,9 @@ from typing import NamedTuple, final
 
 import numpy as np
 
-from ...aligned import scratch
 from ...errors import InvalidInputError
 from ..threads import in_threads
+from ..working_memory import scratch
 from .library import (
     BYTES,
     FLOAT,

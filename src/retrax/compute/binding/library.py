@@ -31,7 +31,10 @@ BYTES = 8  # of a number
 
 
 class MissingCoreError(RetraxError, ImportError):
-    """The compiled core is not installed, or is of another version."""
+    """The compiled core is not installed, cannot be loaded, or is of another version."""
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(f"{problem}; try: pip install --force-reinstall --no-deps retrax")
 
 
 @final
@@ -458,15 +461,15 @@ def library() -> ctypes.CDLL:
     spec = find_spec("retrax._core")
     if spec is None or spec.origin is None:
         raise MissingCoreError(
-            "the compiled core of retrax is not installed: expected the file _core beside the package's modules; try: "
-            "pip install --force-reinstall --no-deps retrax"
+            "the compiled core of retrax is not installed: expected the file _core beside the package's modules"
         )
-    found = ctypes.CDLL(spec.origin)
+    try:
+        found = ctypes.CDLL(spec.origin)
+    except OSError as error:
+        raise MissingCoreError(f"the compiled core of retrax cannot be loaded: {error}") from error
     if found.retrax_core_version() != HEADER_VERSION:
         raise MissingCoreError(
-            f"the compiled core has version {found.retrax_core_version()} of its interface, expected "
-            f"{HEADER_VERSION}; try: "
-            "pip install --force-reinstall --no-deps retrax"
+            f"the compiled core has version {found.retrax_core_version()} of its interface, expected {HEADER_VERSION}"
         )
     for name, (result, arguments) in _SIGNATURES.items():
         function = getattr(found, name)

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from ctypes import POINTER, byref, pointer
 from typing import Any, NamedTuple, final
 
-from ...aligned import aligned
 from ...errors import InvalidInputError
+from ..working_memory import aligned
 from .library import (
     FunctionStruct,
     LayoutStruct,

@@ -24,7 +24,7 @@ from .library import (
     library,
 )
 from .multiphase import Multiphase
-from .transcription import PLACES, Scale, Sizes, Trajectory, Transcription
+from .transcription import Scale, Sizes, Trajectory, Transcription, array_places
 
 MOST_ITERATIONS = 1 << 20  # as in search.c
 WAVES = 3  # as in perturbed_guess.c
@@ -198,7 +198,7 @@ class Search:
         """Return the result of the last run, with the arrays of a phase; the next run overwrites these."""
         of = self._of[phase]
         found, layout = self._library.retrax_search_read(self._search, phase), of.layout
-        sizes, z = of.sizes, layout.count[PLACES["PARTS"]]
+        sizes, z = of.sizes, layout.count[array_places()["PARTS"]]
         at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
         judging, steps = (
             Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)

@@ -2,12 +2,13 @@
 
 from collections.abc import Mapping
 from ctypes import byref
+from functools import cache
 from typing import NamedTuple, final
 
 import numpy as np
 
-from ...aligned import aligned
 from ...errors import InvalidInputError
+from ..working_memory import aligned
 from .library import (
     ARRAYS,
     BYTES,
@@ -139,8 +140,8 @@ class Transcription:
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
         self._library.retrax_layout_make(byref(self._problem), place, byref(self.layout))
         firsts, counts = self.layout.first[:], self.layout.count[:]
-        self.parts = {name: slice(firsts[k], firsts[k] + counts[k]) for name, k in PLACES.items()}
-        self.iterate_numbers = firsts[PLACES["POINT_CENTRES"]]
+        self.parts = {name: slice(firsts[k], firsts[k] + counts[k]) for name, k in array_places().items()}
+        self.iterate_numbers = firsts[array_places()["POINT_CENTRES"]]
         self._room = aligned(1)
 
     @property
@@ -309,4 +310,7 @@ class Trajectory:
         return address_of(self._numbers, FLOAT, self._numbers.shape, "numbers of a trajectory")
 
 
-PLACES = {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
+@cache
+def array_places() -> dict[str, int]:
+    """The places of the arrays of a trajectory in the core's list, by their names."""
+    return {library().retrax_array_name(k).decode(): k for k in range(ARRAYS)}
