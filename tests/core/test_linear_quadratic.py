@@ -147,6 +147,22 @@ def test_free_and_weighted_ends(kind, states):
                 assert solution.cost == pytest.approx(least(*system, start, 1.0, weight), rel=1e-8)
 
 
+@pytest.mark.parametrize("kind", ["lags", "unstable"])
+@pytest.mark.parametrize("states", [6, *(pytest.param(n, marks=pytest.mark.slow) for n in (12, 30, 60))])
+def test_a_success_is_right_where_controls_reach_farther_than_any_solution(kind, states):
+    """Through the coupling beyond which a Newton step has no right digit: a failure there, and no wrong success."""
+    solved = 0
+    for coupling in 10.0 ** np.arange(0, 5):
+        system = KINDS[kind](states, coupling)
+        for start in starts(states):
+            for weight in (0.0, 1e3):
+                solution = found(system, start, None, weight)
+                solved += solution.success
+                if solution.success:
+                    assert solution.cost == pytest.approx(least(*system, start, 1.0, weight), rel=1e-8)
+    assert solved >= 6
+
+
 @pytest.mark.usual("4-lags", "4-springs")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("states", [2, 4, 6, 8])
