@@ -80,7 +80,8 @@ def concise(
     context. Both are added to a function that is concise already, without a frame more. With the environment variable
     ``RETRAX_TRACEBACK=full``, all frames and causes are shown.
     """
-    function, check, within = (new or old for new, old in zip((None, check, within), _parts_of(function), strict=True))
+    inner, own_check, own_within = _parts_of(function)
+    check, within = check or own_check, within or own_within
 
     @wraps(function)
     def call(*arguments: P.args, **options: P.kwargs) -> R:
@@ -88,9 +89,9 @@ def concise(
             if check is not None:
                 check(len(arguments), *options)
             if within is None:
-                return function(*arguments, **options)
+                return inner(*arguments, **options)
             with within():
-                return function(*arguments, **options)
+                return inner(*arguments, **options)
         except Exception as error:
             frames = error.__traceback__ if isinstance(error, RetraxError) else _users_frames(error)
             if frames is None or os.environ.get("RETRAX_TRACEBACK") == "full":
@@ -101,7 +102,7 @@ def concise(
     # A traceback shows this frame by the function's name and without a line of its source, which tells users nothing.
     own: Any = call
     own.__code__ = own.__code__.replace(co_filename="<retrax>", co_name=getattr(function, "__name__", "call"))
-    vars(call)[CONCISE] = call, (function, check, within)
+    vars(call)[CONCISE] = call, (inner, check, within)
     return call
 
 

@@ -1,6 +1,7 @@
 """The records of what an iteration found."""
 
-from functools import cached_property, partial
+from collections.abc import Callable
+from functools import cache, cached_property, partial
 from typing import Any, final
 
 import jax
@@ -68,12 +69,15 @@ class ExtremalRecords:
         self._statuses = self._statuses_of(inputs.options.tolerance)
         self._active = _active(transcribed, self._held)
         self._multipliers = _multipliers(transcribed, found)
+        # A record holds this until its figures are read, and nothing else of the search.
+        find = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters)
+        self._diagnostics = cache(partial(_diagnostics, find, self._active if builder.constrained else []))
 
     def member(self, k: int) -> Solution:
         """The record of a member."""
         status, residuals = self._statuses[k], self.found.residuals
         checks = RegularChecks.later(
-            partial(self._figures, k),
+            partial(_figures, self._diagnostics, k),
             defect=residuals.defect[k].item(),
             stationarity=residuals.stationarity[k].item(),
             strict_minimum=bool(self.found.strict_minimum[k] and status.success),
@@ -153,24 +157,25 @@ class ExtremalRecords:
             "hamiltonians": self._along.hamiltonians[k],
         } | {field: {name: rows[k] for name, rows in own.items()} for field, own in named.items()}
 
-    def _figures(self, k: int) -> dict[str, Any]:
-        """The figures of a member that are computed when one is read."""
-        return figures(vec.taken(self._diagnostics, k))
 
-    @cached_property
-    def _diagnostics(self) -> Diagnostics:
-        """The diagnostics of all members.
+def _figures(find: Callable[[], Diagnostics], k: int) -> dict[str, Any]:
+    """The figures of a member that are computed when one is read."""
+    return figures(vec.taken(find(), k))
 
-        Momenta may change where constraints hold a trajectory: they may break symmetries.
-        """
-        diagnosis, given = self.transcribed.traced.diagnosis, self.transcribed.conditions.data.parameters
-        with np.errstate(all="ignore"):
-            found = diagnosis.of(self._at_nodes, self._along, self._stages, given)
-        if not self._of.constrained:
-            return found
-        held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in self._active]
-        free = np.where(held, np.inf, 0.0)[:, None]
-        return found._replace(brackets={name: rates + free for name, rates in found.brackets.items()})
+
+def _diagnostics(find: Callable[[], Diagnostics], active: list[dict[str, int]]) -> Diagnostics:
+    """The diagnostics of all members.
+
+    Momenta may change where constraints hold a trajectory: they may break symmetries. ``active``: at how many places
+    constraints and bounds hold each; empty without constraints of points.
+    """
+    with np.errstate(all="ignore"):
+        found = find()
+    if not active:
+        return found
+    held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in active]
+    free = np.where(held, np.inf, 0.0)[:, None]
+    return found._replace(brackets={name: rates + free for name, rates in found.brackets.items()})
 
 
 def _times(steps: np.ndarray, stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -108,9 +108,12 @@ class Checks(ABC):
 
         def __getattr__(self, name: str) -> Any:
             known = vars(self)
-            if name not in FIGURES or LATER not in known:
+            make = known.get(LATER) if name in FIGURES else None
+            if make is not None:
+                known.update(make())
+                known.pop(LATER, None)  # what it holds is large; another thread may have been here
+            if name not in known:
                 raise AttributeError(f"{type(self).__name__} has no attribute {name!r}")
-            known.update(known[LATER]())
             return known[name]
 
     def __getstate__(self) -> dict[str, Any]:
