@@ -246,7 +246,7 @@ def test_no_record_is_an_error():
     for nothing in ([], {}, ()):
         with pytest.raises(InvalidInputError, match="no record"):
             plotting.histories(nothing)
-    with pytest.raises(InvalidInputError, match="expected a Solution or a Trajectory"):
+    with pytest.raises(InvalidInputError, match="expected a Solution, a Trajectory or a ClosedLoop"):
         plotting.histories({"one": 1.0})
 
 

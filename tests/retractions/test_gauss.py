@@ -128,7 +128,9 @@ def test_a_number_of_stages_that_is_none_is_refused(stages):
 
 @pytest.mark.parametrize("given", [Sphere(2), Exponential, Midpoint(Cayley(SO(3))), None])
 def test_a_method_of_something_else_than_a_retraction_is_refused(given):
-    with pytest.raises(InvalidInputError, match=r"made from a retraction, got .*; try default_retraction\(manifold\)"):
+    with pytest.raises(
+        InvalidInputError, match=r"made from a retraction, got .*; try Gauss\(2, default_retraction\(manifold\)\)"
+    ):
         Gauss(2, given)
 
 

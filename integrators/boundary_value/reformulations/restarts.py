@@ -144,6 +144,7 @@ def _better(
     if member.watch.stopped:
         return found
     again = member.from_iterate(start, width, firm)
+    anything = anything and not member.watch.stopped  # a search that was stopped may not have begun
     better = anything or (again.claimed and not (found.claimed and again.cost >= found.cost))
     return (again if better else found)._replace(iterations=found.iterations + again.iterations)
 

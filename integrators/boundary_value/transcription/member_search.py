@@ -110,7 +110,10 @@ class MemberSearch:
                 search.perturb()
                 last = search.run()
         except KeyboardInterrupt:
+            self.watch.stop()
             status = last = SearchStatus.STOPPED
+            if not search.read().iterations:  # the values of the guess are not complete
+                search.run()  # ends behind the evaluation of the guess
         if last is SearchStatus.STOPPED or search.read().stopped:
             self.watch.stop()
         return status
