@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from ctypes import byref
 from enum import IntEnum
 from functools import partial
+from operator import attrgetter
 from threading import current_thread, main_thread
 from typing import Any, NamedTuple, final
 from weakref import ref
@@ -67,6 +68,9 @@ class SearchResult(NamedTuple):
     falls: bool
     stopped: bool
     right_inertia: bool
+
+
+FACTS = attrgetter(*SearchResult._fields[SearchResult._fields.index("iterations") :])  # of all phases together
 
 
 @final
@@ -183,8 +187,10 @@ class Search:
     def _reports(self, iteration: IterationStruct) -> bool:
         """Whether the report, an error of that or of a function, or an interrupt asks to stop."""
         try:
-            ends = any(own.failure.error is not None for own in self._of) or self._interrupted
-            return ends or (self._report is not None and self._report(iteration))
+            for own in self._of:
+                if own.failure.error is not None:
+                    return True
+            return self._interrupted or (self._report is not None and self._report(iteration))
         except BaseException as error:  # C knows no exceptions
             self._of[0].failure.error = error
             return True
@@ -199,19 +205,19 @@ class Search:
         of = self._of[phase]
         found, layout = self._library.retrax_search_read(self._search, phase), of.layout
         sizes, z = of.sizes, layout.count[array_places()["PARTS"]]
-        at, first = (Trajectory(of, self._part(place, layout.numbers)) for place in (found.trajectory, found.first))
-        judging, steps = (
+        at = Trajectory(of, self._part(found.trajectory, layout.numbers))
+        first = Trajectory(of, self._part(found.first, layout.numbers))
+        judging, steps = [
             Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
             for own in (found.judging, found.steps)
-        )
+        ]
         limits, residuals = self._part(found.limits, sizes.limits), self._part(found.residuals, len(at["RESIDUALS"]))
-        told = (getattr(found, name) for name in SearchResult._fields[SearchResult._fields.index("iterations") :])
         coupled = self._coupled(found)
-        return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, *told)
+        return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, *FACTS(found))
 
     def _coupled(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Natural sizes, values and derivatives of the equations between the ends."""
-        r, coordinates = self._phases.equations, 2 * sum(of.sizes.state_size for of in self._of)
+        r, coordinates = self._phases.equations, 2 * sum([of.sizes.state_size for of in self._of])
         if not found.equations:
             return np.zeros(0), np.zeros(0), np.zeros((0, coordinates))
         jacobian = self._part(found.jacobian, r * coordinates).reshape(r, coordinates)
