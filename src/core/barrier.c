@@ -119,11 +119,8 @@ void retrax_rest_slacks(const retrax_layout *layout, double *trajectory) {
 
 void retrax_find_limits(retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
-    double horizon = 0.0;
-    for (retrax_index k = 0; k < layout->problem->steps; k++) {
-        horizon += ARRAY(STEP_SIZE)[k];
-    }
-    phase->limits.rate = phase->steps.cost * (double)layout->problem->steps / horizon;
+    const double duration = retrax_duration(layout, trajectory);
+    phase->limits.rate = phase->steps.cost * (double)layout->problem->steps / duration;
     write_limits(phase, trajectory);
 }
 

@@ -8,7 +8,6 @@
  * front, and a second scaling makes its rows and columns of one size.
  */
 #include "dense.h"
-#include "workspace.h"
 
 #include <math.h>
 #include <stdbool.h>
@@ -45,13 +44,7 @@ static void lay_out(elimination *own, retrax_block *block, retrax_index stages, 
     own->width = width;
     own->front.unknowns = z;
     own->front.columns = columns;
-    own->front.width = width;
-    own->front.matrix = retrax_take(block, rows, width, sizeof(double));
-    own->front.left = retrax_take(block, 1, width, sizeof(double));
-    own->front.sizes = retrax_take(block, 1, width, sizeof(double));
-    own->front.kept = retrax_take(block, rows, width, sizeof(double));
-    own->front.known = retrax_take(block, rows, 1, sizeof(retrax_index));
-    own->front.unstable = retrax_take(block, rows, 1, sizeof(bool));
+    retrax_take_front(block, rows, width, &own->front);
     own->column_sizes = retrax_take(block, 2, width, sizeof(double));
     own->inverse_nodes = retrax_take(block, n, 1, sizeof(double));
     own->carried = retrax_take(block, 2 * n, 2 * n + columns, sizeof(double));
@@ -247,12 +240,8 @@ static retrax_inertia eliminate_forward(elimination *own) {
         own->left[k + 1] = 0;
         retrax_pivots found = pivots_of(own, k);
         const retrax_index *const guess = alike ? own->order + (k - 1) * own->most : NULL;
-        const retrax_inertia stage =
-            retrax_front_factorise(own->kernels, &own->front, count, last ? 0 : own->n, guess, like, &found);
-        inertia.negative += stage.negative;
-        if (stage.smallest < inertia.smallest || stage.smallest != stage.smallest) {
-            inertia.smallest = stage.smallest;
-        }
+        retrax_add_inertia(&inertia, retrax_front_factorise(own->kernels, &own->front, count, last ? 0 : own->n, guess, like,
+                                                            &found));
         if (!last) {
             carry(own, k, &found);
         }

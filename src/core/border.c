@@ -167,20 +167,18 @@ static retrax_inertia solve_border(const retrax_search *search, retrax_border *b
     for (retrax_index i = total - search->coupling.count[RETRAX_COUPLED_VALUES]; i < total; i++) {
         row_of(border, i)[i] -= HELD;
     }
-    double sum = 0.0; /* 0, or NaN where a number is not finite */
+    bool finite = true;
     for (retrax_index i = 0; i < total; i++) {
-        for (retrax_index j = 0; j <= total; j++) {
-            sum += 0.0 * row_of(border, i)[j];
-        }
+        finite = finite && retrax_is_finite(row_of(border, i), total + 1);
     }
     retrax_inertia inertia = {0, 0.0};
-    if (sum == 0.0) {
+    if (finite) {
         const retrax_kernels *const kernels = retrax_kernels_for(search->set);
         inertia = retrax_front_factorise(kernels, &border->front, total, 0, NULL, 0, &border->pivots);
         retrax_front_substitute(&border->front, total, &border->pivots, 0, border->solution, border->work);
     }
     for (retrax_index i = 0; i < total; i++) {
-        border->solution[i] = sum == 0.0 ? border->solution[i] * border->scales[i] : NAN;
+        border->solution[i] = finite ? border->solution[i] * border->scales[i] : NAN;
     }
     return inertia;
 }
@@ -223,7 +221,7 @@ static bool write_step(const retrax_border *border, retrax_phase *phase, double 
     const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
     retrax_response *const own = &phase->response;
     const double *const force = border->solution + own->rows[2];
-    double *const last = ARRAY(MULTIPLIER_STEPS) + N * n, sum = 0.0;
+    double *const last = ARRAY(MULTIPLIER_STEPS) + N * n;
     own->factors[0] = 1.0;
     retrax_copy(own->factors + 1, border->solution + own->rows[0], own->counts[0]);
     retrax_copy(own->factors + 1 + own->counts[0], force, n);
@@ -236,13 +234,8 @@ static bool write_step(const retrax_border *border, retrax_phase *phase, double 
         const retrax_index a = own->free[n + i];
         last[a] = -(force[a] + own->weights[a] * border->solution[own->rows[1] + i]);
     }
-    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_STEPS]; i++) {
-        sum += 0.0 * ARRAY(STEPS)[i];
-    }
-    for (retrax_index i = 0; i < (N + 1) * n; i++) {
-        sum += 0.0 * ARRAY(MULTIPLIER_STEPS)[i];
-    }
-    return sum == 0.0;
+    return retrax_is_finite(ARRAY(STEPS), layout->count[RETRAX_ARRAY_STEPS]) &&
+           retrax_is_finite(ARRAY(MULTIPLIER_STEPS), layout->count[RETRAX_ARRAY_MULTIPLIER_STEPS]);
 }
 
 /* Writes what the ends move by, and the steps of the multipliers; returns the curvature of the ends along that. */
@@ -299,9 +292,7 @@ void retrax_eliminate_coupled(retrax_search *search, double shift) {
         found->finite = write_step(border, phase, trajectory) && found->finite;
         summarise(phase->layout, trajectory, phase, &curvature, &size);
     }
-    for (retrax_index i = sizes.ends + sizes.forces; i < sizes.total; i++) {
-        found->finite = found->finite && isfinite(border->solution[i]);
-    }
+    found->finite = found->finite && retrax_is_finite(border->solution + sizes.ends + sizes.forces, sizes.equations);
     found->shift = shift;
     found->curvature = curvature / search->phases->steps.cost + shift * size;
     found->size = size;

@@ -57,23 +57,6 @@ bool retrax_is_extremal(const retrax_search *search) {
     return claimed && (retrax_is_coupled(search) || do_ends_meet(search));
 }
 
-/* Whether a symmetric matrix a[m][m] with rows `stride` apart is positive definite; factors: [m][m] workspace. */
-static bool is_positive_definite(const double *a, retrax_index m, retrax_index stride, double *factors) {
-    for (retrax_index i = 0; i < m; i++) {
-        for (retrax_index j = 0; j <= i; j++) {
-            double value = a[i * stride + j];
-            for (retrax_index k = 0; k < j; k++) {
-                value -= factors[i * m + k] * factors[j * m + k];
-            }
-            if (i == j && !(value > 0.0)) {
-                return false;
-            }
-            factors[i * m + j] = i == j ? sqrt(value) : value / factors[j * m + j];
-        }
-    }
-    return true;
-}
-
 /* Whether the Hessians by the controls of all points are positive definite, with the share of the inequalities. */
 static bool is_convex(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
@@ -81,7 +64,7 @@ static bool is_convex(const retrax_phase *phase, const double *trajectory) {
     const double *const hessians = retrax_collocates(problem) ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS);
     const retrax_index m = problem->control_size, q = retrax_point_unknowns(problem);
     for (retrax_index point = 0; point < problem->steps * problem->points; point++) {
-        if (!is_positive_definite(hessians + (point * q + q - m) * q + q - m, m, q, phase->square)) {
+        if (!retrax_is_positive_definite(hessians + (point * q + q - m) * q + q - m, m, q, 0.0, phase->square)) {
             return false;
         }
     }

@@ -5,12 +5,9 @@
  * all products with them: a right-hand side is one more column.
  */
 #include "dense.h"
-#include "workspace.h"
+#include "layout.h"
 
 #include <string.h>
-
-/* Which rows are meant where a number of a point is expected. */
-#define ENDS (-1)
 
 /* Sizes and workspace of condensing one step. */
 typedef struct {
@@ -74,8 +71,8 @@ static condensing open_workspace(const retrax_collocation_system *system, void *
 }
 
 /* The weights with which the velocities of a step make up a point, or its end. */
-static const double *weights_of(const condensing *own, retrax_index point) {
-    return point == ENDS ? own->system->weights : own->system->matrix + point * own->s;
+static const double *weights_of(const retrax_collocation_system *system, retrax_index point) {
+    return point == RETRAX_AT_ENDS ? system->weights : system->matrix + point * system->points;
 }
 
 /* ---------------------------------------------------------------------------------------------- condensing */
@@ -114,8 +111,8 @@ static void write_equations(condensing *own, retrax_index k, double *matrix) {
 
 /* Writes [T | t] of a point, (dx, dxi, dnu, du), or of the ends, (dx, deta), of a step of size h. */
 static void write_rows(condensing *own, double h, retrax_index point) {
-    const retrax_index n = own->n, width = own->width, count = point == ENDS ? 2 * n : own->q;
-    const double *const weights = weights_of(own, point);
+    const retrax_index n = own->n, width = own->width, count = point == RETRAX_AT_ENDS ? 2 * n : own->q;
+    const double *const weights = weights_of(own->system, point);
     memset(own->rows, 0, sizeof(double) * (size_t)(count * width));
     for (retrax_index i = 0; i < own->s; i++) {
         own->weights[i] = -h * weights[i];
@@ -125,7 +122,7 @@ static void write_rows(condensing *own, double h, retrax_index point) {
         own->kernels->subtract_products(1, width, own->s, own->rows + (n + a) * width, width, own->weights, 1,
                                         own->velocities + a * width, n * width);
     }
-    if (point != ENDS) {
+    if (point != RETRAX_AT_ENDS) {
         memcpy(own->rows + 2 * n * width, own->velocities + point * n * width, sizeof(double) * (size_t)(n * width));
         for (retrax_index b = 0; b < own->m; b++) {
             own->rows[(3 * n + b) * width + n + point * own->m + b] = 1.0;
@@ -146,7 +143,7 @@ static void subtract_image(condensing *own, retrax_index row, retrax_index image
  * [size][size]; slope: [size][columns]. In the rows of dx and du T has nothing but ones. */
 static void add_pullback(condensing *own, retrax_index point, const double *hessian, const double *slope) {
     const retrax_index n = own->n, z = own->z, width = own->width;
-    const retrax_index size = point == ENDS ? 2 * n : own->q, last = point == ENDS ? 2 * n : 3 * n;
+    const retrax_index size = point == RETRAX_AT_ENDS ? 2 * n : own->q, last = point == RETRAX_AT_ENDS ? 2 * n : 3 * n;
     const retrax_index controls = n + point * own->m;
     for (retrax_index a = 0; a < size; a++) {
         double *const image = own->images + a * width;
@@ -210,8 +207,8 @@ static void condense_step(condensing *own, retrax_condensed_system *to, retrax_i
         write_rows(own, sys->step_size[k], i);
         add_pullback(own, i, sys->hessian + (k * s + i) * q * q, sys->slope + (k * s + i) * q * columns);
     }
-    write_rows(own, sys->step_size[k], ENDS);
-    add_pullback(own, ENDS, sys->end_hessian + k * 4 * n * n, sys->end_slope + k * 2 * n * columns);
+    write_rows(own, sys->step_size[k], RETRAX_AT_ENDS);
+    add_pullback(own, RETRAX_AT_ENDS, sys->end_hessian + k * 4 * n * n, sys->end_slope + k * 2 * n * columns);
     for (retrax_index i = 0; i < z; i++) {
         for (retrax_index j = 0; j < z; j++) {
             const retrax_index row = i < j ? i : j, column = i < j ? j : i;
@@ -237,24 +234,23 @@ void retrax_condense(const retrax_collocation_system *system, retrax_condensed_s
 
 /* ----------------------------------------------------------------------------------------------- expanding */
 
-/* Writes (dx, dxi, dnu, du) of a point, or (dx, deta) of the ends, of column j to own->place. */
-static void write_place(condensing *own, retrax_index k, retrax_index point, retrax_index j, const double *step,
-                        const double *velocities) {
-    const retrax_index n = own->n, columns = own->columns;
-    const double *const weights = weights_of(own, point);
-    const double h = own->system->step_size[k];
+void retrax_write_place(const retrax_collocation_system *system, retrax_index k, retrax_index point, retrax_index j,
+                        const double *step, const double *velocities, double *to) {
+    const retrax_index n = system->state_size, m = system->control_size, s = system->points, columns = system->columns;
+    const double *const weights = weights_of(system, point);
+    const double h = system->step_size[k];
     for (retrax_index a = 0; a < n; a++) {
-        own->place[a] = step[a * columns + j];
-        own->place[n + a] = 0.0;
-        for (retrax_index i = 0; i < own->s; i++) {
-            own->place[n + a] += h * weights[i] * velocities[(i * n + a) * columns + j];
+        to[a] = step[a * columns + j];
+        to[n + a] = 0.0;
+        for (retrax_index i = 0; i < s; i++) {
+            to[n + a] += h * weights[i] * velocities[(i * n + a) * columns + j];
         }
-        if (point != ENDS) {
-            own->place[2 * n + a] = velocities[(point * n + a) * columns + j];
+        if (point != RETRAX_AT_ENDS) {
+            to[2 * n + a] = velocities[(point * n + a) * columns + j];
         }
     }
-    for (retrax_index b = 0; b < own->m && point != ENDS; b++) {
-        own->place[3 * n + b] = step[(n + point * own->m + b) * columns + j];
+    for (retrax_index b = 0; b < m && point != RETRAX_AT_ENDS; b++) {
+        to[3 * n + b] = step[(n + point * m + b) * columns + j];
     }
 }
 
@@ -270,19 +266,19 @@ static double image_of(const condensing *own, const double *hessian, retrax_inde
 /* Adds the derivatives by the velocities at a point or at the ends of step k to own->pulled. */
 static void add_pulled(condensing *own, retrax_index k, retrax_index point, retrax_index j) {
     const retrax_collocation_system *const sys = own->system;
-    const retrax_index n = own->n, q = own->q, s = own->s, size = point == ENDS ? 2 * n : q;
+    const retrax_index n = own->n, q = own->q, s = own->s, size = point == RETRAX_AT_ENDS ? 2 * n : q;
     const double *const hessian =
-        point == ENDS ? sys->end_hessian + k * 4 * n * n : sys->hessian + (k * s + point) * q * q;
-    const double *const weights = weights_of(own, point);
+        point == RETRAX_AT_ENDS ? sys->end_hessian + k * 4 * n * n : sys->hessian + (k * s + point) * q * q;
+    const double *const weights = weights_of(own->system, point);
     const double h = sys->step_size[k];
     for (retrax_index a = 0; a < n; a++) {
-        const double slope = point == ENDS ? own->end_slope[n + a]
+        const double slope = point == RETRAX_AT_ENDS ? own->end_slope[n + a]
                                            : sys->slope[((k * s + point) * q + n + a) * own->columns + j];
         const double value = slope + image_of(own, hessian, size, n + a);
         for (retrax_index i = 0; i < s; i++) {
             own->pulled[i * n + a] += h * weights[i] * value;
         }
-        if (point != ENDS) {
+        if (point != RETRAX_AT_ENDS) {
             own->pulled[point * n + a] += sys->slope[((k * s + point) * q + 2 * n + a) * own->columns + j] +
                                           image_of(own, hessian, size, 2 * n + a);
         }
@@ -322,8 +318,8 @@ void retrax_expand(const retrax_collocation_system *system, const retrax_condens
                 own.pulled[i] = 0.0;
             }
             write_end_slope(&own, k, j, multipliers);
-            for (retrax_index point = ENDS; point < own.s; point++) {
-                write_place(&own, k, point, j, own_step, own_velocities);
+            for (retrax_index point = RETRAX_AT_ENDS; point < own.s; point++) {
+                retrax_write_place(system, k, point, j, own_step, own_velocities, own.place);
                 add_pulled(&own, k, point, j);
             }
             retrax_lu_solve_transposed(p, condensed->factors + k * p * p, condensed->swaps + k * p, own.pulled);

@@ -267,15 +267,12 @@ static void measure_inequalities(const retrax_layout *layout, double *trajectory
                                  double *found) {
     const double *const survey = ARRAY(LIMIT_SURVEY), barrier = *ARRAY(BARRIER);
     const double off = retrax_larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]);
-    double horizon = 0.0;
-    for (retrax_index k = 0; k < layout->problem->steps; k++) {
-        horizon += ARRAY(STEP_SIZE)[k];
-    }
+    const double steps = (double)layout->problem->steps;
     found[RETRAX_VIOLATION] = survey[RETRAX_LIMIT_VIOLATION];
     found[RETRAX_EXCESS] = survey[RETRAX_LIMIT_EXCESS];
     found[RETRAX_COMPLEMENTARITY] = survey[RETRAX_LIMIT_PRODUCT] / limits->rate;
     found[RETRAX_CENTRING] = retrax_larger(0.0, off) / limits->rate;
-    found[RETRAX_INFEASIBILITY] += survey[RETRAX_LIMIT_MISSING] * (double)layout->problem->steps / horizon;
+    found[RETRAX_INFEASIBILITY] += survey[RETRAX_LIMIT_MISSING] * steps / retrax_duration(layout, trajectory);
     found[RETRAX_MERIT] += survey[RETRAX_LIMIT_POTENTIAL];
     found[RETRAX_HELD] += survey[RETRAX_LIMIT_HELD];
 }

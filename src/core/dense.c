@@ -23,6 +23,39 @@ retrax_index retrax_width(retrax_index columns) {
     return (columns + RETRAX_VECTOR - 1) & -(retrax_index)RETRAX_VECTOR;
 }
 
+void retrax_take_front(retrax_block *block, retrax_index rows, retrax_index width, retrax_front *front) {
+    front->width = width;
+    front->matrix = retrax_take(block, rows, width, sizeof(double));
+    front->left = retrax_take(block, 1, width, sizeof(double));
+    front->sizes = retrax_take(block, 1, width, sizeof(double));
+    front->kept = retrax_take(block, rows, width, sizeof(double));
+    front->known = retrax_take(block, rows, 1, sizeof(retrax_index));
+    front->unstable = retrax_take(block, rows, 1, sizeof(bool));
+}
+
+void retrax_add_inertia(retrax_inertia *to, retrax_inertia own) {
+    to->negative += own.negative;
+    to->smallest = own.smallest < to->smallest || isnan(own.smallest) ? own.smallest : to->smallest;
+}
+
+bool retrax_is_positive_definite(const double *a, retrax_index m, retrax_index stride, double more, double *work) {
+    for (retrax_index i = 0; i < m; i++) {
+        memcpy(work + i * m, a + i * stride, sizeof(double) * (size_t)m);
+    }
+    for (retrax_index i = 0; i < m; i++) {
+        const double pivot = work[i * m + i] + more;
+        if (!(pivot > 0.0)) {
+            return false;
+        }
+        for (retrax_index j = i + 1; j < m; j++) {
+            for (retrax_index k = j; k < m; k++) {
+                work[j * m + k] -= work[i * m + j] * work[i * m + k] / pivot;
+            }
+        }
+    }
+    return true;
+}
+
 /* ---------------------------------------------------------------------------------------------------- LU */
 
 static void swap_rows(retrax_index columns, double *a, double *b) {

@@ -8,6 +8,7 @@
 #define RETRAX_DENSE_H
 
 #include "kernels.h"
+#include "workspace.h"
 
 /* Returns the width of rows with so many columns: the next multiple of RETRAX_VECTOR. */
 retrax_index retrax_width(retrax_index columns);
@@ -28,6 +29,16 @@ typedef struct {
     retrax_index *known;   /* [rows] workspace: number of pivots that have been subtracted from a row */
     bool *unstable;        /* [rows] workspace: rows whose pivot is too small beside the border, by now */
 } retrax_front;
+
+/* Takes the arrays of a front of at most so many rows from a block. */
+void retrax_take_front(retrax_block *block, retrax_index rows, retrax_index width, retrax_front *front);
+
+/* Adds the inertia of another system. */
+void retrax_add_inertia(retrax_inertia *to, retrax_inertia own);
+
+/* Whether a symmetric matrix a[m][m], whose rows are `stride` apart, is positive definite with so much more on its
+ * diagonal; work: [m][m]. */
+bool retrax_is_positive_definite(const double *a, retrax_index m, retrax_index stride, double more, double *work);
 
 /* Factors of the rows that were eliminated from a front: the pivot rows divided by their pivots. */
 typedef struct {

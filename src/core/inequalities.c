@@ -171,31 +171,20 @@ static double shortened(double fraction, double value, double step, double share
 /* Writes the steps (dx, dxi, dnu, du) of the points of collocation steps, and (dx, deta) of their ends. */
 static void write_point_steps(const retrax_layout *layout, double *trajectory) {
     const retrax_problem *const problem = layout->problem;
-    const retrax_index s = problem->points, n = problem->state_size, m = problem->control_size, z = n + s * m;
+    const retrax_index s = problem->points, n = problem->state_size, q = retrax_point_unknowns(problem);
+    const retrax_collocation_system system = {.points = s,
+                                              .state_size = n,
+                                              .control_size = problem->control_size,
+                                              .columns = 1,
+                                              .step_size = ARRAY(STEP_SIZE),
+                                              .matrix = problem->matrix,
+                                              .weights = problem->weights};
+    const retrax_index first = problem->node_inequalities > 0 ? RETRAX_AT_ENDS : 0;
     for (retrax_index k = 0; k < problem->steps; k++) {
-        const double h = ARRAY(STEP_SIZE)[k], *const step = ARRAY(STEPS) + k * z;
-        const double *const velocities = ARRAY(VELOCITY_STEPS) + k * s * n;
-        for (retrax_index i = 0; i < s; i++) {
-            double *const to = ARRAY(POINT_STEPS) + (k * s + i) * (3 * n + m);
-            for (retrax_index a = 0; a < n; a++) {
-                to[a] = step[a];
-                to[n + a] = 0.0;
-                for (retrax_index j = 0; j < s; j++) {
-                    to[n + a] += h * problem->matrix[i * s + j] * velocities[j * n + a];
-                }
-                to[2 * n + a] = velocities[i * n + a];
-            }
-            for (retrax_index b = 0; b < m; b++) {
-                to[3 * n + b] = step[n + i * m + b];
-            }
-        }
-        for (retrax_index a = 0; a < n && problem->node_inequalities > 0; a++) {
-            double *const to = ARRAY(END_STEPS) + k * 2 * n;
-            to[a] = step[a];
-            to[n + a] = 0.0;
-            for (retrax_index j = 0; j < s; j++) {
-                to[n + a] += h * problem->weights[j] * velocities[j * n + a];
-            }
+        const double *const step = ARRAY(STEPS) + k * layout->count[RETRAX_ARRAY_PARTS];
+        for (retrax_index i = first; i < s; i++) {
+            double *const to = i < 0 ? ARRAY(END_STEPS) + k * 2 * n : ARRAY(POINT_STEPS) + (k * s + i) * q;
+            retrax_write_place(&system, k, i, 0, step, ARRAY(VELOCITY_STEPS) + k * s * n, to);
         }
     }
 }

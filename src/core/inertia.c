@@ -81,11 +81,6 @@ static void add_promise(retrax_search *search, const retrax_phase *phase) {
     found->turned += (found->reach * turned + dual) / phase->steps.cost;
 }
 
-void retrax_add_inertia(retrax_inertia *to, retrax_inertia own) {
-    to->negative += own.negative;
-    to->smallest = own.smallest < to->smallest || isnan(own.smallest) ? own.smallest : to->smallest;
-}
-
 bool retrax_is_clear(double smallest, retrax_index equations) {
     return smallest > CLEAR * fmax(1.0, (double)equations / MANY);
 }

@@ -235,27 +235,17 @@ static bool is_without_costates(const retrax_layout *layout, const double *traje
     return true;
 }
 
-/* Whether no block of the Hessian has a negative eigenvalue beyond rounding: whether that with a little more diagonal
- * has a Cholesky factor. matrix: [z][z] workspace. */
+/* Whether no block of the Hessian has a negative eigenvalue beyond rounding; matrix: [z][z] workspace. */
 static bool is_convex(const retrax_layout *layout, const double *trajectory, double *matrix) {
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
         const double *const hessian = ARRAY(HESSIANS) + k * z * z;
         double norm = 0.0;
         for (retrax_index i = 0; i < z * z; i++) {
-            matrix[i] = isfinite(hessian[i]) ? hessian[i] : 0.0;
-            norm = sqrt(norm * norm + matrix[i] * matrix[i]);
+            norm = sqrt(norm * norm + hessian[i] * hessian[i]);
         }
-        for (retrax_index i = 0; i < z && norm > 0.0; i++) {
-            const double pivot = matrix[i * z + i] + 2.0 * NEGATIVE * norm;
-            if (!(pivot > 0.0)) {
-                return false;
-            }
-            for (retrax_index a = i + 1; a < z; a++) {
-                for (retrax_index b = a; b < z; b++) {
-                    matrix[a * z + b] -= matrix[i * z + a] * matrix[i * z + b] / pivot;
-                }
-            }
+        if (norm > 0.0 && !retrax_is_positive_definite(hessian, z, z, 2.0 * NEGATIVE * norm, matrix)) {
+            return false;
         }
     }
     return true;

@@ -11,6 +11,14 @@
 
 bool retrax_collocates(const retrax_problem *problem) { return problem->points > 1; }
 
+double retrax_duration(const retrax_layout *layout, const double *trajectory) {
+    double sum = 0.0;
+    for (retrax_index k = 0; k < layout->problem->steps; k++) {
+        sum += ARRAY(STEP_SIZE)[k];
+    }
+    return sum;
+}
+
 retrax_index retrax_augmented_size(const retrax_problem *problem) {
     const retrax_index own = problem->control_size + problem->inequalities;
     return problem->state_size + problem->points * own + problem->node_inequalities;

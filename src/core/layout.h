@@ -24,6 +24,18 @@ static inline void retrax_copy(double *to, const double *from, retrax_index coun
     memcpy(to, from, sizeof(double) * (size_t)count);
 }
 
+/* Whether numbers are finite. */
+static inline bool retrax_is_finite(const double *numbers, retrax_index count) {
+    double sum = 0.0; /* 0, or NaN where a number is not finite */
+    for (retrax_index i = 0; i < count; i++) {
+        sum += 0.0 * numbers[i];
+    }
+    return sum == 0.0;
+}
+
+/* The duration of a trajectory. */
+double retrax_duration(const retrax_layout *layout, const double *trajectory);
+
 /* Unknowns of a point that inequalities depend on: (dx, dxi, dnu, du), or of a discretization map (dx, du). */
 retrax_index retrax_point_unknowns(const retrax_problem *problem);
 
@@ -71,6 +83,14 @@ void retrax_turn_covectors(const retrax_layout *layout, const double *trajectory
 /* Evaluates a function at `points` places of a trajectory. */
 void retrax_evaluate_function(const retrax_layout *layout, double *trajectory, retrax_function_name name,
                               retrax_index points);
+
+/* Instead of a point: the ends of a step. */
+#define RETRAX_AT_ENDS (-1)
+
+/* condensing.c: writes (dx, dxi, dnu, du) of a point of step k of collocation, or (dx, deta) of its ends, of column j of its
+ * solution: step [z][columns] and velocities [p][columns] of this step. */
+void retrax_write_place(const retrax_collocation_system *system, retrax_index k, retrax_index point, retrax_index j,
+                        const double *step, const double *velocities, double *to);
 
 /* Bytes of workspace of retrax_measure_scale; 0 if it exceeds the address space. */
 size_t retrax_scaling_workspace(const retrax_problem *problem);

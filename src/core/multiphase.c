@@ -57,12 +57,7 @@ void retrax_take_coupling(retrax_block *block, retrax_coupling *coupling) {
     coupling->free_places = retrax_take(block, Z, 1, sizeof(retrax_index));
     coupling->sizes = retrax_take(block, r, 1, sizeof(double));
     coupling->fresh = retrax_take(block, r, 1, sizeof(double));
-    border->front.matrix = retrax_take(block, total, width, sizeof(double));
-    border->front.left = retrax_take(block, 1, width, sizeof(double));
-    border->front.sizes = retrax_take(block, 1, width, sizeof(double));
-    border->front.kept = retrax_take(block, total, width, sizeof(double));
-    border->front.known = retrax_take(block, total, 1, sizeof(retrax_index));
-    border->front.unstable = retrax_take(block, total, 1, sizeof(bool));
+    retrax_take_front(block, total, width, &border->front);
     border->pivots.divided = retrax_take(block, total, width, sizeof(double));
     border->pivots.order = retrax_take(block, total, 1, sizeof(retrax_index));
     border->scales = retrax_take(block, total, 1, sizeof(double));

@@ -127,9 +127,6 @@ void retrax_newton_step(retrax_search *search, double shift);
 /* inertia.c: the linear system of a trajectory of the iterate with a shift of the Hessian. */
 retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double shift);
 
-/* inertia.c: adds the inertia of another system. */
-void retrax_add_inertia(retrax_inertia *to, retrax_inertia own);
-
 /* inertia.c: computes the step with the smallest tried shift, from `shift` on, that makes it descend. keep: the shift
  * is used as it is; loose: positive curvature along the step is enough. */
 void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose);
