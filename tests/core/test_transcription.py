@@ -161,7 +161,7 @@ def check_inequalities(at: Trajectory, to: Trajectory, change: np.ndarray) -> No
     primal = min(most(s[asked], ds[asked]), most(t[both], dt[both]))
     dual = min(most(nu[asked], dnu[asked]), most(zeta[both], -dnu[both]))
     w = at["LIMIT_WEIGHTS"]
-    potential = np.where(elastic, np.where(elastic, rho, 0.0) * dt - mu * dt / np.where(elastic, t, 1.0), 0.0)
+    potential = np.where(both, np.where(both, rho, 0.0) * dt - mu * dt / np.where(both, t, 1.0), 0.0)
     ahead = np.sum((w * (potential - mu * ds / np.where(asked, s, 1.0)))[asked])
     found = at["LIMIT_STEP"]
     np.testing.assert_allclose([min(1.0, found[0]), found[1]], [primal, dual], rtol=1e-6)
