@@ -81,11 +81,9 @@ class LinkedPhases:
         frames, asked = [], []
         for phase, part, ends in zip(self.phases, parts, nodes, strict=True):
             for side, node in zip((1, -1), ends, strict=True):
-                covector, one = (
-                    part.costates[:, 0 if side > 0 else -1],
-                    np.ones((len(node), 1, phase.at_nodes.dimension)),
-                )
-                at = phase.at_nodes.in_frames(node[:, None], one, np.zeros_like(node)[:, None], covector[:, None])
+                covector = part.costates[:, 0 if side > 0 else -1]
+                every = np.ones((count, 1, phase.at_nodes.dimension))
+                at = phase.at_nodes.in_frames(node[:, None], every, np.zeros_like(node)[:, None], covector[:, None])
                 frames.append(at[0][:, 0])
                 asked.append(side * at[2][:, 0])
         free, wanted = self.free, np.concatenate(asked, axis=1) - linked.slope
