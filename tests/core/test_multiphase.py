@@ -205,7 +205,7 @@ def test_searches_end_at_the_minima_of_the_discrete_problems(case, monkeypatch):
     ends = [own.nodes.reshape(-1, phase.at_nodes.layout.size)[[0, -1]] for own, phase in zip(
         found.phases, problem.phases, strict=True)]  # fmt: skip
     given = [phase.data.parameters for phase in problem.phases]
-    linked, _ = problem.coupling([end[None] for pair in ends for end in pair], given, found.multipliers[None])
+    linked = problem.coupling([end[None] for pair in ends for end in pair], given, found.multipliers[None])
     np.testing.assert_allclose(linked.values, 0.0, atol=1e-8)
     np.testing.assert_allclose(found.jacobian, linked.jacobian[0], rtol=1e-7, atol=1e-8)
 

@@ -73,7 +73,7 @@ def require_independent(joint: LinkedPhases, guess: Any, names: Sequence[str]) -
     coupling: Any = joint.coupling
     names, best = _all(joint, names), None
     for ends in _samples(joint, guess):
-        linked, _ = coupling(ends, [phase.data.parameters[:1] for phase in joint.phases], guess.multipliers[:1])
+        linked = coupling(ends, [phase.data.parameters[:1] for phase in joint.phases], guess.multipliers[:1])
         rows = linked.jacobian[0][:, joint.free]
         if not np.all(np.isfinite(rows)):
             continue

@@ -1,7 +1,7 @@
 """Phases of a batch of trajectories: functions, prescribed ends, and data."""
 
 from functools import cached_property
-from typing import ClassVar, final
+from typing import final
 
 import numpy as np
 
@@ -18,8 +18,6 @@ class DiscretePhase:
 
     ``transcription``: functions of the steps; ``at_nodes``: functions of the nodes.
     """
-
-    joint: ClassVar[bool] = False  # of phases whose ends are linked
 
     def __init__(
         self, transcription: OneStageFunctions | CollocationFunctions, nodes: NodeFunctions, ends: Ends, data: Data
@@ -48,11 +46,6 @@ class DiscretePhase:
         fixed[:, 0], fixed[:, -1] = self.ends.start_coordinates, self.ends.end_coordinates
         return fixed
 
-    @property
-    def fixed_ends(self) -> tuple[np.ndarray, np.ndarray]:
-        """1 for the prescribed coordinates of the first node, and of the last node, shape (B, n)."""
-        return self.fixed[:, 0], self.fixed[:, -1]
-
 
 @final
 class LinkedPhases:
@@ -60,8 +53,6 @@ class LinkedPhases:
 
     A single phase has equations between its own ends, boundary constraints or a periodic end, or none.
     """
-
-    joint: ClassVar[bool] = True
 
     def __init__(self, phases: tuple[DiscretePhase, ...], coupling: LinkageFunctions | None) -> None:
         self.phases, self.coupling = phases, coupling
@@ -86,14 +77,15 @@ class LinkedPhases:
             return none
         nodes = [phase.reached(part) for phase, part in zip(self.phases, parts, strict=True)]
         given = [phase.data.parameters for phase in self.phases]
-        linked, costs = coupling([end for pair in nodes for end in pair], given, none.multipliers)
-        frames, asked, of_phases = [], [], list(zip(costs[::2], costs[1::2], strict=True))
-        for phase, part, ends, pays in zip(self.phases, parts, nodes, of_phases, strict=True):
-            for side, node, pay in zip((1, -1), ends, pays, strict=True):
-                covector, one = part.costates[:, 0 if side > 0 else -1], np.ones((len(node), 1, pay.slope.shape[1]))
-                at = phase.at_nodes.in_frames(node[:, None], one, np.zeros_like(node)[:, None], covector[:, None])
+        linked = coupling([end for pair in nodes for end in pair], given, none.multipliers)
+        frames, asked = [], []
+        for phase, part, ends in zip(self.phases, parts, nodes, strict=True):
+            for side, node in zip((1, -1), ends, strict=True):
+                covector = part.costates[:, 0 if side > 0 else -1]
+                every = np.ones((count, 1, phase.at_nodes.dimension))
+                at = phase.at_nodes.in_frames(node[:, None], every, np.zeros_like(node)[:, None], covector[:, None])
                 frames.append(at[0][:, 0])
-                asked.append(side * at[2][:, 0] - pay.slope)
-        free, wanted = self.free, np.concatenate(asked, axis=1)
+                asked.append(side * at[2][:, 0])
+        free, wanted = self.free, np.concatenate(asked, axis=1) - linked.slope
         own = [np.linalg.lstsq(j[:, free].T, a[free])[0] for j, a in zip(linked.jacobian, wanted, strict=True)]
         return none._replace(multipliers=coupling.lifted(np.stack(own), frames))

@@ -55,34 +55,11 @@ class Slacks(NamedTuple):
     price: np.ndarray
     barrier: np.ndarray
 
-    @property
-    def rest(self) -> np.ndarray:
-        """``zeta = rho - nu``."""
-        return self.price - self.multipliers
-
     @classmethod
     def none(cls, shape: tuple[int, ...]) -> "Slacks":
         """Slacks of inequalities that do not pull."""
         zero = np.zeros(shape)
         return cls(np.ones(shape), zero, zero, np.full(shape, np.inf), np.zeros(shape[0]))
-
-    def at(self, places: Any) -> "Slacks":
-        """The slacks at some places."""
-        return Slacks(*(a[places] for a in self[:4]), barrier=self.barrier)
-
-    def scaled(self, factor: np.ndarray) -> "Slacks":
-        """All multipliers and prices times factors, shape (B,).
-
-        The barrier is as it was: if it rose with the price it would hold the trajectory far from its inequalities,
-        where the cost, which counts less and less, no longer leads it back.
-        """
-        times = factor[:, None, None, None]
-        return self._replace(multipliers=times * self.multipliers, price=times * self.price)
-
-    @property
-    def elastic(self) -> np.ndarray:
-        """Where there is an excess."""
-        return np.isfinite(self.price)
 
 
 class Iterate(NamedTuple):
@@ -103,11 +80,6 @@ class LinkedIterate(NamedTuple):
 
     parts: tuple[Iterate, ...]
     multipliers: np.ndarray
-
-    @property
-    def slacks(self) -> Slacks | None:
-        """The slacks of a phase that has inequalities, if there is one."""
-        return next((part.slacks for part in self.parts if part.slacks is not None), None)
 
     @property
     def bare(self) -> "LinkedIterate":

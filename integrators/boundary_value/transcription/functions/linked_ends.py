@@ -32,23 +32,11 @@ class Link(NamedTuple):
 
 
 class LinkedEnds(NamedTuple):
-    """The equations at the ends of the phases, and the costs of the ends; Z coordinates of all ends in their frames."""
+    """The equations at the ends of the phases, and derivatives in their frames; Z coordinates of all ends."""
 
     values: np.ndarray  # (B, r)
-    jacobian: np.ndarray  # (B, r, Z)
-    multipliers: np.ndarray  # (B, r): of links in the frames at their targets
-    curvature: np.ndarray  # (B, Z, Z): of the costs and of the multipliers times the equations
-    apart: np.ndarray  # (B, A): entries of the ambient space by which states that are linked differ
-    costs: np.ndarray  # (B, 2 P)
-
-
-class EndCost(NamedTuple):
-    """The cost of an end: value (B,), ambient derivative (B, E), slope (B, n) and curvature (B, n, n) in its frame."""
-
-    value: np.ndarray
-    derivative: np.ndarray
-    slope: np.ndarray
-    curvature: np.ndarray
+    jacobian: np.ndarray  # (B, r, Z): of the equations
+    slope: np.ndarray  # (B, Z): of the costs of the ends, and of the multipliers times the equations
 
 
 @final
@@ -84,17 +72,10 @@ class LinkageFunctions:
 
     def __call__(
         self, ends: Sequence[np.ndarray], parameters: Sequence[np.ndarray], multipliers: np.ndarray
-    ) -> tuple[LinkedEnds, list[EndCost]]:
-        """The equations at flat ends, each (B, E), with multipliers (B, M); and the cost of each end with the
-        equations."""
-        found = self.function.at(1, *ends, *parameters, multipliers)
-        curvature, slope, jacobian, values, derivative, apart, costs, coordinates = found
-        coupled = LinkedEnds(values, jacobian, coordinates, curvature, apart, costs)
-        cuts = np.cumsum(self.dimensions)[:-1], np.cumsum([layout.size for layout in self.layouts])[:-1]
-        parts = zip(
-            costs.T, np.split(derivative, cuts[1], 1), np.split(slope, cuts[0], 1), self.dimensions, strict=True
-        )
-        return coupled, [EndCost(a, b, c, np.zeros((len(a), n, n))) for a, b, c, n in parts]
+    ) -> LinkedEnds:
+        """The equations at flat ends, each (B, E), with multipliers (B, M)."""
+        _, slope, jacobian, values, *_ = self.function.at(1, *ends, *parameters, multipliers)
+        return LinkedEnds(values, jacobian, slope)
 
     def lifted(self, coordinates: np.ndarray, frames: Sequence[np.ndarray]) -> np.ndarray:
         """Multipliers as they are kept, from their coordinates in the frames at all ends, each (B, n, E)."""
