@@ -199,7 +199,7 @@ class RecedingHorizon:
     def _solved(self, q: Any, end: Any, begin: float, horizon: float, parameters: Any) -> Solution:
         """The solution from a state, or the best iterate within the budget."""
         budget, first, guess = Budget(*self._budget), self._plan is None, None
-        limited = {} if first or not budget.is_limited else {"callback": budget}
+        limited: Any = {} if first or not budget.is_limited else {"callback": budget}
         most = max(DEFAULT_ITERATIONS, self._budget[0] or 0)
         for last in filter(None, (self._iterate, self._plan)):
             guess = last.guess(begin, horizon) if guess is None else guess

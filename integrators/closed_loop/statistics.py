@@ -61,8 +61,8 @@ class ControllerStatistics:
         """
         try:
             given = json.loads(text)
-            arrays = (np.array(given[name], kind) for name, kind in ARRAYS.items())
-            return cls(*arrays, tuple(given["sources"]), dict(given["failures"]))
+            arrays = {name: np.array(given[name], kind) for name, kind in ARRAYS.items()}
+            return cls(**arrays, sources=tuple(given["sources"]), failures=dict(given["failures"]))
         except (ValueError, TypeError, KeyError) as error:
             raise InvalidInputError(f"its solves are {brief(text)}, expected figures of solves") from error
 
@@ -91,7 +91,12 @@ class ControllerStatistics:
         """The essential numbers."""
         if not self.sources:
             return "ControllerStatistics(no controls yet)"
-        words = {"solve": "by solves", "iterate": "by iterates", "feedback": "by feedback", "plan": "by an old plan"}
+        words: dict[Source, str] = {
+            "solve": "by solves",
+            "iterate": "by iterates",
+            "feedback": "by feedback",
+            "plan": "by an old plan",
+        }
         counts = Counter(self.sources)
         sources = ", ".join(f"{counts[name]} {said}" for name, said in words.items() if counts[name])
         return (
