@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from functools import cached_property, partial
+from operator import attrgetter
 from typing import Any, final
 
 import numpy as np
@@ -13,6 +14,9 @@ from .discrete_phase import DiscretePhase, LinkedPhases
 from .iterate import Iterate, LinkedIterate
 from .iteration import Iteration, stops
 from .search_record import MemberIterate, PhaseRecord, SearchRecord
+
+# The last fields of a record, as a result has them.
+COUNTS_AND_FLAGS = attrgetter(*SearchRecord._fields[SearchRecord._fields.index("iterations") :])
 
 
 @final
@@ -114,7 +118,7 @@ class MemberSearch:
             status = last = SearchStatus.STOPPED
             if not search.read().iterations:  # the values of the guess are not complete
                 search.run()  # ends behind the evaluation of the guess
-        if last is SearchStatus.STOPPED or search.read().stopped:
+        if last is SearchStatus.STOPPED:
             self.watch.stop()
         return status
 
@@ -127,6 +131,8 @@ class MemberSearch:
         """The record of a search that has ended."""
         results = [search.read(j) for j in range(len(self.problem.phases))]
         found = results[0]
+        if found.stopped:
+            self.watch.stop()
         missing = [own.trajectory["LACKING"] / own.judging.nodes for own in results]
         if self.problem.coupling is not None:
             missing.append(np.abs(found.values) / found.equations)
@@ -141,7 +147,7 @@ class MemberSearch:
             found.jacobian.copy(),
             first,
             perturbed,
-            *(getattr(found, name) for name in SearchRecord._fields[SearchRecord._fields.index("iterations") :]),
+            *COUNTS_AND_FLAGS(found),
         )
 
 
