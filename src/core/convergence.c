@@ -229,11 +229,10 @@ static double own_curvature(const retrax_layout *layout, const double *trajector
 }
 
 /* What the Lagrangian of a step is made of: its cost, the parts of its derivative by unknowns that move by what they span,
- * and, where these vanish, its curvature; with a barrier that has no bound. */
+ * and, where these vanish, its curvature. */
 static double content_of(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
-    const bool limited = retrax_is_limited(layout->problem);
-    double found = limited ? phase->judging.cost : 0.0;
+    double found = 0.0;
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
         found = retrax_larger(found, fabs(ARRAY(COSTS)[k]));
     }
@@ -241,7 +240,7 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
         const double span = span_of(layout, trajectory, i), unit = phase->judging.unknowns[i];
         const double size = i < layout->problem->state_size ? span : retrax_larger(span, unit); /* at rest controls are 0 */
         found = retrax_larger(found, span * ARRAY(PARTS)[i]);
-        found = retrax_larger(found, limited ? 0.0 : size * size * own_curvature(layout, trajectory, i));
+        found = retrax_larger(found, size * size * own_curvature(layout, trajectory, i));
     }
     return found;
 }
@@ -252,7 +251,8 @@ void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
         double *const trajectory = iterate + phase->place, *const found = ARRAY(RESIDUALS);
-        const bool reaches = layout->problem->control_size > 0; /* else no natural size is what controls reach */
+        /* Else no natural size is what controls reach; or the cost sets the scale, as the curvature has no bound. */
+        const bool reaches = layout->problem->control_size > 0 && !retrax_is_limited(layout->problem);
         for (retrax_index i = 0; reaches && i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
             const double span = span_of(layout, trajectory, i);
             const double parts = retrax_larger(span * ARRAY(PARTS)[i], RETRAX_SHARE * content);
