@@ -135,5 +135,5 @@ class TapeCall:
 
     def __call__(self, outputs: np.ndarray) -> None:
         """Write the values to an array as large as the one that was checked."""
-        self._data.outputs = addressof(c_char.from_buffer(memoryview(outputs))) if outputs.size else 0
+        self._data.outputs = addressof(c_char.from_buffer(outputs)) if outputs.size else 0  # pyright: ignore[reportArgumentType]
         self._run(*self._arguments)
