@@ -5,9 +5,10 @@
 
 #include "workspace.h"
 
-/* Bounds of the sizes of a problem, and of its steps: products of four sizes do not overflow. */
+/* Bounds of the sizes of a problem, and of its steps and parameters: products of four sizes do not overflow. */
 #define LARGEST_SIZE ((retrax_index)1 << 10)
 #define MOST_STEPS ((retrax_index)1 << 20)
+#define MOST_PARAMETERS ((retrax_index)1 << 20)
 
 bool retrax_collocates(const retrax_problem *problem) { return problem->points > 1; }
 
@@ -66,9 +67,9 @@ static void count_arrays(const retrax_problem *problem, retrax_index *count) {
 
 /* Whether the sizes are within their bounds. */
 static bool fits(const retrax_problem *problem) {
-    const retrax_index sizes[] = {problem->points,          problem->state_size, problem->state_numbers,
+    const retrax_index sizes[] = {problem->points,          problem->state_size,   problem->state_numbers,
                                   problem->control_size,    problem->control_numbers,
-                                  problem->parameters,      problem->inequalities, problem->node_inequalities};
+                                  problem->inequalities,    problem->node_inequalities};
     for (size_t i = 0; i < sizeof(sizes) / sizeof(sizes[0]); i++) {
         if (sizes[i] < (i < 3 ? 1 : 0) || sizes[i] > LARGEST_SIZE) {
             return false;
@@ -76,7 +77,8 @@ static bool fits(const retrax_problem *problem) {
     }
     const bool of_nodes = problem->node_inequalities == 0 || retrax_collocates(problem);
     const bool of_controls = problem->curved_controls || problem->control_numbers == problem->control_size;
-    return problem->steps >= 1 && problem->steps <= MOST_STEPS && of_nodes && of_controls;
+    const bool parameters = problem->parameters >= 0 && problem->parameters <= MOST_PARAMETERS;
+    return problem->steps >= 1 && problem->steps <= MOST_STEPS && parameters && of_nodes && of_controls;
 }
 
 /* Writes where the arrays stand; returns the numbers of a trajectory, 0 if it exceeds the address space. */

@@ -127,7 +127,9 @@ class Transcription:
         size = self._library.retrax_layout_memory(byref(self._problem))
         room = self._library.retrax_workspace(byref(self._problem))
         if not size or not room:
-            raise InvalidInputError(f"a problem of these sizes does not fit, or is larger than the core takes: {sizes}")
+            raise InvalidInputError(
+                f"the problem has {sizes}; expected sizes of at most 1024, and at most 2^20 steps and parameters"
+            )
         points = (sizes.steps + 1) * s
         tapes = [own for own in functions.values() if isinstance(own, MachineProgram)]
         most = max((own.sizes[2] * own.lanes(points) for own in tapes), default=0)
