@@ -254,7 +254,11 @@ void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
         /* Else no natural size is what controls reach; or the cost sets the scale, as the curvature has no bound. */
         const bool reaches = layout->problem->control_size > 0 && !retrax_is_limited(layout->problem);
         for (retrax_index i = 0; reaches && i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-            const double span = span_of(layout, trajectory, i);
+            double span = span_of(layout, trajectory, i);
+            if (i >= layout->problem->state_size) { /* a control that should not be zero may be: what costs as much counts */
+                const double curvature = own_curvature(layout, trajectory, i);
+                span = retrax_larger(span, curvature > 0.0 ? sqrt(content / curvature) : 0.0);
+            }
             const double parts = retrax_larger(span * ARRAY(PARTS)[i], RETRAX_SHARE * content);
             found[RETRAX_STATIONARITY] = retrax_larger(found[RETRAX_STATIONARITY], span * ARRAY(LARGEST_SLOPES)[i] / or_one(parts));
         }

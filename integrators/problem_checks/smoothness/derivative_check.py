@@ -106,7 +106,9 @@ def _missed_share(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> n
         apart = np.abs(quotients - slopes)
         clear = apart > rounding / SETTLED_QUOTIENT
         settled = clear[1:] & clear[:-1] & (np.abs(np.diff(quotients, axis=0)) < SETTLED_QUOTIENT * apart[1:])
-        known = np.isfinite(quotients) & (rounding < tolerance(above, 1 / 3) * size)
+        # Values that change over longer spans alone are rounded more coarsely than they are large: their terms cancel.
+        still = (above == below) & np.any(above != below, axis=0)
+        known = np.isfinite(quotients) & (rounding < tolerance(above, 1 / 3) * size) & ~still
         shares = np.take_along_axis(apart / size, np.argmax(known, axis=0)[None], 0)[0]
     # The shortest spans that are clear of rounding: over longer ones a function may be anything.
     ranks = np.cumsum(known, axis=0)
