@@ -341,6 +341,21 @@ def test_derivatives_that_do_not_tell_of_the_values_are_refused(name):
         OptimalControlProblem(PLANE, cart, price, 1).check(AT, np.zeros(1))
 
 
+@jax.custom_jvp
+def unity(x: Array) -> Array:
+    return jnp.ones_like(x)
+
+
+unity.defjvp(lambda x, t: (jnp.ones_like(x[0]), jnp.zeros_like(t[0])))
+
+
+@pytest.mark.parametrize("power", [1, 2, 3, 4, 6])
+def test_values_that_cancel_are_no_proof_against_a_derivative(power):
+    """``(1 + x^k) - 1`` near zero, where it changes in steps of the rounding of 1."""
+    problem = OptimalControlProblem(PLANE, cart, lambda q, u: u @ u / 2 + (unity(q[0]) + q[0] ** power) - 1, 1)
+    problem.check(np.zeros(2), np.zeros(1))
+
+
 class Hidden(eqx.Module):
     """A cost of which a share is hidden: that share is data, so that one kernel serves a sweep."""
 
