@@ -24,7 +24,7 @@ shrinks from 75 to 20 seconds, then it recedes.
 # %%
 # The plan
 # --------
-# A ``Solver`` compiles the problem once. The first plan needs more iterations
+# A ``Solver`` traces the problem once. The first plan needs more iterations
 # than the plans that start from an earlier plan.
 import jax
 import jax.numpy as jnp
