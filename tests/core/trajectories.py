@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from retrax.compute.binding.transcription import Trajectory
 from retrax.integrators import Free, OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.transcription import core_search
+from retrax.integrators.boundary_value.transcription import core_transcription
 from retrax.integrators.boundary_value.transcription.discrete_phase import DiscretePhase
 from retrax.integrators.boundary_value.transcription.transcribed_problem import Transcription
 from retrax.manifolds import Euclidean
@@ -106,5 +106,5 @@ def posed(solver: Solver, way: tuple, monkeypatch: Any, **options: Any) -> tuple
 
 def put(found: Trajectory, phase: DiscretePhase, iterate: Any) -> Trajectory:
     """The trajectory with what is given and with the unknowns of an iterate."""
-    core_search.put(found, phase, iterate, 0)
+    core_transcription.put(found, phase, iterate, 0)
     return found

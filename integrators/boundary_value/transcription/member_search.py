@@ -9,10 +9,10 @@ import numpy as np
 
 from ....compute.binding.multiphase import Multiphase
 from ....compute.binding.search import Feasibility, Search, SearchResult, SearchStatus
-from .core_search import coupled_ends, numbers_of, put, transcription_of
+from ..iteration import Iteration, stops
+from .core_transcription import coupled_ends, numbers_of, put, transcription_of
 from .discrete_phase import DiscretePhase, LinkedPhases
 from .iterate import Iterate, LinkedIterate
-from .iteration import Iteration, stops
 from .search_record import MemberIterate, PhaseRecord, SearchRecord
 
 FACTS = attrgetter(*SearchRecord._fields[SearchRecord._fields.index("iterations") :])  # of a search in its record

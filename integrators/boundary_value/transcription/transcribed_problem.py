@@ -13,6 +13,7 @@ from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
 from ..inputs.arguments import Method, structure_of
+from ..inputs.connecting_curve import ConnectingCurve
 from ..inputs.guess_arrays import FlatGuess
 from ..inputs.inputs import Inputs
 from ..inputs.members import repeat_for_all
@@ -25,7 +26,6 @@ from .functions.one_stage import OneStageFunctions
 from .inequality_rows import InequalityRows
 from .iterate import Data, Ends, Iterate, Known, Slacks
 from .linkages import PhaseProblem, linkages_of
-from .start import Start
 
 
 class TracedFunctions(NamedTuple):
@@ -58,7 +58,7 @@ class Transcription:
         self.problem, self.method, self.fractions, self.evaluator = problem, method, fractions, evaluator
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
         self.stages = method.nodes
-        self._start = Start(problem.manifold, method.retraction)
+        self._start = ConnectingCurve(problem.manifold, method.retraction)
         starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
         # Of all stages, fractions of the horizon.
         self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()

@@ -7,23 +7,23 @@ from typing import Any, final
 import jax
 import numpy as np
 
-from ....manifolds.numerics import ambient as vec
-from ...problem.optimal_control_problem import OptimalControlProblem
-from ...problem.path_constraints import LOWER, UPPER
-from ...problem.point_layout import PointLayout
-from ...problem.quantities import Quantities
-from ...reporting.results import sentence
-from ..audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
-from ..audit.status import Status, concave_status, termination_statuses
-from ..audit.unmoved_entries import unmoved_words
-from ..inputs.arguments import require_tangent_dynamics
-from ..inputs.inputs import Inputs
-from ..transcription.diagnosis import Diagnostics
-from ..transcription.discrete_extremals import DiscreteExtremals
-from ..transcription.transcribed_problem import TranscribedProblem
-from .diagnostics import RegularChecks, figures
-from .interpolation import Interpolant
-from .record import Solution, Statistics
+from ...manifolds.numerics import ambient as vec
+from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.path_constraints import LOWER, UPPER
+from ..problem.point_layout import PointLayout
+from ..problem.quantities import Quantities
+from ..reporting.results import sentence
+from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
+from .audit.status import Status, concave_status, termination_statuses
+from .audit.unmoved_entries import unmoved_words
+from .inputs.arguments import require_tangent_dynamics
+from .inputs.inputs import Inputs
+from .solution.diagnostics import RegularChecks, figures
+from .solution.interpolation import Interpolant
+from .solution.record import Solution, Statistics
+from .transcription.diagnosis import Diagnostics
+from .transcription.discrete_extremals import DiscreteExtremals
+from .transcription.transcribed_problem import TranscribedProblem
 
 # As where equations of the end depend on each other.
 STUCK_RESULTS = [sentence(name) for name in ("singular", "too_many_iterations", "no_improvement", "infeasible")]

@@ -43,11 +43,11 @@ def transcription_of(conditions: DiscretePhase) -> Transcription:
     if count not in known:
         while len(known) >= KEPT:
             del known[next(iter(known))]
-        known[count] = made(conditions)
+        known[count] = make_transcription(conditions)
     return known[count]
 
 
-def made(conditions: DiscretePhase, instruction_set: int | None = None) -> Transcription:
+def make_transcription(conditions: DiscretePhase, instruction_set: int | None = None) -> Transcription:
     """The transcription of a problem for the core, by the processor's best instruction set or a lesser one."""
     steps, nodes = conditions.transcription, conditions.at_nodes
     sizes = Sizes(
