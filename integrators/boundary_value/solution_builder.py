@@ -25,7 +25,7 @@ from .transcription.diagnosis import Diagnostics
 from .transcription.discrete_extremals import DiscreteExtremals
 from .transcription.transcribed_problem import TranscribedProblem
 
-# As where equations of the end depend on each other.
+# Results that equations of the end which depend on each other may cause.
 STUCK_RESULTS = [sentence(name) for name in ("singular", "too_many_iterations", "no_improvement", "infeasible")]
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
 VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why there is no success
@@ -38,7 +38,9 @@ class SolutionBuilder:
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
         self.quantities, self.constrained = problem.quantities, problem._limits.of_points_along
-        self.formulation: Any = None  # that the problem is of another one, whose names and times users know
+        self.formulation: Any = (
+            None  # the reformulation whose problem this is; users know the names and times before it
+        )
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
     @property

@@ -16,8 +16,9 @@ from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Midpoint, default_retraction
 
 from ..integrators.problems import SPHERE, half_square
+from ..integrators.search_cases import SLEWS
 from .discrete_equations import DiscreteEquations, Expansion
-from .trajectories import CASES, SLEWS, posed, put
+from .trajectories import CASES, posed, put
 
 SETS = range(best_instruction_set() + 1)
 NAMES = list(CASES)

@@ -24,7 +24,7 @@ from .functions.linked_ends import LinkageFunctions
 from .functions.nodes import NodeFunctions
 from .functions.one_stage import OneStageFunctions
 from .inequality_rows import InequalityRows
-from .iterate import Data, Ends, Iterate, Known, Slacks
+from .iterate import Data, Ends, Iterate, KnownExtremal, Slacks
 from .linkages import PhaseProblem, linkages_of
 
 
@@ -132,10 +132,9 @@ class Transcription:
             own = inputs.guesses.of(count)
             states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
             costates, slacks = own.costates, self._pulling(traced, own, data)
-            both = own.nodes, own.stage_costates
-            known = (
-                Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
-            )
+            known = None
+            if own.nodes is not None and own.stage_costates is not None:
+                known = KnownExtremal(own.nodes, own.stage_costates.reshape(*shape, size))
         return Iterate(traced.steps.begin(states, controls, costates, data, known), costates, slacks)
 
     @staticmethod
