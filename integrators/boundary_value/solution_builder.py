@@ -39,7 +39,7 @@ class SolutionBuilder:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
         self.quantities, self.constrained = problem.quantities, problem._limits.of_points_along
         self.formulation: Any = (
-            None  # the reformulation whose problem this is; users know the names and times before it
+            None  # the reformulation that made the problem; users know the names before
         )
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
