@@ -38,9 +38,7 @@ class SolutionBuilder:
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
         self.quantities, self.constrained = problem.quantities, problem._limits.of_points_along
-        self.formulation: Any = (
-            None  # the reformulation that made the problem; users know the names before
-        )
+        self.formulation: Any = None  # the reformulation that made the problem; users know the names before
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
     @property
