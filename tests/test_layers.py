@@ -35,11 +35,12 @@ FLOORS = (
     ("initial value", "integrators.initial_value"),
     ("dirac", "integrators.dirac"),
     ("singular", "integrators.singular"),
-    ("inputs", f"{VALUE}.inputs {VALUE}.guess {VALUE}.iteration_table"),
+    ("inputs", f"{VALUE}.inputs {VALUE}.guess {VALUE}.iteration"),
     ("transcription", f"{VALUE}.transcription"),
     ("solution", f"{VALUE}.solution"),
     ("reformulations and audit", " ".join(
-        f"{VALUE}.{name}" for name in ("reformulations", "audit", "shooting", "regularity", "regular_extremals")
+        f"{VALUE}.{name}"
+        for name in ("reformulations", "audit", "shooting", "regularity", "regular_extremals", "solution_builder")
     )),
     ("export", f"{VALUE}.export"),
     ("solver", f"{VALUE}.solver"),

@@ -46,7 +46,6 @@ IRREGULAR = frozenset(
 NOUNS = frozenset({"set", "bound", "seed", "speed", "need", "level_set"})
 # By file: the file itself as "file", or its classes.
 EXCEPTIONS: dict[str, frozenset[str]] = {
-    "integrators/boundary_value/transcription/iterate.py": frozenset({"Known"}),
     "retractions/constructions/stabilized.py": frozenset({"file"}),
     "retractions/groups/group_map.py": frozenset({"Translated"}),
     "retractions/groups/special_euclidean.py": frozenset({"SEDecoupled"}),

@@ -18,7 +18,7 @@ from ..reporting.text import brief
 from ..stages.explicit_runge_kutta import RK4, ExplicitRungeKutta, control_spans
 from .inputs.arguments import ALONG, BETWEEN, Method, check_problem, step_fractions
 from .inputs.boundary_data import BoundaryDataReader
-from .transcription.start import Start
+from .inputs.connecting_curve import ConnectingCurve
 
 
 class Guess(NamedTuple):
@@ -137,7 +137,7 @@ class Guess(NamedTuple):
                 f"a guess goes through at least two points, got {len(given)}; give the start, the end and more"
             )
         rows, shares = np.stack([*map(BoundaryDataReader.of(problem).point, given)]), _shares(times, len(given))
-        return guess_through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
+        return guess_through(problem, method, rows, shares, steps, ConnectingCurve(problem.manifold, method.retraction))
 
     def __repr__(self) -> str:
         return (
@@ -181,20 +181,25 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
     ends = BoundaryDataReader.of(problem).ends(start, end, batched=False)
     ends.require_known(start)
     rows, shares = np.concatenate([ends.start, ends.end]), np.array([0.0, 1.0])
-    return guess_through(problem, method, rows, shares, steps, Start(problem.manifold, method.retraction))
+    return guess_through(problem, method, rows, shares, steps, ConnectingCurve(problem.manifold, method.retraction))
 
 
 def guess_through(
-    problem: OptimalControlProblem, method: Method, rows: np.ndarray, shares: np.ndarray, steps: Any, start: Start
+    problem: OptimalControlProblem,
+    method: Method,
+    rows: np.ndarray,
+    shares: np.ndarray,
+    steps: Any,
+    curve: ConnectingCurve,
 ) -> Guess:
-    """The guess through flat points at these shares of the horizon; ``start`` knows the ways between them."""
+    """The guess along a curve through flat points at these shares of the horizon."""
     fractions, layout = step_fractions(steps), PointLayout.of(problem.manifold)
     places = stage_places(method, fractions)
     own = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, len(rows) - 2)
     states = np.empty((len(places), layout.size))
     for k in np.unique(own):
         inside = (places[own == k] - shares[k]) / (shares[k + 1] - shares[k])
-        states[own == k] = start.states(rows[k][None], rows[k + 1][None], inside)[0]
+        states[own == k] = curve.states(rows[k][None], rows[k + 1][None], inside)[0]
     return Guess(layout.points(states), _rest(problem, len(places)), _zero(problem, len(fractions)))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from .audit.independence_of_boundary_conditions import dependence_notes, equation_words, require_independent
 from .inputs.arguments import Options
 from .reformulations.restarts import search_all
-from .transcription.core_search import extremals_of
+from .transcription.core_transcription import extremals_of
 from .transcription.discrete_extremals import DiscreteExtremals
 from .transcription.discrete_phase import LinkedPhases
 from .transcription.iterate import Iterate

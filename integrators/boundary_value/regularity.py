@@ -16,7 +16,7 @@ from ..problem_checks.inspection import inspect_problem, probes
 from ..reporting.results import callers
 from ..singular import Classification, classify
 from .inputs.inputs import Inputs
-from .iteration_table import say
+from .iteration import say
 from .solution.record import Solution
 from .transcription.transcribed_problem import Transcription
 

@@ -14,10 +14,10 @@ from .drivers.mesh_refinement import MeshRefinement
 from .guess import Guess
 from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem
 from .inputs.inputs import Inputs
+from .iteration import Iteration
 from .solution.differentiable_solution import INSTEAD
 from .solution.record import Solution
 from .solver import Solver
-from .transcription.iteration import Iteration
 
 DEFAULT_ACCURACY = 1e-6  # relative error of the steps, where no steps are given
 DEFAULT_STEPS = 20  # of the first mesh, which is refined to an accuracy

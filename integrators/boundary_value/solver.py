@@ -29,13 +29,13 @@ from .export.c_export import export_c
 from .guess import Guess
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
 from .inputs.inputs import InputReader, Inputs
+from .iteration import Iteration
 from .reformulations.free_quantities import Reformulation
 from .reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationSolver
 from .regular_extremals import find_extremals
 from .regularity import Regularity
 from .shooting import solve_on_final_manifold
 from .solution.batch import Solutions
-from .solution.builder import ExtremalRecords, SolutionBuilder
 from .solution.diagnostics import add_compile_time
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
 from .solution.feedback import feedback
@@ -43,8 +43,8 @@ from .solution.interpolation import Interpolant
 from .solution.record import Solution
 from .solution.resampling import Mesh
 from .solution.sensitivity import ParametricSensitivity, Sensitivity, require_isolated
+from .solution_builder import ExtremalRecords, SolutionBuilder
 from .transcription.discrete_extremals import DiscreteExtremals
-from .transcription.iteration import Iteration
 from .transcription.transcribed_problem import TranscribedProblem, Transcription
 
 HELD_WORDS = ", or give what changes as parameters"

@@ -8,8 +8,8 @@ import numpy as np
 
 from ...manifolds import DomainError
 from ..boundary_value.guess import Guess
+from ..boundary_value.iteration import Iteration
 from ..boundary_value.solution.record import Solution
-from ..boundary_value.transcription.iteration import Iteration
 
 
 class Plan(NamedTuple):

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ...compute.jit_cache import compile_function
-from ...errors import TRACEABLE
+from ...errors import FAILURES, TRACEABLE
 from ...manifolds import InvalidInputError, Manifold, RetraxError
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.attribute import attribute
@@ -22,7 +22,6 @@ from ..problem.initial_controls import resting_control
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.pontryagin import extremal_control
 from ..problem.user_functions import real_number
-from ..problem_checks.control_probing import FAILURES
 from ..problem_checks.requirements import require_retraction, require_same_manifold, require_treated
 from ..problem_checks.smoothness.derivative_check import require_correct_hamiltonian_derivatives
 from ..stages import CollocationStage, ControlStage, HamiltonianStage, Stage

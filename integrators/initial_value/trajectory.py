@@ -14,10 +14,10 @@ from ...compute.automatic import check_evaluator
 from ...compute.jit_cache import compile_function
 from ...manifolds import ConvergenceError, InvalidInputError, Manifold, NotOnManifoldError, Verdict
 from ...manifolds.numerics import ambient as vec
-from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced
+from ...manifolds.numerics.ambient import Ambient, is_count, is_finite_number, is_jitting, is_traced, is_transformed
 from ...manifolds.numerics.precision import working_precision
 from ...tracing import reads_once
-from ..problem.user_functions import is_transformed, require_concrete
+from ..problem.user_functions import require_concrete
 from ..problem_checks.smoothness.hamiltonian_jumps import Energy, PassedJump, Segments
 from ..reporting.records import Along, RecordFile, not_finite, shapes
 from ..reporting.results import Result, warn_about_precision

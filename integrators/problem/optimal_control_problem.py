@@ -11,6 +11,7 @@ from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
 from ...compute.jit_cache import digest
+from ...errors import FAILURES
 from ...index_bounds import require_indices
 from ...manifolds import Euclidean, InvalidInputError, Manifold, Product, RetraxError
 from ...manifolds.manifold import same_manifold
@@ -19,7 +20,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...module import Module
 from ...retractions import default_retraction
 from ...tracing import trace_program
-from ..problem_checks.control_probing import FAILURES, failure_words
+from ..problem_checks.control_probing import failure_words
 from ..problem_checks.control_use import warn_of_broadcast
 from ..problem_checks.inspection import Inspection
 from .argument_errors import arguments_of, require_arguments, require_known_options, takes_more

@@ -2,8 +2,7 @@
 caller."""
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from functools import partial
 from inspect import unwrap
 from linecache import getline
 from traceback import walk_tb
@@ -13,11 +12,10 @@ from typing import Any, NamedTuple, final
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Array
 
 from ...manifolds import InvalidInputError
-from ...manifolds.numerics.ambient import is_traced
+from ...manifolds.numerics.ambient import is_traced, is_transformed
 from ...manifolds.numerics.precision import working_precision
 from ..reporting.results import warn_of_coarse_values
 from .argument_errors import takes_more
@@ -156,18 +154,6 @@ def _code(function: Any) -> CodeType | None:
     if not isinstance(function, FunctionType | MethodType):
         function = getattr(function, "__call__", function)  # noqa: B004  what is called, not whether something can be
     return getattr(unwrap(getattr(function, "__func__", function)), "__code__", None)
-
-
-def is_transformed(*arguments: Any) -> bool:
-    """Whether JAX is transforming the caller or values in the arguments, on which nothing can be checked."""
-    return get_opaque_trace_state() != _untransformed() or is_traced(arguments)
-
-
-@cache
-def _untransformed() -> Any:
-    """The state of JAX outside of ``jit``, ``vmap`` and ``grad``, which a new thread has."""
-    with ThreadPoolExecutor(1) as thread:
-        return thread.submit(get_opaque_trace_state).result()
 
 
 def require_concrete(name: str, *arguments: Any, instead: str = "") -> None:

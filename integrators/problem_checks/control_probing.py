@@ -10,16 +10,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...compute.automatic import AutomaticEvaluator
-from ...errors import TRACEABLE
+from ...errors import FAILURES, TRACEABLE
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import working_precision
 from ...manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from ..problem.point_layout import PointLayout
 from ..problem.user_functions import BoundFunction, failing_line
-
-# Of functions that are given something else than expected.
-FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError, NotImplementedError
 
 if TYPE_CHECKING:
     from ..problem.optimal_control_problem import OptimalControlProblem

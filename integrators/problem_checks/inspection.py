@@ -9,6 +9,7 @@ import jax
 import numpy as np
 
 from ...compute.jit_cache import call_compiled
+from ...errors import FAILURES
 from ...manifolds import Euclidean, InvalidInputError, NotOnManifoldError, RetraxError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
@@ -16,7 +17,6 @@ from ...manifolds.numerics.precision import default_tolerance, working_precision
 from ..problem.initial_controls import resting_control, within_bounds
 from .control_probing import (
     CURVATURES,
-    FAILURES,
     LADDER,
     PROBE_SIZE,
     AlongLine,

@@ -6,12 +6,15 @@ vector.
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
+from jax.extend.core import get_opaque_trace_state
 from jaxtyping import Array, ArrayLike, Float, PyTree
 
 if TYPE_CHECKING:
@@ -51,6 +54,18 @@ def shared_hash(self: PyTree) -> int:
 def is_jitting() -> bool:
     """Whether this is the body of a function under ``jit``, where the value of no operation is known."""
     return is_traced(jax.device_put(0.0))
+
+
+def is_transformed(*arguments: Any) -> bool:
+    """Whether JAX is transforming the caller or values in the arguments, on which nothing can be checked."""
+    return get_opaque_trace_state() != _untransformed() or is_traced(arguments)
+
+
+@cache
+def _untransformed() -> Any:
+    """The state of JAX outside of ``jit``, ``vmap`` and ``grad``, which a new thread has."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(get_opaque_trace_state).result()
 
 
 def is_count(x: object) -> bool:

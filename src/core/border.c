@@ -141,7 +141,7 @@ static void scale_border(retrax_border *border, retrax_index total) {
             for (retrax_index j = 0; j < total; j++) {
                 most = fmax(most, fabs(row_of(border, i)[j]));
             }
-            own[i] = most > 0.0 ? 1.0 / sqrt(most) : 1.0;
+            own[i] = 1.0 / sqrt(retrax_or_one(most));
             border->scales[i] *= own[i];
         }
     }

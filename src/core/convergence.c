@@ -10,8 +10,6 @@
 #include <math.h>
 #include <string.h>
 
-static double or_one(double size) { return size > 0.0 ? size : 1.0; }
-
 static void fill(double *to, double value, retrax_index count) {
     for (retrax_index i = 0; i < count; i++) {
         to[i] = value;
@@ -194,7 +192,7 @@ static double stationarity_of(const retrax_layout *layout, const double *traject
     }
     for (retrax_index i = 0; i < z; i++) {
         const double unit = units->judging_unknowns[i];
-        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / or_one(retrax_larger(unit * ARRAY(PARTS)[i], RETRAX_SHARE * *scale)));
+        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / retrax_or_one(retrax_larger(unit * ARRAY(PARTS)[i], RETRAX_SHARE * *scale)));
     }
     return found;
 }
@@ -260,7 +258,7 @@ void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
                 span = retrax_larger(span, curvature > 0.0 ? sqrt(content / curvature) : 0.0);
             }
             const double parts = retrax_larger(span * ARRAY(PARTS)[i], RETRAX_SHARE * content);
-            found[RETRAX_STATIONARITY] = retrax_larger(found[RETRAX_STATIONARITY], span * ARRAY(LARGEST_SLOPES)[i] / or_one(parts));
+            found[RETRAX_STATIONARITY] = retrax_larger(found[RETRAX_STATIONARITY], span * ARRAY(LARGEST_SLOPES)[i] / retrax_or_one(parts));
         }
         found[RETRAX_FINAL] = retrax_larger(found[RETRAX_FINAL], found[RETRAX_STATIONARITY]);
     }
@@ -290,12 +288,12 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
     write_measures(layout, trajectory, scale->judging_nodes);
     double defect = 0.0, stationarity = stationarity_of(layout, trajectory, scale, &parts);
     for (retrax_index e = 0; e < E; e++) {
-        defect = retrax_larger(defect, ARRAY(DISTANCE)[e] / or_one(ARRAY(ENTRIES)[e]));
+        defect = retrax_larger(defect, ARRAY(DISTANCE)[e] / retrax_or_one(ARRAY(ENTRIES)[e]));
     }
     for (retrax_index a = 0; a < n; a++) {
         const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
-        const double size = or_one(retrax_larger(unit * points[RETRAX_POINTS_MULTIPLIER * n + a], RETRAX_SHARE * parts));
-        defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / or_one(ARRAY(ALONG)[a]));
+        const double size = retrax_or_one(retrax_larger(unit * points[RETRAX_POINTS_MULTIPLIER * n + a], RETRAX_SHARE * parts));
+        defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / retrax_or_one(ARRAY(ALONG)[a]));
         stationarity = retrax_larger(stationarity, unit * points[RETRAX_POINTS_SLOPE * n + a] / size);
         found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / scale->nodes[a];
         found[RETRAX_UNMET] = retrax_larger(found[RETRAX_UNMET], most / unit);

@@ -199,11 +199,11 @@ void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double 
         double *const ways = phase->values + n, largest = 0.0;
         find_room(search, phase, trajectory, ways);
         for (retrax_index i = 0; i < controls; i++) {
-            const double way = ways[i] > 0.0 ? ways[i] : 1.0;
+            const double way = retrax_or_one(ways[i]);
             largest = retrax_larger(largest, ARRAY(CURVATURES)[n + i] * way * way);
         }
         for (retrax_index i = 0; i < controls; i++) {
-            const double way = ways[i] > 0.0 ? ways[i] : 1.0;
+            const double way = retrax_or_one(ways[i]);
             curved = curved && ARRAY(CURVATURES)[n + i] * way * way > FLAT * largest;
         }
         for (retrax_index i = 0; i < controls && !curved; i++) {

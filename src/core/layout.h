@@ -20,6 +20,9 @@
 /* The larger of two numbers; NaN if the second one is. */
 static inline double retrax_larger(double a, double b) { return b > a || isnan(b) ? b : a; }
 
+/* A size, or 1 where there is none. */
+static inline double retrax_or_one(double size) { return size > 0.0 ? size : 1.0; }
+
 static inline void retrax_copy(double *to, const double *from, retrax_index count) {
     memcpy(to, from, sizeof(double) * (size_t)count);
 }

@@ -216,14 +216,14 @@ static double missed_of(const retrax_search *search, const double *iterate) {
     double found = 0.0;
     for (retrax_index i = 0; i < search->problem->equations; i++) {
         const double unit = change_of(search, iterate, i, BY_ALONG);
-        found = retrax_larger(found, fabs(COUPLED(VALUES)[i]) / (unit > 0.0 ? unit : 1.0));
+        found = retrax_larger(found, fabs(COUPLED(VALUES)[i]) / retrax_or_one(unit));
     }
     for (retrax_index i = 0; i < search->problem->links; i++) {
         const retrax_link *const link = &search->problem->link[i];
         const retrax_phase *const phase = &search->phases[link->target / 2];
         const double *const entries = iterate + phase->place + phase->layout->first[RETRAX_ARRAY_ENTRIES];
         for (retrax_index e = 0; e < link->numbers; e++, apart++) {
-            found = retrax_larger(found, fabs(*apart) / (entries[e] > 0.0 ? entries[e] : 1.0));
+            found = retrax_larger(found, fabs(*apart) / retrax_or_one(entries[e]));
         }
     }
     return found;
@@ -279,7 +279,7 @@ static void find_ways(const retrax_search *search, retrax_phase *phase, double *
         for (retrax_index k = 0; k < layout->problem->steps && i >= n; k++) {
             curvature += fabs(ARRAY(HESSIANS)[(k * z + i) * z + i]);
         }
-        phase->sizes[i] = i < n ? 0.0 : (curvature > 0.0 ? 1.0 / sqrt(curvature) : 1.0);
+        phase->sizes[i] = i < n ? 0.0 : 1.0 / sqrt(retrax_or_one(curvature));
         phase->values[i] = DBL_MIN;
         phase->room[i] = INFINITY;
     }
@@ -333,7 +333,7 @@ void retrax_find_coupled_scales(retrax_search *search, double *iterate) {
         cost = retrax_larger(cost, cost_of(phase, iterate + phase->place));
         steps += (double)phase->layout->problem->steps;
     }
-    EACH_PHASE(phase) { phase->fresh.cost = cost / steps > 0.0 ? cost / steps : 1.0; }
+    EACH_PHASE(phase) { phase->fresh.cost = retrax_or_one(cost / steps); }
     for (retrax_index i = 0; i < search->coupling.count[RETRAX_COUPLED_VALUES]; i++) {
         const double size = change_of(search, iterate, i, BY_FRESH);
         search->coupling.fresh[i] = size > 0.0 && isfinite(size) ? size : 1.0;

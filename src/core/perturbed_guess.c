@@ -28,7 +28,7 @@ static void write_control_sizes(retrax_search *search) {
     const double *const trajectory = search->at;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
         const double curved = i < layout->problem->state_size ? 0.0 : ARRAY(CURVATURES)[i];
-        search->phases->sizes[i] = curved > 0.0 ? 1.0 / sqrt(curved) : 1.0;
+        search->phases->sizes[i] = 1.0 / sqrt(retrax_or_one(curved));
     }
 }
 

@@ -6,6 +6,10 @@
 
 /* Bound of the iterations of a search, whose costs are kept. */
 #define MOST_ITERATIONS ((retrax_index)1 << 20)
+/* Share of its penalty at which a multiplier says that the penalty is too small. */
+#define NEAR_PENALTY 0.5
+/* The largest penalty, relative to the unit of the multipliers. */
+#define LAST_PENALTY 1e6
 
 /* Takes the arrays of the linear system with the multipliers of the inequalities from a block. */
 static void take_augmented(const retrax_problem *problem, retrax_block *block, retrax_augmented *to) {
@@ -131,7 +135,7 @@ retrax_search *retrax_search_make(const retrax_multiphase *problem, const retrax
     search->limited = false;
     EACH_PHASE(phase) {
         search->limited = search->limited || retrax_is_limited(phase->layout->problem);
-        phase->limits = (retrax_limit_scale){0.0, phase->limit_sizes, RETRAX_FIRST_PENALTY, 0.5, 1e6};
+        phase->limits = (retrax_limit_scale){0.0, phase->limit_sizes, RETRAX_FIRST_PENALTY, NEAR_PENALTY, LAST_PENALTY};
     }
     const bool coupled = retrax_is_coupled(search);
     const retrax_index *const first = search->phases->layout->first;

@@ -14,6 +14,9 @@ TRACING = frozenset({"retrax", "jax", "jaxlib", "equinox"})  # packages between 
 CONCISE = "_retrax_concise"  # attribute of a concise function, for the parts of its calls
 TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp.where in place of if"
 
+# Errors of functions that are given something else than expected.
+FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError, NotImplementedError
+
 
 class RetraxError(Exception):
     """The base of all errors of the library.

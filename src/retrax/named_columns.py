@@ -8,8 +8,11 @@ import jax
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from .integrators import ClosedLoop, OptimalControlProblem, Quantities, Quantity, Solution, Trajectory
-from .integrators.problem.quantities import with_unit
+from .integrators.boundary_value.solution.record import Solution
+from .integrators.closed_loop.record import ClosedLoop
+from .integrators.initial_value.trajectory import Trajectory
+from .integrators.problem.optimal_control_problem import OptimalControlProblem
+from .integrators.problem.quantities import Quantities, Quantity, with_unit
 from .integrators.reporting.text import brief
 from .manifolds import Euclidean, InvalidInputError, Manifold
 

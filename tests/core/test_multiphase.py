@@ -11,7 +11,7 @@ from retrax.compute.binding.transcription import Transcription
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
 from retrax.integrators.boundary_value import regular_extremals
 from retrax.integrators.boundary_value.reformulations import restarts
-from retrax.integrators.boundary_value.transcription.core_search import coupled_ends, transcription_of
+from retrax.integrators.boundary_value.transcription.core_transcription import coupled_ends, transcription_of
 from retrax.integrators.boundary_value.transcription.discrete_phase import LinkedPhases
 from retrax.integrators.boundary_value.transcription.member_search import MemberSearch, Watch
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat

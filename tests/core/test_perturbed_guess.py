@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from retrax.compute.binding.search import Search, SearchStatus
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.transcription import core_search
+from retrax.integrators.boundary_value.transcription import core_transcription
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 from scipy.optimize import minimize
@@ -56,7 +56,7 @@ UNKNOWNS = "CENTRES", "VELOCITIES", "CONTROLS"
 
 def perturbed(phase: Any, guess: Any) -> tuple[bool, dict[str, np.ndarray], dict[str, np.ndarray]]:
     """Whether a perturbation hardly moves something, and the arrays before and behind it."""
-    search = Search(core_search.made(phase), 1e-8, 1)
+    search = Search(core_transcription.make_transcription(phase), 1e-8, 1)
     put(search.trajectory, phase, guess)
     before = {name: search.trajectory[name].copy() for name in UNKNOWNS}
     search.run()

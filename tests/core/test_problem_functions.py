@@ -16,7 +16,7 @@ from retrax.compute.binding.search import Search, SearchStatus
 from retrax.compute.binding.transcription import Transcription
 from retrax.compute.tape_evaluator import TapeEvaluator
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.transcription import core_search
+from retrax.integrators.boundary_value.transcription import core_transcription
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss, Midpoint
 from scipy.optimize import minimize
@@ -50,11 +50,11 @@ def test_searches_by_callbacks_are_those_by_tapes(name, monkeypatch):
     """Of all functions, and of every second one; the same arithmetic, so that iterates are the same to rounding."""
     solver, way, options = CASES[name]()
     conditions, guess = posed(solver, way, monkeypatch, **options)
-    own = core_search.made(conditions)
+    own = core_transcription.make_transcription(conditions)
     found = []
     for share in (lambda name: False, *SHARES.values()):
         search = Search(with_callbacks(own, conditions, share), 1e-10, 100)
-        core_search.put(search.trajectory, conditions, guess._replace(slacks=None), 0)
+        core_transcription.put(search.trajectory, conditions, guess._replace(slacks=None), 0)
         assert search.run() is SearchStatus.CONVERGED
         at = search.trajectory
         found.append((search.read().iterations, at["TOTALS"][0], at["CENTRES"].copy(), at["CONTROLS"].copy()))

@@ -11,7 +11,7 @@ from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retrac
 from scipy.optimize import brentq
 
 from ..integrators.problems import RIGID, SLEW, SPHERE, half_square, spacecraft
-from .trajectories import PLANE, SLEWS, pendulum
+from ..integrators.search_cases import PLANE, SLEWS, pendulum
 
 METHODS = {"midpoint": Midpoint, "collocation": lambda retraction: Gauss(2, retraction)}
 RIGHT = np.zeros(2), np.array([1.0, 0.0]), 1.0  # a way to the right

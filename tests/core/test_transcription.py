@@ -10,14 +10,15 @@ from retrax.compute.binding.library import best_instruction_set
 from retrax.compute.binding.search import Search, SearchStatus
 from retrax.compute.binding.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.boundary_value.transcription import core_search
+from retrax.integrators.boundary_value.transcription import core_transcription
 from retrax.integrators.boundary_value.transcription.discrete_phase import DiscretePhase
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Midpoint, default_retraction
 
 from ..integrators.problems import SPHERE, half_square
+from ..integrators.search_cases import SLEWS
 from .discrete_equations import DiscreteEquations, Expansion
-from .trajectories import CASES, SLEWS, posed, put
+from .trajectories import CASES, posed, put
 
 SETS = range(best_instruction_set() + 1)
 NAMES = list(CASES)
@@ -68,7 +69,9 @@ def random_iterate(of: Transcription, phase: DiscretePhase, guess: Any, seed: in
 def test_systems_are_the_derivatives_of_the_discrete_equations(name):
     """At iterates some random steps from the guess; the cases share out the instruction sets."""
     phase, guess, equations = case(name)
-    at = random_iterate(core_search.made(phase, SETS[NAMES.index(name) % len(SETS)]), phase, guess, NAMES.index(name))
+    place = NAMES.index(name)
+    of = core_transcription.make_transcription(phase, SETS[place % len(SETS)])
+    at = random_iterate(of, phase, guess, place)
     expected = Expansion(equations, at)
     own, steps = expected.of_steps, equations.phase.transcription
     compare(at, {
@@ -104,7 +107,7 @@ def without_barrier(system: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def test_steps_solve_the_linear_equations_and_move_in_charts(name):
     """A Newton step from the dense matrix of all unknowns: its condensed part gives the rest of it again."""
     phase, guess, equations = case(name)
-    of = core_search.made(phase, SETS[-1])
+    of = core_transcription.make_transcription(phase, SETS[-1])
     at = random_iterate(of, phase, guess, 50 + NAMES.index(name))
     expected, (count, n, s) = Expansion(equations, at), (equations.count, equations.n, equations.s)
     own, hessian, slope = expected.of_steps, expected.of_steps["hessian"], expected.of_steps["slope"]
@@ -180,7 +183,7 @@ def test_ends_that_are_far_apart_meet_along_the_arc_between_them(angle, monkeypa
     problem = OptimalControlProblem(SPHERE, lambda q, u: u - (u @ q) * q, half_square, 3)
     way = np.array([0.0, 0.0, 1.0]), np.array([np.sin(0.3), 0.0, np.cos(0.3)]), 1.0
     phase, guess = posed(Solver(problem, Midpoint(default_retraction(SPHERE)), 2), way, monkeypatch)
-    at = put(core_search.made(phase).trajectory(), phase, guess)
+    at = put(core_transcription.make_transcription(phase).trajectory(), phase, guess)
     centres = np.array([[0.0, 0.0, 1.0], [np.sin(angle), 0.0, np.cos(angle)]])
     at["CENTRES"], at["CONTROLS"] = centres.ravel(), 0.0
     at.evaluate()
@@ -204,7 +207,7 @@ def test_natural_sizes_change_with_the_units_of_the_problem(power, monkeypatch):
         )
         way = np.zeros(2), np.array([unit, 0.0]), 2.0
         phase, guess = posed(Solver(problem, Midpoint(Addition(plane)), 8), way, monkeypatch)
-        search = Search(core_search.made(phase), 1e-9, 100)
+        search = Search(core_transcription.make_transcription(phase), 1e-9, 100)
         put(search.trajectory, phase, guess)
         assert search.run() is SearchStatus.CONVERGED
         found.append(search.read().judging.copy)
@@ -216,7 +219,7 @@ def test_natural_sizes_change_with_the_units_of_the_problem(power, monkeypatch):
 
 def test_what_does_not_fit_is_refused(monkeypatch):
     phase, _ = posed(CASES["a slew"]()[0], SLEWS, monkeypatch)
-    right = core_search.made(phase, 0)
+    right = core_transcription.make_transcription(phase, 0)
     programs, (name, sizes) = dict(right.programs), (FunctionName, right.sizes)
     none = np.zeros(0)
     tableau, columns = (np.ones((1, 1)), np.ones(1)), (np.zeros(sizes.state_numbers, np.intp),) * 2
@@ -243,7 +246,7 @@ def test_searches_end_where_the_first_and_second_order_conditions_hold(name):
     """The discrete equations are evaluated at the end of the search: defects, slopes, complementarity, and the
     curvature on the null space of the constraints."""
     phase, guess, equations = case(name)
-    search = Search(core_search.made(phase, SETS[-1]), 1e-10, 100)
+    search = Search(core_transcription.make_transcription(phase, SETS[-1]), 1e-10, 100)
     put(search.trajectory, phase, guess._replace(slacks=None))
     assert search.run() is SearchStatus.CONVERGED
     found, at = search.read(), search.trajectory
@@ -283,7 +286,7 @@ def sizes_of_unknowns(equations: DiscreteEquations, scale: Scale) -> np.ndarray:
 @pytest.mark.parametrize("name", NAMES)
 def test_what_the_memory_of_a_search_held_before_changes_no_bit(name):
     phase, guess, _ = case(name)
-    own, ends = core_search.made(phase, SETS[-1]), []
+    own, ends = core_transcription.make_transcription(phase, SETS[-1]), []
     for held in (0.0, np.nan, 1e300):
         Search(own, 1e-10, 100)
         own.search_room(1)[...] = held

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, load_solution, solve
 from retrax.integrators.boundary_value.inputs.boundary_data import EndPart, PrescribedEnd
-from retrax.integrators.boundary_value.reformulations.free_quantities import Reformulation, ReformulationKind
+from retrax.integrators.boundary_value.inputs.reformulation_kind import ReformulationKind
+from retrax.integrators.boundary_value.reformulations.free_quantities import Reformulation
 from retrax.integrators.boundary_value.transcription.inequality_rows import InequalityRows
 from retrax.manifolds import SO, Euclidean, InvalidInputError, NotOnManifoldError, hat
 from retrax.retractions import Addition, Adjoint, Cayley, Euler, Gauss, Midpoint, ProductRetraction, Theta

@@ -9,8 +9,9 @@ import pytest
 from retrax.compute import jit_cache
 from retrax.compute.jit_cache import call_compiled, call_optimized, digest
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
-from retrax.integrators.problem.user_functions import in_precision, is_transformed, require_concrete
+from retrax.integrators.problem.user_functions import in_precision, require_concrete
 from retrax.manifolds import Euclidean, InvalidInputError, NotDifferentiableError
+from retrax.manifolds.numerics.ambient import is_transformed
 from retrax.retractions import Addition, CotangentLift, Exponential, Gauss, Midpoint
 from retrax.tracing import one_tracing, reads_once
 

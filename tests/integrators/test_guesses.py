@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, default_guess, solve
-from retrax.integrators.boundary_value.transcription import start as start_module
-from retrax.integrators.boundary_value.transcription.start import Start
+from retrax.integrators.boundary_value.inputs import connecting_curve
+from retrax.integrators.boundary_value.inputs.connecting_curve import ConnectingCurve
 from retrax.manifolds import SE, SO, DomainError, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Projection, Retraction, default_retraction
@@ -63,7 +63,7 @@ def test_a_default_guess_is_a_geodesic_where_tapes_give_it():
 def test_the_curve_of_a_default_guess_does_not_depend_on_the_number_of_steps():
     """On SO(4) logarithms take decompositions: the Cayley map's curve is tried first, and from three quarters of half a
     turn on it is too uneven."""
-    taken, start = [], Start(SO(4), Cayley(SO(4)))
+    taken, start = [], ConnectingCurve(SO(4), Cayley(SO(4)))
     for angle in np.deg2rad(np.linspace(120.0, 150.0, 31)):
         plane = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         ends = np.eye(4).reshape(1, 16), block_diag(plane, np.eye(2)).reshape(1, 16)
@@ -101,8 +101,8 @@ class GreatCircles(Retraction):
 
 def test_a_default_retraction_without_a_logarithm_is_not_asked_for_where_the_given_one_arrives(monkeypatch):
     ball = Ball()
-    monkeypatch.setattr(start_module, "default_retraction", lambda manifold: GreatCircles(manifold))
-    way = Start(ball, Projection(ball))
+    monkeypatch.setattr(connecting_curve, "default_retraction", lambda manifold: GreatCircles(manifold))
+    way = ConnectingCurve(ball, Projection(ball))
     states = way.states(np.eye(3)[:1], np.array([[0.6, 0.8, 0.0]]), np.array([0.5]))
     assert abs(np.linalg.norm(states) - 1) < 1e-14
     with pytest.raises(NotImplementedError, match="no logarithm"):  # the projection of a chord does not go that far
@@ -110,7 +110,7 @@ def test_a_default_retraction_without_a_logarithm_is_not_asked_for_where_the_giv
 
 
 def test_a_first_guess_that_is_interrupted_is_traced_again(monkeypatch):
-    calls, curve = [], Start._curve
+    calls, curve = [], ConnectingCurve._curve
 
     def interrupted(self, *given):
         calls.append(given)
@@ -118,7 +118,7 @@ def test_a_first_guess_that_is_interrupted_is_traced_again(monkeypatch):
             raise KeyboardInterrupt
         return curve(self, *given)
 
-    monkeypatch.setattr(Start, "_curve", interrupted)
+    monkeypatch.setattr(ConnectingCurve, "_curve", interrupted)
     solver = Solver(SLEW, METHOD, 10)
     with pytest.raises(KeyboardInterrupt):
         solver.solve(START, END, 60.0)

@@ -29,21 +29,21 @@ def equation_words(phases: Sequence[PhaseProblem]) -> list[str]:
     ]
 
 
-def dependence_notes(joint: LinkedPhases, found: Sequence[SearchRecord], names: Sequence[str]) -> list[str]:
+def dependence_notes(problem: LinkedPhases, found: Sequence[SearchRecord], names: Sequence[str]) -> list[str]:
     """Words on equations between the ends that depend on each other at the ends that each member reached, if they do.
 
     The inertia of the KKT matrix, which is then singular, shows no minimum.
     """
-    return [_dependent_words(joint, member, names) for member in found]
+    return [_dependent_words(problem, member, names) for member in found]
 
 
-def _dependent_words(joint: LinkedPhases, found: SearchRecord, names: Sequence[str]) -> str:
+def _dependent_words(problem: LinkedPhases, found: SearchRecord, names: Sequence[str]) -> str:
     """The words on one member; otherwise empty."""
-    rows = found.jacobian[:, joint.free]
+    rows = found.jacobian[:, problem.free]
     power = HALF if found.claimed else HALF / 2  # on the way to ends where they depend on each other they nearly do
     if not np.all(np.isfinite(rows)) or len(independent := independent_rows(_scale(rows), power)) == len(rows):
         return ""
-    every = enumerate(_all(joint, names))
+    every = enumerate(_all(problem, names))
     left = ", ".join(dict.fromkeys(name for place, name in every if place not in independent))
     return (
         " At the ends that were reached the boundary conditions depend on each other, and their multipliers are not "
@@ -52,10 +52,10 @@ def _dependent_words(joint: LinkedPhases, found: SearchRecord, names: Sequence[s
     )
 
 
-def _all(joint: LinkedPhases, names: Sequence[str]) -> list[str]:
+def _all(problem: LinkedPhases, names: Sequence[str]) -> list[str]:
     """Names of all equations, and of the links."""
-    link = "the link between phases" if len(joint.phases) > 1 else PERIODIC
-    coupling: Any = joint.coupling
+    link = "the link between phases" if len(problem.phases) > 1 else PERIODIC
+    coupling: Any = problem.coupling
     return [*names, *(link for _ in range(coupling.rows - len(names)))]
 
 
@@ -65,16 +65,16 @@ def _scale(rows: np.ndarray) -> np.ndarray:
     return rows / np.where(sizes > 0, sizes, 1.0)[:, None]
 
 
-def require_independent(joint: LinkedPhases, guess: Any, names: Sequence[str]) -> None:
+def require_independent(problem: LinkedPhases, guess: Any, names: Sequence[str]) -> None:
     """Raise if equations between the ends depend on each other, at the guess and at random ends too.
 
     Where ends are prescribed, in what is free of them.
     """
-    coupling: Any = joint.coupling
-    names, best = _all(joint, names), None
-    for ends in _samples(joint, guess):
-        linked = coupling(ends, [phase.data.parameters[:1] for phase in joint.phases], guess.multipliers[:1])
-        rows = linked.jacobian[0][:, joint.free]
+    coupling: Any = problem.coupling
+    names, best = _all(problem, names), None
+    for ends in _samples(problem, guess):
+        linked = coupling(ends, [phase.data.parameters[:1] for phase in problem.phases], guess.multipliers[:1])
+        rows = linked.jacobian[0][:, problem.free]
         if not np.all(np.isfinite(rows)):
             continue
         independent = independent_rows(_scale(rows))
@@ -92,14 +92,14 @@ def require_independent(joint: LinkedPhases, guess: Any, names: Sequence[str]) -
         )
 
 
-def _samples(joint: LinkedPhases, guess: Any) -> list[list[np.ndarray]]:
+def _samples(problem: LinkedPhases, guess: Any) -> list[list[np.ndarray]]:
     """The ends of the guess of the first member, and random ends where these are free."""
-    found = [end[:1] for phase, part in zip(joint.phases, guess.parts, strict=True) for end in phase.reached(part)]
+    found = [end[:1] for phase, part in zip(problem.phases, guess.parts, strict=True) for end in phase.reached(part)]
     samples = [found]
     for key in jax.random.split(jax.random.key(0), RANDOM_ENDS):
         ends = []
         for k, (own, mine) in enumerate(zip(found, jax.random.split(key, len(found)), strict=True)):
-            phase = joint.phases[k // 2]
+            phase = problem.phases[k // 2]
             manifold = phase.transcription.manifold
             entries = phase.ends.end_entries if k % 2 else phase.ends.start_entries
             ends.append(np.where(entries, own, PointLayout.of(manifold).rows(manifold.random_point(mine), 0)))

@@ -20,11 +20,11 @@ from ...reporting.results import Result
 from ...reporting.text import brief
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData
+from ..iteration import stops
 from ..solution.batch import Solutions
 from ..solution.differentiable_solution import push_forward
 from ..solution.record import Solution
 from ..solver import Solver
-from ..transcription.iteration import stops
 
 FIRST_STEP = 0.1  # of the path
 STEP_GROWTH, STEP_SHRINKING = 2.0, 0.3

@@ -17,12 +17,12 @@ from ..audit.switching_structure import SwitchingStructure, switching_structure
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import Inputs
+from ..iteration import Iteration, stops
 from ..reformulations.switching_arcs import DURATIONS, SwitchingArcs
 from ..solution.diagnostics import RegularChecks
 from ..solution.record import Solution, Statistics
 from ..solution.resampling import Mesh
 from ..solver import Solver
-from ..transcription.iteration import Iteration, stops
 
 REFINEMENT_ROUNDS = 25  # at most
 MOST_REFINED_STEPS, MOST_STAGES = 5000, 6

@@ -15,9 +15,9 @@ from ...problem.user_functions import require_concrete
 from ...reporting.text import brief
 from ..guess import Guess, guess_through
 from ..inputs.boundary_data import BoundaryDataReader
+from ..inputs.connecting_curve import ConnectingCurve
 from ..solution.batch import Solutions
 from ..solver import Solver
-from ..transcription.start import Start
 
 WAYPOINTS = 3  # at most
 
@@ -96,7 +96,7 @@ def _guesses(solver: Solver, start: Any, end: Any, count: int, seed: int) -> lis
     ends, layout = BoundaryDataReader.of(problem).ends(start, end, batched=False), PointLayout.of(problem.manifold)
     ends.require_known(start)
     first, last = layout.points(ends.start[0]), layout.points(ends.end[0])
-    ways, guesses = Start(problem.manifold, method.retraction), list[Guess]()
+    ways, guesses = ConnectingCurve(problem.manifold, method.retraction), list[Guess]()
     for k in range(count):
         draw = np.random.default_rng([seed, k])
         between = [_point(problem.manifold, first, last, draw) for _ in range(1 + (k - 1) % WAYPOINTS if k else 0)]

@@ -13,8 +13,8 @@ from ...problem.point_layout import PointLayout
 from ...reporting.text import brief
 from ..guess import Guess, default_guess
 from ..inputs.boundary_data import BoundaryDataReader
+from ..inputs.connecting_curve import ConnectingCurve
 from ..solution.record import Solution
-from ..transcription.start import Start
 from .phase_transcription import PHASE_ERRORS
 
 
@@ -101,7 +101,7 @@ def _way(number: int, run: Sequence[Any], read: list[_KnownPoints], image: np.nd
 def _between(phase: Any, pairs: list[tuple[np.ndarray, np.ndarray]], times: np.ndarray) -> list[np.ndarray]:
     """The nodes, with partly known nodes on the way between known nodes."""
     anchors = [k for k, (_, known) in enumerate(pairs) if np.all(known)]
-    start, nodes = Start(phase.problem.manifold, phase.method.retraction), [row for row, _ in pairs]
+    start, nodes = ConnectingCurve(phase.problem.manifold, phase.method.retraction), [row for row, _ in pairs]
     for a, b in pairwise(anchors):
         if b - a > 1:
             places = (times[a + 1 : b] - times[a]) / (times[b] - times[a])

@@ -19,10 +19,10 @@ from ..inputs.inputs import InputReader, Inputs
 from ..reformulations.free_quantities import Reformulation
 from ..reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationSolver
 from ..reformulations.vanishing_horizons import VanishingHorizon
-from ..solution.builder import ExtremalRecords, SolutionBuilder
 from ..solution.interpolation import Interpolant
 from ..solution.record import Solution
 from ..solution.resampling import Mesh
+from ..solution_builder import ExtremalRecords, SolutionBuilder
 from ..transcription.discrete_extremals import DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem, Transcription
 

@@ -21,13 +21,13 @@ from ...reporting.text import brief, counted
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import equation_words
 from ..inputs.arguments import Method, Options, check_problem
+from ..iteration import Iteration
 from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
 from ..regular_extremals import find_phases
 from ..solution.diagnostics import add_compile_time
 from ..solution.multiphase_solution import PhasedSolution
 from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.functions.linked_ends import Link
-from ..transcription.iteration import Iteration
 from ..transcription.linkages import PhaseProblem, linkages_of
 from .phase_guess import guess_phases
 from .phase_transcription import PhaseEnds, PhaseTranscription, TranscribedPhase, transcribe_phase

@@ -17,6 +17,7 @@ from ...problem_checks.requirements import require_treated
 from ...reporting.text import brief
 from ..inputs.arguments import ALONG, Options
 from ..solution.record import Solution
+from ..transcription.core_transcription import flat_limits, make_transcription, put
 
 AGREE = 1e-9  # relative: the costs of a search of the core and of the solution
 UNTAPED = (
@@ -117,7 +118,6 @@ def _pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options:
     ``found``: the solver that has found the solution, its own solution, both others for a reformulation, and the
     reformulation, or None.
     """
-    from ..transcription import core_search
     from .posed_problem import PosedProblem
 
     inner, own, formulation = found
@@ -125,10 +125,10 @@ def _pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options:
     place = np.array([kept.place])
     conditions = kept.transcribed.conditions.of(place)
     _require_exportable(kept.transcribed.traced)
-    transcription = core_search.made(conditions, 0)
+    transcription = make_transcription(conditions, 0)
     guess = taken(kept.transcribed.guess, place)
     given = transcription.trajectory()
-    core_search.put(given, conditions, guess, 0)
+    put(given, conditions, guess, 0)
     if not _leads_to(transcription, given, solution.cost, options):
         given.set_iterate(kept.found.system(kept.place).iterate)
     steps, numbers = conditions.data.steps[0], PointLayout.of(solver.problem.manifold).size
@@ -183,8 +183,6 @@ def _horizon(steps: np.ndarray, fractions: np.ndarray) -> float:
 
 def _shares(conditions: Any) -> tuple[np.ndarray, np.ndarray]:
     """Weights of the inequalities relative to their steps, and the steps, in the order of the core."""
-    from ..transcription.core_search import flat_limits
-
     method = conditions.transcription
     if not method.inequalities:
         return np.zeros(0), np.zeros(0, int)

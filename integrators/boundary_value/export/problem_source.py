@@ -5,8 +5,8 @@ from textwrap import indent
 
 import numpy as np
 
-from ....compute.binding.library import LayoutStruct, MultiphaseStruct, ProblemStruct
 from ....compute.binding.search import search_memory, wave_amplitudes
+from ....compute.binding.structs import LayoutStruct, MultiphaseStruct, ProblemStruct
 from .c_text import braces, constant, filled, number
 from .function_source import functions_text, most_numbers, table_text
 from .posed_problem import PosedProblem

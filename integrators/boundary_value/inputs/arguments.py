@@ -18,8 +18,7 @@ from ...problem_checks.requirements import require_same_manifold, require_treate
 from ...reporting.results import warn_about_precision
 from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
-from ..iteration_table import IterationTable
-from ..transcription.iteration import Iteration
+from ..iteration import Iteration, IterationTable
 
 DEFAULT_TOLERANCE_POWER = 0.7
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends

@@ -30,7 +30,6 @@ from ...problem_checks.requirements import require_retraction
 from ...reporting.results import callers
 from ...singular import Classification, SingularIntegrator
 from ..guess import Guess
-from ..reformulations.free_quantities import ReformulationKind, needs_reformulation
 from ..solution.record import Solution
 from ..solution.resampling import Mesh, resample
 from .arguments import (
@@ -46,6 +45,7 @@ from .arguments import (
 from .boundary_data import BoundaryDataReader, EndPoints, NodeCondition
 from .guess_arrays import FlatGuess, GuessReader
 from .members import are_several, count_members, member_of, repeat_for_all, row_of
+from .reformulation_kind import ReformulationKind, needs_reformulation
 
 ROUNDED_POINT = 5e-6  # violation of its equations by a point whose entries have six digits
 RESTORING = 2  # Newton steps, which converge quadratically, from there to the rounding of double precision

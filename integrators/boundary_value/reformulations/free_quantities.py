@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import prod
-from typing import Any, NamedTuple, final
+from typing import Any, final
 
 import jax
 import jax.numpy as jnp
@@ -16,11 +15,12 @@ from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.product import factor_name
 from ....retractions import Addition, CollocationMethod, DiscretizationMap, ProductRetraction, Retraction, Theta
 from ...problem.boundary_conditions import BoundaryConditions
-from ...problem.free_quantities import Free, guess_inside, guess_of, is_free
+from ...problem.free_quantities import Free, guess_inside, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER, Inequalities
 from ..guess import Guess
 from ..inputs.arguments import Method
+from ..inputs.reformulation_kind import ReformulationKind, entry_rows
 from ..solution.diagnostics import Checks
 from ..solution.interpolation import Interpolant
 from ..solution.record import Solution
@@ -32,57 +32,6 @@ BOUND_MARGIN, MULTIPLIER_MARGIN = (
 )  # of a bound's size: a guess is no nearer to it; the same where its multiplier is known
 BOUND_NAMES = {HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER}
 OWN_FACTOR = f"{factor_name(0)}, "  # how the names of the factors of Q begin in the product with the added states
-
-
-class ReformulationKind(NamedTuple):
-    """The free and the bounded quantities, which decide the functions of a reformulation."""
-
-    horizon: bool
-    horizon_bounds: tuple[bool, bool]
-    structure: Any  # of the parameters
-    shapes: tuple[tuple[int, ...], ...]  # of their leaves
-    free: tuple[int, ...]  # places of those that are free
-    below: tuple[int, ...]  # entries of the free ones, in a row, that are bounded from below
-    above: tuple[int, ...]
-
-    @classmethod
-    def of(cls, horizon: Any, parameters: Any) -> "ReformulationKind":
-        """The free and the bounded quantities of a horizon and of parameters."""
-        leaves, structure = jax.tree.flatten(parameters, is_leaf=is_free)
-        sides = np.isfinite(_rows(leaves, "lower")), np.isfinite(_rows(leaves, "upper"))
-        free = tuple(place for place, leaf in enumerate(leaves) if is_free(leaf))
-        limits = (horizon.lower > 0, bool(np.isfinite(horizon.upper))) if is_free(horizon) else (False, False)
-        shapes = tuple(np.shape(guess_of(leaf)) for leaf in leaves)
-        return cls(
-            is_free(horizon), limits, structure, shapes, free, *(tuple(np.flatnonzero(side).tolist()) for side in sides)
-        )
-
-    @property
-    def entries(self) -> int:
-        """Number of the entries of all free parameters."""
-        return sum(prod(self.shapes[place]) for place in self.free)
-
-    def parameters(self, entries: Any, fixed: Any) -> Any:
-        """The parameters, from the entries of the free parameters in a row and the fixed parameters."""
-        remaining, begin, leaves = iter(fixed), 0, []
-        for place, shape in enumerate(self.shapes):
-            if place in self.free:
-                leaves.append(entries[begin : begin + prod(shape)].reshape(shape))
-                begin += prod(shape)
-            else:
-                leaves.append(next(remaining))
-        return jax.tree.unflatten(self.structure, leaves)
-
-
-def _rows(leaves: list[Any], name: str) -> np.ndarray:
-    """The guesses, or bounds, of all free leaves in a row."""
-    rows = [np.broadcast_to(getattr(leaf, name), np.shape(leaf.guess)).ravel() for leaf in leaves if is_free(leaf)]
-    return np.concatenate([np.zeros(0), *rows])
-
-
-def needs_reformulation(problem: OptimalControlProblem, horizon: Any, parameters: Any) -> bool:
-    """Whether there is something that needs more states."""
-    return problem.time_dependent or is_free(horizon) or any(map(is_free, jax.tree.leaves(parameters, is_leaf=is_free)))
 
 
 @final
@@ -134,7 +83,7 @@ class Reformulation:
         if guess is not None and not BOUND_NAMES.isdisjoint(guess.multipliers or {}):
             share = MULTIPLIER_MARGIN
         first, lower, upper = (
-            np.append(_rows(leaves, name), self._in_log(horizon, name)) for name in ("guess", "lower", "upper")
+            np.append(entry_rows(leaves, name), self._in_log(horizon, name)) for name in ("guess", "lower", "upper")
         )
         return guess_inside(first, lower, upper, share)
 
@@ -151,7 +100,7 @@ class Reformulation:
             return None
         leaves = jax.tree.leaves(parameters, is_leaf=is_free)
         sides = ("lower", self.kind.below), ("upper", self.kind.above)
-        below, above = (_rows(leaves, name)[list(entries)] for name, entries in sides)
+        below, above = (entry_rows(leaves, name)[list(entries)] for name, entries in sides)
         both = zip(self.kind.horizon_bounds, ("lower", "upper"), strict=True)
         bounds = np.concatenate([*(self._in_log(horizon, name) for bounded, name in both if bounded), below, above])
         return [leaf for leaf in leaves if not is_free(leaf)], ([bounds] if bounds.size else [])

@@ -15,11 +15,12 @@ from ..audit import status
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData
 from ..inputs.inputs import InputReader, Inputs
+from ..inputs.reformulation_kind import ReformulationKind
 from ..solution.batch import Solutions
 from ..solution.record import Solution, Statistics
 from ..solution.resampling import resample
 from ..solution.sensitivity import Sensitivity
-from .free_quantities import Reformulation, ReformulationKind
+from .free_quantities import Reformulation
 from .vanishing_horizons import VanishingHorizon
 
 SINGULAR_WORDS = (

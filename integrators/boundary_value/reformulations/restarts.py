@@ -14,9 +14,8 @@ from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.iterate import LinkedIterate
 from ..transcription.member_search import MemberSearch, Watch
 from ..transcription.rollout import rolled_out
-from ..transcription.search_record import MemberIterate, SearchRecord
+from ..transcription.search_record import LARGEST, MemberIterate, SearchRecord
 
-LARGEST = 8  # place of the largest residual
 LARGER = 1e2  # times the usual first penalty of excesses
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 NARROW = 1e-2  # width of the funnel of a search from a trajectory without infeasibility

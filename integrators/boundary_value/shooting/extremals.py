@@ -27,7 +27,7 @@ from ..audit.status import Status, shooting_status
 from ..guess import default_guess
 from ..inputs.arguments import copy_parameters
 from ..inputs.inputs import Inputs
-from ..iteration_table import say
+from ..iteration import say
 from ..solution.diagnostics import SingularChecks
 from ..solution.record import SingularArc, Solution, Statistics
 from ..transcription.diagnosis import Diagnosis

@@ -14,8 +14,7 @@ from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Frame
 from ....manifolds.numerics.levenberg import RELATIVE_DAMPING
 from ...reporting.results import Result
-from ..iteration_table import say, tell
-from ..transcription.iteration import Iteration
+from ..iteration import Iteration, say, tell
 from .end_conditions import EndConditions, EndValues
 from .least_squares import shortest_step
 from .segments import Iterate, Linearisation, Shooting

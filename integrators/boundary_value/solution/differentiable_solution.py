@@ -10,8 +10,8 @@ from jax.core import eval_context
 
 from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import is_transformed
 from ...problem.free_quantities import is_free
-from ...problem.user_functions import is_transformed
 from ...reporting.text import brief
 from ..inputs.arguments import BoundaryData
 from .record import Solution

@@ -20,7 +20,7 @@ from ...reporting.records import shapes, write_protect
 from ...reporting.text import brief
 from ..inputs.arguments import LIMITS, structure_of
 from ..transcription.chart import lagrange
-from ..transcription.core_search import flat_limits
+from ..transcription.core_transcription import flat_limits
 from ..transcription.functions.nodes import NodeFunctions
 from ..transcription.kkt_system import KKTSystem
 from .interpolation import checked_times

@@ -19,6 +19,6 @@ class HistoryPlots:
         ndarray of matplotlib axes
             One for each array of the state, then one for each array of the controls.
         """
-        from ....plotting import histories
+        from ....plotting.histories import histories
 
         return histories(self, degrees=degrees)

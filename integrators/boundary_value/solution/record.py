@@ -282,7 +282,7 @@ class Solution(HistoryPlots):
 
     def to_xarray(self) -> Any:
         """The solution as an ``xarray.Dataset`` with named dimensions and units; see ``retrax.interop.to_xarray``."""
-        from ....interop import to_xarray
+        from ....interop.tables import to_xarray
 
         return to_xarray(self)
 
@@ -294,7 +294,7 @@ class Solution(HistoryPlots):
         at : {"nodes", "stages"} or array_like
             The rows: nodes, stages, or times.
         """
-        from ....interop import to_pandas
+        from ....interop.tables import to_pandas
 
         return to_pandas(self, at)
 
@@ -314,7 +314,7 @@ class Solution(HistoryPlots):
         path, mesh, title, degrees, cones, obstacles
             As in ``retrax.plotting.to_html``.
         """
-        from ....plotting import to_html
+        from ....plotting.page import to_html
 
         to_html(self, path, mesh, title, degrees=degrees, cones=cones, obstacles=obstacles)
 

@@ -57,10 +57,6 @@ class LinkedPhases:
     def __init__(self, phases: tuple[DiscretePhase, ...], coupling: LinkageFunctions | None) -> None:
         self.phases, self.coupling = phases, coupling
 
-    def of(self, members: np.ndarray) -> "LinkedPhases":
-        """The phases of some members."""
-        return LinkedPhases(tuple(phase.of(members) for phase in self.phases), self.coupling)
-
     @property
     def free(self) -> np.ndarray:
         """The mask of the free coordinates of all ends."""

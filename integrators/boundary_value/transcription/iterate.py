@@ -17,7 +17,7 @@ class Data(NamedTuple):
         return np.ones((1, 1, places, inequalities)) if self.asked is None else self.asked
 
 
-class Known(NamedTuple):
+class KnownExtremal(NamedTuple):
     """Arrays of a guess beside states, controls and costates: states at the nodes, covectors at the stages."""
 
     nodes: np.ndarray  # (B, N + 1, E)
@@ -69,22 +69,12 @@ class Iterate(NamedTuple):
     costates: np.ndarray
     slacks: Slacks | None = None  # of the inequalities, if there are any; of a guess, with multipliers that are known
 
-    @property
-    def bare(self) -> "Iterate":
-        """Without what is known of the inequalities."""
-        return self._replace(slacks=None)
-
 
 class LinkedIterate(NamedTuple):
     """The iterates of phases, and the multipliers of the equations between their ends, shape (B, M)."""
 
     parts: tuple[Iterate, ...]
     multipliers: np.ndarray
-
-    @property
-    def bare(self) -> "LinkedIterate":
-        """Without what is known of the inequalities."""
-        return self._replace(parts=tuple(part.bare for part in self.parts))
 
 
 class Ends(NamedTuple):

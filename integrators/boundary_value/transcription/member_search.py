@@ -9,13 +9,13 @@ import numpy as np
 
 from ....compute.binding.multiphase import Multiphase
 from ....compute.binding.search import Feasibility, Search, SearchResult, SearchStatus
-from .core_search import coupled_ends, numbers_of, put, transcription_of
+from ..iteration import Iteration, stops
+from .core_transcription import coupled_ends, numbers_of, put, transcription_of
 from .discrete_phase import DiscretePhase, LinkedPhases
 from .iterate import Iterate, LinkedIterate
-from .iteration import Iteration, stops
-from .search_record import MemberIterate, PhaseRecord, SearchRecord
+from .search_record import FACTS, MemberIterate, PhaseRecord, SearchRecord
 
-FACTS = attrgetter(*SearchRecord._fields[SearchRecord._fields.index("iterations") :])  # of a search in its record
+read_facts = attrgetter(*SearchRecord._fields[FACTS])
 
 
 @final
@@ -146,7 +146,7 @@ class MemberSearch:
             found.jacobian.copy(),
             first,
             perturbed,
-            *FACTS(found),
+            *read_facts(found),
         )
 
 

@@ -6,6 +6,8 @@ import numpy as np
 
 from ....compute.binding.transcription import IterateNumbers, Scale
 
+LARGEST = 8  # place of the largest residual
+
 
 class MemberIterate(NamedTuple):
     """An iterate of a member in the order of the core: of each phase, and the multipliers of what couples the ends."""
@@ -66,3 +68,6 @@ class SearchRecord(NamedTuple):
     def cost(self) -> float:
         """The cost of all phases."""
         return sum(float(own.totals[0]) for own in self.phases)
+
+
+FACTS = slice(SearchRecord._fields.index("iterations"), None)  # of all phases together, as in ``SearchResult``

@@ -13,6 +13,7 @@ from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
 from ..inputs.arguments import Method, structure_of
+from ..inputs.connecting_curve import ConnectingCurve
 from ..inputs.guess_arrays import FlatGuess
 from ..inputs.inputs import Inputs
 from ..inputs.members import repeat_for_all
@@ -23,9 +24,8 @@ from .functions.linked_ends import LinkageFunctions
 from .functions.nodes import NodeFunctions
 from .functions.one_stage import OneStageFunctions
 from .inequality_rows import InequalityRows
-from .iterate import Data, Ends, Iterate, Known, Slacks
+from .iterate import Data, Ends, Iterate, KnownExtremal, Slacks
 from .linkages import PhaseProblem, linkages_of
-from .start import Start
 
 
 class TracedFunctions(NamedTuple):
@@ -58,7 +58,7 @@ class Transcription:
         self.problem, self.method, self.fractions, self.evaluator = problem, method, fractions, evaluator
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
         self.stages = method.nodes
-        self._start = Start(problem.manifold, method.retraction)
+        self._start = ConnectingCurve(problem.manifold, method.retraction)
         starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
         # Of all stages, fractions of the horizon.
         self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()
@@ -132,10 +132,9 @@ class Transcription:
             own = inputs.guesses.of(count)
             states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
             costates, slacks = own.costates, self._pulling(traced, own, data)
-            both = own.nodes, own.stage_costates
-            known = (
-                Known(both[0], both[1].reshape(*shape, size)) if both[0] is not None and both[1] is not None else None
-            )
+            known = None
+            if own.nodes is not None and own.stage_costates is not None:
+                known = KnownExtremal(own.nodes, own.stage_costates.reshape(*shape, size))
         return Iterate(traced.steps.begin(states, controls, costates, data, known), costates, slacks)
 
     @staticmethod

@@ -1,1 +1,1 @@
-"""Evaluation of functions: the binding of the compiled core."""
+"""Evaluation of functions: evaluators, caches of traces and programs, threads, and the binding of the core."""

@@ -7,7 +7,7 @@ from typing import Any, final
 import jax
 import numpy as np
 
-from ..integrators.problem_checks.control_probing import FAILURES
+from ..errors import FAILURES
 from ..manifolds import InvalidInputError
 from ..tracing import one_tracing
 

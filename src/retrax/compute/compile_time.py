@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from types import TracebackType
 from typing import Self, final
 
-_listeners: list[Callable[[float], None]] = []
+_listeners: list[Callable[[float], None]] = []  # called with the seconds of each compilation, of any thread
 
 
 @contextmanager
@@ -24,16 +24,6 @@ def report_compile_time() -> Iterator[None]:
             listener(seconds)
 
 
-def listen(listener: Callable[[float], None]) -> None:
-    """Have a function called with the seconds of each compilation, of any thread."""
-    _listeners.append(listener)
-
-
-def stop_listening(listener: Callable[[float], None]) -> None:
-    """Stop calling a listener."""
-    _listeners.remove(listener)
-
-
 @final
 class Stopwatch:
     """Seconds since a start, apart from the seconds of tracing and compiling in the body of ``with``."""
@@ -42,13 +32,13 @@ class Stopwatch:
         self._began, self._compiling = time.perf_counter(), 0.0
 
     def __enter__(self) -> Self:
-        listen(self._add)
+        _listeners.append(self._add)
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        stop_listening(self._add)
+        _listeners.remove(self._add)
 
     def seconds(self) -> tuple[float, float]:
         """Seconds that took to compile, of all threads together, and the remaining seconds."""

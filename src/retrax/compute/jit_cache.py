@@ -11,8 +11,8 @@ import jax
 import numpy as np
 from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
-from ..integrators.problem.user_functions import is_transformed
 from ..manifolds.numerics import ambient as vec
+from ..manifolds.numerics.ambient import is_transformed
 from ..manifolds.numerics.compiler import Option, known_options
 from ..tracing import differentiable, one_tracing, trace_program
 from ..undisturbed import with_room

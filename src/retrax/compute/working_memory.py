@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 LINE = 8  # numbers in a cache line
-KEPT = 2**19  # numbers of a thread: larger arrays are made anew, which takes no time beside their use
+KEPT_SCRATCH = 2**19  # numbers of a thread: larger arrays are made anew, which takes no time beside their use
 
 Shapes = tuple[tuple[int, ...], ...]
 
@@ -46,8 +46,8 @@ def scratch(shapes: Shapes) -> list[np.ndarray]:
     if found is not None:
         return found
     found, size = aligned_all(shapes), sum(map(math.prod, shapes))
-    if size <= KEPT:
-        if _scratch.size + size > KEPT:
+    if size <= KEPT_SCRATCH:
+        if _scratch.size + size > KEPT_SCRATCH:
             _scratch.known, _scratch.size = {}, 0
         _scratch.known[shapes] = found
         _scratch.size += size

@@ -7,8 +7,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..integrators import Quantity, Solution, Solutions
-from ..integrators.problem.quantities import with_unit
+from ..integrators.boundary_value.solution.batch import Solutions
+from ..integrators.boundary_value.solution.record import Solution
+from ..integrators.problem.quantities import Quantity, with_unit
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 from ..named_columns import About, View, raw_columns, view

@@ -6,9 +6,11 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..integrators import OptimalControlProblem, Quantity, Solution
+from ..integrators.boundary_value.solution.record import Solution
 from ..integrators.boundary_value.solution.report import name_with_label
+from ..integrators.problem.optimal_control_problem import OptimalControlProblem
 from ..integrators.problem.path_constraints import LOWER, UPPER
+from ..integrators.problem.quantities import Quantity
 from ..integrators.problem.user_functions import require_concrete
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..integrators import PhasedSolution, Solution
+from ..integrators.boundary_value.solution.multiphase_solution import PhasedSolution
+from ..integrators.boundary_value.solution.record import Solution
 from ..integrators.problem.quantities import with_unit
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError

@@ -7,7 +7,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..integrators import PhasedSolution, Solution, Solutions
+from ..integrators.boundary_value.solution.batch import Solutions
+from ..integrators.boundary_value.solution.multiphase_solution import PhasedSolution
+from ..integrators.boundary_value.solution.record import Solution
 from ..manifolds import InvalidInputError
 from ..named_columns import About, NamedColumn, View, control_columns, state_columns, view
 

@@ -6,7 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..integrators import Trajectory
+from ..integrators.initial_value.trajectory import Trajectory
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 from ..tracing import reads_once

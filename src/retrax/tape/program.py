@@ -7,6 +7,7 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
+from ..compute.binding.tape_machine import MachineProgram
 from .graph import Loop
 from .instructions import CODES, OPERANDS, Instruction, lasting, read
 
@@ -41,6 +42,12 @@ class Program:
     inputs: int
     outputs: int
     size: int  # registers
+
+    def on_core(self, instruction_set: int | None = None) -> MachineProgram:
+        """The program for the compiled core, on the processor's best instruction set or a lesser one."""
+        return MachineProgram(
+            self.codes, self.registers, self.values, self.inputs, self.outputs, self.size, instruction_set
+        )
 
     @cached_property
     def work(self) -> int:

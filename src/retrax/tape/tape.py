@@ -158,8 +158,7 @@ class Tape:
     @cached_property
     def on_core(self) -> MachineProgram:
         """The instructions for the compiled core."""
-        p = self.program
-        return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size)
+        return self.program.on_core()
 
     def __getstate__(self) -> dict[str, Any]:
         """The state of a copy, without addresses in this process."""

@@ -15,7 +15,7 @@ from .....retractions import CollocationMethod, default_retraction
 from ....problem.optimal_control_problem import OptimalControlProblem
 from ....problem.point_layout import PointLayout, parameter_layout
 from ..chart import Chart
-from ..iterate import CollocationUnknowns, Data, Known, Slacks
+from ..iterate import CollocationUnknowns, Data, KnownExtremal, Slacks
 from .steps import AtStages, Tableau, count_inequalities, kept_bounds
 
 
@@ -64,7 +64,12 @@ class CollocationFunctions:
         return self.own, self.at_nodes
 
     def begin(
-        self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
+        self,
+        states: np.ndarray,
+        controls: np.ndarray,
+        costates: np.ndarray,
+        data: Data,
+        known: KnownExtremal | None = None,
     ) -> CollocationUnknowns:
         """Unknowns from states and controls at the points, shape (B, N, s, ...), and costates at the nodes.
 

@@ -14,7 +14,7 @@ from .....retractions import DiscretizationMap
 from ....problem.optimal_control_problem import OptimalControlProblem
 from ....problem.point_layout import PointLayout, parameter_layout
 from ....stages import ControlStage
-from ..iterate import Data, Known, Slacks, Unknowns
+from ..iterate import Data, KnownExtremal, Slacks, Unknowns
 from .steps import AtStages, Tableau, count_inequalities, kept_bounds
 
 
@@ -73,7 +73,12 @@ class OneStageFunctions:
         return data.steps[:, :, None, None] * data.held(self.inequalities, 1)
 
     def begin(
-        self, states: np.ndarray, controls: np.ndarray, costates: np.ndarray, data: Data, known: Known | None = None
+        self,
+        states: np.ndarray,
+        controls: np.ndarray,
+        costates: np.ndarray,
+        data: Data,
+        known: KnownExtremal | None = None,
     ) -> Unknowns:
         """Unknowns from states and controls at the stages, shape (B, N, 1, ...), and costates at the nodes."""
         del costates, data, known

@@ -7,7 +7,8 @@ import numpy as np
 
 from ...errors import InvalidInputError
 from ..working_memory import scratch
-from .library import BYTES, FLOAT, BlockSolutionStruct, BlockSystemStruct, address_of, best_instruction_set, library
+from .library import BYTES, FLOAT, address_of, best_instruction_set, library
+from .structs import BlockSolutionStruct, BlockSystemStruct
 
 
 @final

@@ -7,16 +7,8 @@ import numpy as np
 
 from ...errors import InvalidInputError
 from ..working_memory import scratch
-from .library import (
-    BYTES,
-    FLOAT,
-    PLACE,
-    CollocationSystemStruct,
-    CondensedSystemStruct,
-    address_of,
-    best_instruction_set,
-    library,
-)
+from .library import BYTES, FLOAT, PLACE, address_of, best_instruction_set, library
+from .structs import CollocationSystemStruct, CondensedSystemStruct
 
 
 @final

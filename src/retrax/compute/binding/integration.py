@@ -9,17 +9,8 @@ import numpy as np
 from ...errors import InvalidInputError
 from ..threads import in_threads
 from ..working_memory import scratch
-from .library import (
-    BYTES,
-    FLOAT,
-    PLACE,
-    STEP_ROWS,
-    IntegrationStruct,
-    MethodStruct,
-    address_of,
-    best_instruction_set,
-    library,
-)
+from .library import BYTES, FLOAT, PLACE, address_of, best_instruction_set, library
+from .structs import STEP_ROWS, IntegrationStruct, MethodStruct
 from .tape_machine import MachineProgram
 
 MOST_LANES = 64  # trajectories side by side, enough to hide the choice of an instruction

@@ -6,13 +6,8 @@ from typing import Any, NamedTuple, final
 
 from ...errors import InvalidInputError
 from ..working_memory import aligned
-from .library import (
-    FunctionStruct,
-    LayoutStruct,
-    LinkStruct,
-    MultiphaseStruct,
-)
 from .problem_functions import CallbackFunction
+from .structs import FunctionStruct, LayoutStruct, LinkStruct, MultiphaseStruct
 from .tape_machine import MachineProgram
 
 

@@ -10,7 +10,8 @@ from weakref import ref
 
 import numpy as np
 
-from .library import BYTES, FunctionStruct, TapeDataStruct
+from .library import BYTES
+from .structs import FunctionStruct, TapeDataStruct
 
 EVALUATE = CFUNCTYPE(None, c_void_p, POINTER(TapeDataStruct), c_ssize_t)  # of a retrax_function
 Columns = tuple[int, int, int]  # place of the first number of point 0, distance to the next point, numbers of a point

@@ -14,17 +14,9 @@ from weakref import ref
 import numpy as np
 
 from ...errors import InvalidInputError
-from .library import (
-    BYTES,
-    FLOAT,
-    REPORT,
-    IterationStruct,
-    OptionsStruct,
-    SearchResultStruct,
-    address_of,
-    library,
-)
+from .library import BYTES, FLOAT, address_of, library
 from .multiphase import Multiphase
+from .structs import REPORT, IterationStruct, OptionsStruct, SearchResultStruct
 from .transcription import Scale, Sizes, Trajectory, Transcription, array_places
 
 MOST_ITERATIONS = 1 << 20  # as in search.c
@@ -48,8 +40,8 @@ class SearchStatus(IntEnum):
 class SearchResult(NamedTuple):
     """The result of a search; ``retrax_core.h`` explains the fields."""
 
-    trajectory: "Trajectory"
-    first: "Trajectory"
+    trajectory: Trajectory
+    first: Trajectory
     judging: Scale
     steps: Scale
     limits: np.ndarray

@@ -7,21 +7,8 @@ import numpy as np
 
 from ...errors import InvalidInputError
 from ..working_memory import scratch
-from .library import (
-    CODE,
-    FLOAT,
-    OPERANDS,
-    PLACE,
-    REGISTER,
-    FunctionStruct,
-    TapeDataStruct,
-    TapeFunctionStruct,
-    TapeStruct,
-    address_of,
-    best_instruction_set,
-    library,
-    require_ok,
-)
+from .library import CODE, FLOAT, OPERANDS, PLACE, REGISTER, address_of, best_instruction_set, library, require_ok
+from .structs import FunctionStruct, TapeDataStruct, TapeFunctionStruct, TapeStruct
 
 Ends = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

@@ -9,30 +9,21 @@ import numpy as np
 
 from ...errors import InvalidInputError
 from ..working_memory import aligned
-from .library import (
+from .library import BYTES, FLOAT, PLACE, address_of, best_instruction_set, library
+from .problem_functions import CallbackFunction, Failure, FunctionName
+from .structs import (
     ARRAYS,
-    BYTES,
-    FLOAT,
-    PLACE,
     LayoutStruct,
     LimitScaleStruct,
     ProblemStruct,
     ResidualScaleStruct,
-    ScaleDataStruct,
-    ScaleStruct,
-    address_of,
-    best_instruction_set,
-    library,
 )
-from .problem_functions import CallbackFunction, Failure, FunctionName
 from .tape_machine import MachineProgram
 
 Function = MachineProgram | CallbackFunction  # of a problem
 
-_OPTIONAL = FunctionName.START_COST, FunctionName.END_COST
-
-
-KEPT = 2**22  # numbers, 32 MiB: more are made anew, which takes no time beside their use
+OPTIONAL = FunctionName.START_COST, FunctionName.END_COST  # functions that a problem may lack
+KEPT_ROOM = 2**22  # numbers, 32 MiB: more are made anew, which takes no time beside their use
 
 
 @final
@@ -158,7 +149,7 @@ class Transcription:
 
     def search_room(self, size: int) -> np.ndarray:
         """Numbers for the memory of a search, which the next search in this thread takes too, unless they are many."""
-        if size > KEPT:
+        if size > KEPT_ROOM:
             return aligned(size)
         if len(self._room) < size:
             self._room = aligned(size)
@@ -174,7 +165,7 @@ class Transcription:
         problem, own = byref(self._problem), self._library
         sizes = own.retrax_function_inputs(problem, name), own.retrax_function_outputs(problem, name)
         if function is None:
-            if any(sizes) and name not in _OPTIONAL:
+            if any(sizes) and name not in OPTIONAL:
                 raise InvalidInputError(f"a problem with {self.sizes} needs the function {name.name}")
             return
         if function.sizes[:2] != sizes:
@@ -222,11 +213,11 @@ class Trajectory:
         self._numbers[self._of.parts[name]] = entries
 
     @property
-    def iterate(self) -> "IterateNumbers":
+    def iterate(self) -> IterateNumbers:
         """A copy of all that is given and of the unknowns, which come first."""
         return IterateNumbers(self._numbers[: self._of.iterate_numbers].copy(), self._of.parts)
 
-    def set_iterate(self, iterate: "IterateNumbers") -> None:
+    def set_iterate(self, iterate: IterateNumbers) -> None:
         """Take all that is given and the unknowns from an iterate."""
         self._numbers[: self._of.iterate_numbers] = iterate.numbers
 
@@ -266,28 +257,6 @@ class Trajectory:
             of_limits = byref(LimitScaleStruct(limits.rate, place, *limits[2:]))
             own.retrax_survey_inequalities(*here, of_limits)
         own.retrax_measure_residuals(*here, byref(scale), of_limits)
-
-    def motion(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return what each coordinate of the nodes moves by, zero where that is rounding, and its size."""
-        n, size = self._of.sizes.state_size, self._of.sizes.state_numbers
-        work, moved, sizes = np.empty(2 * size), np.empty(n), np.empty(n)
-        places = (address_of(a, FLOAT, a.shape, "sizes") for a in (work, moved, sizes))
-        self._of._library.retrax_measure_motion(byref(self._layout), self._address, *places)
-        return moved, sizes
-
-    def scale(self, sizes: np.ndarray, values: np.ndarray, room: np.ndarray, curved: bool) -> Scale:
-        """Return the natural sizes; ``retrax_core.h`` explains the arguments, of shapes ``(z,)``, ``(z,)`` and ``(s
-        m,)``."""
-        n, z = self._of.sizes.state_size, len(self["PARTS"])
-        names = ("sizes of unknowns", (z,)), ("values of unknowns", (z,)), ("room of controls", (z - n,))
-        data = ScaleDataStruct(
-            *(address_of(a, FLOAT, s, name) for a, (name, s) in zip((sizes, values, room), names, strict=True)), curved
-        )
-        unknowns, nodes = np.empty(z), np.empty(n)
-        found = ScaleStruct(*(address_of(a, FLOAT, a.shape, "natural sizes") for a in (unknowns, nodes)), 0.0)
-        own = self._of._library
-        own.retrax_measure_scale(byref(self._layout), self._address, byref(data), self._of.workspace, byref(found))
-        return Scale(unknowns, nodes, found.cost)
 
     def step_inequalities(self, share: float) -> None:
         """Compute the steps of slacks, excesses and multipliers; a share of the way to the boundary may be made."""

@@ -1,4 +1,4 @@
-"""First trajectories: along the curve of a retraction from start to end, or a walk there."""
+"""The curve that connects two points, for first guesses: the curve of a retraction, or a walk."""
 
 from functools import cached_property
 from typing import final
@@ -27,7 +27,7 @@ Curve = tuple[PointwiseFunction, PointwiseFunction]  # the vector from a start t
 
 
 @final
-class Start:
+class ConnectingCurve:
     """States between two points.
 
     They lie on the curve of the default retraction of the manifold, a geodesic where that is known; where it does not

@@ -7,25 +7,25 @@ from typing import Any, final
 import jax
 import numpy as np
 
-from ....manifolds.numerics import ambient as vec
-from ...problem.optimal_control_problem import OptimalControlProblem
-from ...problem.path_constraints import LOWER, UPPER
-from ...problem.point_layout import PointLayout
-from ...problem.quantities import Quantities
-from ...reporting.results import sentence
-from ..audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
-from ..audit.status import Status, concave_status, termination_statuses
-from ..audit.unmoved_entries import unmoved_words
-from ..inputs.arguments import require_tangent_dynamics
-from ..inputs.inputs import Inputs
-from ..transcription.diagnosis import Diagnostics
-from ..transcription.discrete_extremals import DiscreteExtremals
-from ..transcription.transcribed_problem import TranscribedProblem
-from .diagnostics import RegularChecks, figures
-from .interpolation import Interpolant
-from .record import Solution, Statistics
+from ...manifolds.numerics import ambient as vec
+from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.path_constraints import LOWER, UPPER
+from ..problem.point_layout import PointLayout
+from ..problem.quantities import Quantities
+from ..reporting.results import sentence
+from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
+from .audit.status import Status, concave_status, termination_statuses
+from .audit.unmoved_entries import unmoved_words
+from .inputs.arguments import require_tangent_dynamics
+from .inputs.inputs import Inputs
+from .solution.diagnostics import RegularChecks, figures
+from .solution.interpolation import Interpolant
+from .solution.record import Solution, Statistics
+from .transcription.diagnosis import Diagnostics
+from .transcription.discrete_extremals import DiscreteExtremals
+from .transcription.transcribed_problem import TranscribedProblem
 
-# As where equations of the end depend on each other.
+# Results that equations of the end which depend on each other may cause.
 STUCK_RESULTS = [sentence(name) for name in ("singular", "too_many_iterations", "no_improvement", "infeasible")]
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
 VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why there is no success
@@ -38,7 +38,7 @@ class SolutionBuilder:
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
         self.quantities, self.constrained = problem.quantities, problem._limits.of_points_along
-        self.formulation: Any = None  # that the problem is of another one, whose names and times users know
+        self.formulation: Any = None  # the reformulation that made the problem; users know the names before
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
     @property

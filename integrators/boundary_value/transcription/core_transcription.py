@@ -19,11 +19,9 @@ from .functions.linked_ends import LinkageFunctions
 from .functions.steps import AtStages
 from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
 from .kkt_system import KKTSystem
-from .search_record import PhaseRecord, SearchRecord
+from .search_record import FACTS, LARGEST, PhaseRecord, SearchRecord
 
-LARGEST = 8  # place of the largest residual
-FLAGS = slice(SearchRecord._fields.index("iterations"), None)
-KEPT = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
+KEPT_MESHES = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
 
 
 class _ThreadTranscriptions(local):
@@ -41,13 +39,13 @@ def transcription_of(conditions: DiscretePhase) -> Transcription:
     count = conditions.data.steps.shape[1]
     known = _kept.of.setdefault(conditions.transcription, {})
     if count not in known:
-        while len(known) >= KEPT:
+        while len(known) >= KEPT_MESHES:
             del known[next(iter(known))]
-        known[count] = made(conditions)
+        known[count] = make_transcription(conditions)
     return known[count]
 
 
-def made(conditions: DiscretePhase, instruction_set: int | None = None) -> Transcription:
+def make_transcription(conditions: DiscretePhase, instruction_set: int | None = None) -> Transcription:
     """The transcription of a problem for the core, by the processor's best instruction set or a lesser one."""
     steps, nodes = conditions.transcription, conditions.at_nodes
     sizes = Sizes(
@@ -67,8 +65,7 @@ def _function(function: Any, instruction_set: int | None) -> MachineProgram | Ca
     """A function of a problem for the core: a tape, or a callback to what its evaluator has compiled."""
     if not hasattr(function, "tape"):
         return CallbackFunction(function, *function.sizes)
-    p = function.tape.program
-    return MachineProgram(p.codes, p.registers, p.values, p.inputs, p.outputs, p.size, instruction_set)
+    return function.tape.program.on_core(instruction_set)
 
 
 def coupled_ends(coupling: LinkageFunctions) -> CoupledEnds:
@@ -179,7 +176,7 @@ def extremals_of(
     def system(k: int) -> KKTSystem:
         return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].steps)
 
-    flags = [np.array(own) for own in zip(*(record[FLAGS] for record in records), strict=True)]
+    flags = [np.array(own) for own in zip(*(record[FACTS] for record in records), strict=True)]
     iterations, limited, claimed, strict, convex, solvable, infeasible, falling, *_ = flags
     nodes, costates, totals = map(_rows, zip(*((own.nodes, own.costates, own.totals) for own in members), strict=True))
     return DiscreteExtremals(
