@@ -1,8 +1,6 @@
 """Tracking problems: costs that follow a reference on a manifold."""
 
 from collections.abc import Callable
-from functools import wraps
-from inspect import Parameter, Signature
 from typing import Any, final
 
 import jax.numpy as jnp
@@ -15,15 +13,14 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Retraction, default_retraction
 from ..boundary_value.solution.record import Solution
-from ..problem.argument_errors import require_known_options, takes_more
+from ..problem.argument_errors import require_known_options
+from ..problem.explicit_time import begun_later, with_time
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.tabulated import Outside, finite_array, require_outside
 from ..reporting.text import brief
 from .reference import ReferencePath
 
 ROUNDING = 1e-12  # relative to the largest eigenvalue of weights
-# The arguments of functions of a state, of a state and its time, of a state and its control, of both ends.
-ARGUMENTS = ("q",), ("q", "t"), ("q", "u", "t"), ("q_0", "q_T", "t")
 
 
 @require_known_options
@@ -100,10 +97,10 @@ def tracking(
     control = Deviation(signal, steered, _weights("control_weights", control_weights, steered.manifold))
     last = None if end_weights is None else Deviation(path, own, _weights("end_weights", end_weights, own.manifold))
     bare = problem._replaced(terminal_cost=None, initial_cost=None)
-    timed = bare if problem.time_dependent else bare._changed(_with_time, True)
+    timed = bare if problem.time_dependent else bare._changed(with_time, True)
     costs: Any = {"running_cost": lambda q, u, t: state.cost(q, t) + control.cost(u, t)}
     follow = timed._replaced(**costs, terminal_cost=None if last is None else last.cost)
-    return follow._changed(_begun_later(problem.takes_parameters), True) if moving else follow
+    return follow._changed(begun_later(problem.takes_parameters), True) if moving else follow
 
 
 @final
@@ -152,40 +149,6 @@ def _controls(reference: Any, controls: Any, retraction: Retraction, outside: Ou
             f"{brief(controls)}; controls in {manifold} have no other default"
         )
     return ReferencePath.through("the reference of the controls", retraction, (reference[0], controls), outside)
-
-
-def _with_time(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
-    """A function without explicit time, with a time that it ignores."""
-    if kind == 0:
-        return function
-    count = len(ARGUMENTS[kind]) - 1
-    return _signed(
-        function, kind, takes_more(function, count), lambda *given: function(*given[:count], *given[count + 1 :])
-    )
-
-
-def _begun_later(takes_parameters: bool) -> Callable[[Callable[..., Any], int], Callable[..., Any]]:
-    """The change of a function to one whose last parameter is the time at which the trajectory begins."""
-
-    def changed(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
-        takes = takes_more(function, len(ARGUMENTS[kind]))
-
-        def later(*given: Any) -> Any:
-            own, begin = given[-1] if takes_parameters else (None, given[-1])
-            points = given[:-1] if kind == 0 else (*given[:-2], begin + given[-2])
-            return function(*points, *([own] if takes else []))
-
-        return _signed(function, kind, True, later)
-
-    return changed
-
-
-def _signed(function: Any, kind: int, takes: bool, call: Callable[..., Any]) -> Callable[..., Any]:
-    """A function in the name of another one, with arguments of a kind, and parameters if it takes them."""
-    named: Any = wraps(function)(lambda *given: call(*given))
-    names = (*ARGUMENTS[kind], *(["parameters"] if takes else []))
-    named.__signature__ = Signature([Parameter(name, Parameter.POSITIONAL_OR_KEYWORD) for name in names])
-    return named
 
 
 def _weights(name: str, given: Any, manifold: Manifold) -> np.ndarray:
