@@ -1,7 +1,8 @@
-"""Tracking problems, against the solutions that they follow and the regulators of linear-quadratic problems.
+"""Tracking problems, against the solutions that they follow and the regulators.
 
-On the sphere with q' = u x q and a reference that turns with constant u, the deviation in turning coordinates is a
-point of the sphere with q' = w x q. Its distance from a fixed point obeys e' = -w: the scalar regulator, at any distance.
+On the sphere with q' = u x q and a reference that turns with constant u, the deviation in turning coordinates is
+a point of the sphere with q' = w x q. Its distance from a fixed point obeys e' = -w: the scalar regulator, at
+any distance.
 """
 
 from functools import cache
