@@ -41,7 +41,7 @@ def solver_of(problem, steps=10, stages=3):
 @cache
 def turned():
     """A rigid body that turns with the least torque."""
-    problem = rx.OptimalControlProblem(BODY, body, lambda q, u: u @ u / 2, 3, control_bounds=(-3.0, 3.0))
+    problem = rx.OptimalControlProblem(BODY, body, lambda q, u: u @ u / 2, 3)
     return problem, solver_of(problem).solve((np.eye(3), REST), (TARGET, REST), 2.0)
 
 
@@ -89,7 +89,9 @@ def test_a_table_of_a_solution_leads_near_to_it():
     found = solver_of(follow).solve((np.eye(3), REST), None, 2.0)
     assert found.success
     assert found.cost < 1e-7
-    away = solver_of(rx.tracking(problem, (times, solution(times).states), 50.0, 0.1)).solve(start, None, 2.0)
+    away = solver_of(rx.tracking(problem, (times, solution(times).states), [50.0] * 3 + [1.0] * 3, 0.1)).solve(
+        start, None, 2.0
+    )
     apart = [np.linalg.norm(Rotation.from_matrix(a.T @ b).as_rotvec()) for a, b in
              zip(away.states[0], solution(away.times).states[0], strict=True)]  # fmt: skip
     assert away.success
