@@ -121,7 +121,7 @@ def _states(reference: Any, retraction: Retraction, outside: Outside) -> Callabl
     """The reference of the states."""
     if isinstance(reference, Solution):
         path = ReferencePath.of_states(reference, outside)
-        _require_same("states", path.retraction.manifold, retraction.manifold)
+        _require_same("the states of the reference are", path.retraction.manifold, retraction.manifold)
         return path
     if isinstance(reference, tuple) and len(reference) == 2:
         return ReferencePath.through("the reference", retraction, reference, outside)
@@ -139,7 +139,7 @@ def _controls(reference: Any, controls: Any, retraction: Retraction, outside: Ou
         return controls
     if controls is None and isinstance(reference, Solution):
         path = ReferencePath.of_controls(reference, outside)
-        _require_same("controls", path.retraction.manifold, manifold)
+        _require_same("the controls of the reference are", path.retraction.manifold, manifold)
         return path
     if controls is None and isinstance(manifold, Euclidean):
         return lambda t: jnp.zeros(manifold.shape)
@@ -173,7 +173,7 @@ def _weights(name: str, given: Any, manifold: Manifold) -> np.ndarray:
 
 def _require_same(what: str, given: Manifold, own: Manifold) -> None:
     if not same_manifold(given, own):
-        raise InvalidInputError(f"the {what} of the reference are in {given}, expected {own}, as in the problem")
+        raise InvalidInputError(f"{what} in {given}, expected {own}, as in the problem")
 
 
 def _require(problem: Any, retraction: Any, moving: Any) -> None:
@@ -183,6 +183,6 @@ def _require(problem: Any, retraction: Any, moving: Any) -> None:
     if not (retraction is None or isinstance(retraction, Retraction)):
         raise InvalidInputError(f"retraction must be a Retraction, got {brief(retraction)}; try default_retraction(Q)")
     if retraction is not None:
-        _require_same("retraction", retraction.manifold, problem.manifold)
+        _require_same("the retraction is", retraction.manifold, problem.manifold)
     if not isinstance(moving, bool):
         raise InvalidInputError(f"moving must be True or False, got {brief(moving)}")

@@ -81,13 +81,14 @@ class Table:
     ----------
     grids : tuple of arrays
         The points of each argument.
+    coefficients : array of shape (4, pieces of the last grid, ..., 4, pieces of the first grid, ...)
+        The coefficients of the cubic polynomials, highest power first.
     outside : str
         The value outside of the grids, ``"nan"`` or ``"constant"``.
     """
 
     def __init__(self, grids: tuple[np.ndarray, ...], coefficients: np.ndarray, outside: Outside) -> None:
-        self.grids, self.outside = grids, outside
-        self._coefficients = coefficients  # (4, pieces of the last grid, ..., 4, pieces of the first grid, ...)
+        self.grids, self.coefficients, self.outside = grids, coefficients, outside
 
     def __call__(self, *points: Any) -> Array:
         """The value at a point.
@@ -118,7 +119,7 @@ class Table:
 
     def _at(self, *point: Array) -> Array:
         """The value at one point: the polynomials of the last argument first."""
-        value = jnp.asarray(self._coefficients)
+        value = jnp.asarray(self.coefficients)
         for grid, x in reversed([*zip(self.grids, point, strict=True)]):
             piece, x = located(grid, x, self.outside)
             cubic = jnp.tensordot(piece, value, (0, 1))

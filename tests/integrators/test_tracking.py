@@ -214,7 +214,7 @@ def test_controls_on_a_manifold_are_followed():
         ({"controls": np.zeros((2, 2))}, "expected"),
         ({"outside": "zero"}, 'must be "nan"'),
         ({"moving": 1}, "must be True or False"),
-        ({"retraction": rx.default_retraction(LINE)}, "are in R"),
+        ({"retraction": rx.default_retraction(LINE)}, "the retraction is in R"),
         ({"problem": 1}, "tracking takes an OptimalControlProblem"),
     ],
 )
