@@ -86,7 +86,7 @@ def tracking(
     --------
     >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
     >>> follow = tracking(line, ([0.0, 1.0, 2.0], np.array([[0.0], [1.0], [2.0]])), weights=3.0)
-    >>> float(follow.running_cost(jnp.zeros(1), jnp.zeros(1), 1.0))
+    >>> float(follow.running_cost(jnp.zeros(1), jnp.zeros(1), 1.0).round(9))
     1.5
     """
     _require(problem, retraction, moving)

@@ -85,6 +85,11 @@ class Table:
         The coefficients of the cubic polynomials, highest power first.
     outside : str
         The value outside of the grids, ``"nan"`` or ``"constant"``.
+
+    Examples
+    --------
+    >>> tabulated([0.0, 1.0], [2.0, 4.0]).grids
+    (array([0., 1.]),)
     """
 
     def __init__(self, grids: tuple[np.ndarray, ...], coefficients: np.ndarray, outside: Outside) -> None:
