@@ -18,6 +18,7 @@ from .initial_value import *
 from .problem.free_quantities import Free
 from .problem.optimal_control_problem import OptimalControlProblem
 from .problem.quantities import Quantities, Quantity
+from .problem.tabulated import Table, tabulated
 from .reporting.results import Result
 from .singular import Classification, SingularIntegrator, classify, singular_integrator
 from .stages import *
@@ -34,8 +35,10 @@ __all__ = [
     "Quantity",
     "Result",
     "SingularIntegrator",
+    "Table",
     "classify",
     "singular_integrator",
+    "tabulated",
 ]
 __all__ += boundary_value.__all__
 __all__ += closed_loop.__all__

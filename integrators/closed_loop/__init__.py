@@ -5,5 +5,14 @@ from .record import ClosedLoop, load_closed_loop
 from .simulation import simulate
 from .soft_constraints import soften
 from .statistics import ControllerStatistics
+from .tracking import tracking
 
-__all__ = ["ClosedLoop", "ControllerStatistics", "RecedingHorizon", "load_closed_loop", "simulate", "soften"]
+__all__ = [
+    "ClosedLoop",
+    "ControllerStatistics",
+    "RecedingHorizon",
+    "load_closed_loop",
+    "simulate",
+    "soften",
+    "tracking",
+]

@@ -22,6 +22,8 @@ from .integrators import (
     simulate,
     solve,
     solve_phases,
+    tabulated,
+    tracking,
 )
 from .loading import load
 from .manifolds import SE, SO, SPD, SU, Euclidean, Grassmann, LevelSet, Sphere, Stiefel, hat
@@ -65,6 +67,8 @@ __all__ = [
     "simulate",
     "solve",
     "solve_phases",
+    "tabulated",
+    "tracking",
 ]
 LAZY = "plotting", "problems"  # packages that take long to import
 

@@ -196,15 +196,24 @@ class Interpolant:
             momenta = self._momenta(steps, through, centres, coordinates)
             momentum = np.einsum("tj,tjn->tn", shares, momenta[where])
             found = self.chart.pushed(centres[where], c, momentum)
-        bases = steps.controls[:, 0]
-        (offsets,) = self._offset.at(2, bases[:, None], steps.controls)
-        offset = np.einsum("tj,tjm->tm", lagrange(steps.places, places), offsets[where])
-        return states, found, self._steered.at(1, bases[where], offset)[0]
+        controls = self._control_polynomials(steps)
+        offset = np.einsum("tj,tjm->tm", lagrange(controls.places, places), controls.coordinates[where])
+        return states, found, self._steered.at(1, controls.centres[where], offset)[0]
 
     def polynomials(self, record: "Solution") -> Polynomials:
         """The polynomials of the states in all steps; entries are NaN where a step does not fit into a chart."""
         with one_tracing(), np.errstate(all="ignore"):
             return self._polynomials(self._steps(record, np.arange(len(record.times) - 1)))
+
+    def control_polynomials(self, record: "Solution") -> Polynomials:
+        """The polynomials of the controls in all steps, in charts of the default retraction of their manifold."""
+        with one_tracing(), np.errstate(all="ignore"):
+            return self._control_polynomials(self._steps(record, np.arange(len(record.times) - 1)))
+
+    def _control_polynomials(self, steps: _Step) -> Polynomials:
+        """The polynomials of the controls in some steps."""
+        bases = steps.controls[:, 0]
+        return Polynomials(steps.places, bases, self._offset.at(2, bases[:, None], steps.controls)[0])
 
     def _polynomials(self, steps: _Step) -> Polynomials:
         """The polynomials of the states in some steps."""

@@ -1,0 +1,45 @@
+"""Functions of a problem with explicit time: a time that they ignore, and a time at which the trajectory begins."""
+
+from collections.abc import Callable
+from functools import wraps
+from inspect import Parameter, Signature
+from typing import Any
+
+from .argument_errors import takes_more
+
+# The arguments of functions of a state, of a state and its time, of a state and its control, of both ends.
+ARGUMENTS = ("q",), ("q", "t"), ("q", "u", "t"), ("q_0", "q_T", "t")
+
+
+def with_time(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
+    """A function without explicit time, with a time that it ignores."""
+    if kind == 0:
+        return function
+    count = len(ARGUMENTS[kind]) - 1
+    return _signed(
+        function, kind, takes_more(function, count), lambda *given: function(*given[:count], *given[count + 1 :])
+    )
+
+
+def begun_later(takes_parameters: bool) -> Callable[[Callable[..., Any], int], Callable[..., Any]]:
+    """The change of a function to one whose last parameter is the time at which the trajectory begins."""
+
+    def changed(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
+        takes = takes_more(function, len(ARGUMENTS[kind]))
+
+        def later(*given: Any) -> Any:
+            own, begin = given[-1] if takes_parameters else (None, given[-1])
+            points = given[:-1] if kind == 0 else (*given[:-2], begin + given[-2])
+            return function(*points, *([own] if takes else []))
+
+        return _signed(function, kind, True, later)
+
+    return changed
+
+
+def _signed(function: Any, kind: int, takes: bool, call: Callable[..., Any]) -> Callable[..., Any]:
+    """A function in the name of another one, with arguments of a kind, and parameters if it takes them."""
+    named: Any = wraps(function)(lambda *given: call(*given))
+    names = (*ARGUMENTS[kind], *(["parameters"] if takes else []))
+    named.__signature__ = Signature([Parameter(name, Parameter.POSITIONAL_OR_KEYWORD) for name in names])
+    return named
