@@ -249,7 +249,7 @@ bool retrax_update_barrier(retrax_search *search) {
     bool cheap;
     const bool lower = lower_barriers(search, &cheap);
     if (stuck) { /* once more from the guess: multipliers that grew against a bound would hold it there */
-        retrax_copy_iterate(search, search->first, search->at);
+        retrax_return_to_guess(search);
         retrax_assess(search, search->at);
         EACH_PHASE(phase) {
             if (retrax_is_limited(phase->layout->problem)) {

@@ -200,7 +200,7 @@ static void add_phase(const retrax_search *search, retrax_phase *phase, bool sof
     const retrax_augmented *const own = &phase->augmented;
     const retrax_layout *const layout = phase->layout;
     const bool limited = retrax_is_limited(layout->problem);
-    const retrax_block_system system = limited ? augmented_system(phase, search->spare + phase->place, softly)
+    const retrax_block_system system = limited ? augmented_system(phase, search->trial + phase->place, softly)
                                                : retrax_newton_system(search, phase, 0.0);
     unsigned char finite;
     retrax_block_solution solution = {
@@ -232,11 +232,11 @@ static bool is_right(retrax_search *search, bool softly, bool *clear) {
  * where there are inequalities. */
 static bool is_strict(retrax_search *search) {
     bool clear;
-    retrax_copy_iterate(search, search->at, search->spare);
-    retrax_evaluate_functions(search, search->spare);
+    retrax_copy_iterate(search, search->at, search->trial);
+    retrax_evaluate_functions(search, search->trial);
     EACH_PHASE(phase) { /* without the share of the inequalities in the Hessians */
         const retrax_layout *const layout = phase->layout;
-        double *const trajectory = search->spare + phase->place;
+        double *const trajectory = search->trial + phase->place;
         const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], limits = phase->augmented.size - z;
         retrax_assemble_system(layout, trajectory, search->workspace, search->set);
         for (retrax_index i = 0; i < layout->problem->steps * limits; i++) {

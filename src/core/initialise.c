@@ -8,11 +8,6 @@
 
 /* Share of the largest curvature in the controls, by their ways to the bounds, of which less is rounding. */
 #define FLAT 1e-8
-/* Share of the largest slope, or curvature, of an inequality in a control along the trajectory: where one passes
- * through zero, as those of a cone do, it says nothing of the way. */
-#define LEAST 1e-2
-/* Curvature of an inequality, relative to the one that it is added to, which is rounding. */
-#define SUM_ROUNDING 1e-13
 /* Shift of the first multipliers: a move by the size of a coordinate costs as much as the size of the cost. */
 #define FIRST_SHIFT 1.0
 /* Share of the size of a block below which a negative eigenvalue of it is rounding. */
@@ -37,122 +32,25 @@ void retrax_copy_iterate(const retrax_search *search, const double *from, double
     }
 }
 
-/* ------------------------------------------------------------------------------------------- room of the controls */
-
-/* The second derivative by a control of a point in the Hessian of the Lagrangian. */
-static double curvature_of(const retrax_layout *layout, const double *trajectory, retrax_index point, retrax_index a) {
-    const retrax_index q = retrax_point_unknowns(layout->problem);
-    const double *const hessians = retrax_collocates(layout->problem) ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS);
-    return hessians[(point * q + a) * q + a];
-}
-
-/* Whether an inequality is asked for at some point. */
-static bool is_asked(const retrax_layout *layout, const double *trajectory, retrax_index j) {
-    const retrax_problem *const problem = layout->problem;
-    for (retrax_index i = j; i < problem->steps * problem->points * problem->inequalities; i += problem->inequalities) {
-        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0) {
-            return true;
-        }
+void retrax_keep_guess(retrax_search *search) {
+    EACH_PHASE(phase) {
+        const retrax_index known = phase->layout->first[RETRAX_ARRAY_POINT_CENTRES];
+        retrax_copy(search->first + phase->guess_place, search->at + phase->place, known);
     }
-    return false;
-}
-
-/* Lowers the ways of the controls to those inside inequality j, which is curved: for |u|^2 <= r^2 that is |u| + r. */
-static void find_curved_ways(const retrax_search *search, const retrax_phase *phase, const double *trajectory,
-                             retrax_index j, double *ways) {
-    const retrax_layout *const layout = phase->layout;
-    const retrax_problem *const problem = layout->problem;
-    const retrax_index c = problem->inequalities, m = problem->control_size, q = retrax_point_unknowns(problem);
-    const retrax_index points = problem->steps * problem->points;
-    double *const other = search->trial + phase->place;
-    retrax_copy_unknowns(layout, trajectory, other);
-    retrax_copy(other + layout->first[RETRAX_ARRAY_START_COST], ARRAY(START_COST), layout->count[RETRAX_ARRAY_START_COST]);
-    retrax_copy(other + layout->first[RETRAX_ARRAY_END_COST], ARRAY(END_COST), layout->count[RETRAX_ARRAY_END_COST]);
-    for (retrax_index i = 0; i < points * c; i++) {
-        other[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS] + i] = i % c == j ? 1.0 : 0.0;
-    }
-    retrax_evaluate_trajectory(layout, other);
-    if (!retrax_collocates(problem)) { /* the costs of the ends are added to the same Hessians, as in `trajectory` */
-        retrax_assemble_system(layout, other, search->workspace, search->set);
-    }
-    double *const curvatures = phase->control_work, *const largest = curvatures + points * m;
-    memset(largest, 0, sizeof(double) * (size_t)m);
-    for (retrax_index point = 0; point < points; point++) {
-        for (retrax_index b = 0; b < m; b++) {
-            const double own = curvature_of(layout, trajectory, point, q - m + b);
-            double found = curvature_of(layout, other, point, q - m + b) - own;
-            found = fabs(found) > SUM_ROUNDING * fabs(own) ? found / ARRAY(LIMIT_WEIGHTS)[point * c + j] : 0.0;
-            curvatures[point * m + b] = found;
-            largest[b] = retrax_larger(largest[b], isfinite(found) ? found : 0.0);
-        }
-    }
-    for (retrax_index point = 0; point < points; point++) {
-        const double *const slope = ARRAY(LIMIT_JACOBIANS) + (point * c + j) * q + q - m;
-        const double value = fabs(ARRAY(LIMITS)[point * c + j]);
-        double *const curvature = curvatures + point * m, sum = 0.0;
-        for (retrax_index b = 0; b < m; b++) {
-            curvature[b] = curvature[b] > 0.0 ? fmax(curvature[b], LEAST * largest[b]) : curvature[b];
-            sum += curvature[b] > 0.0 ? slope[b] * slope[b] / curvature[b] : 0.0;
-        }
-        for (retrax_index b = 0; b < m; b++) {
-            const double way = (sqrt(sum) + sqrt(sum + 2.0 * value)) / sqrt(curvature[b]);
-            for (int side = 0; side < 2 && curvature[b] > 0.0 && isfinite(way); side++) {
-                double *const to = ways + (side * points + point) * m + b;
-                *to = fmin(*to, way);
-            }
-        }
+    if (retrax_is_coupled(search)) {
+        const retrax_index count = search->coupling.count[RETRAX_COUPLED_MULTIPLIERS];
+        retrax_copy(search->first + search->guess_multipliers, retrax_search_multipliers(search, false), count);
     }
 }
 
-/* Lowers the ways of the controls to either side, to those to inequality j by its slope. */
-static void find_straight_ways(const retrax_layout *layout, const double *trajectory, retrax_index j, double *ways) {
-    const retrax_problem *const problem = layout->problem;
-    const retrax_index c = problem->inequalities, m = problem->control_size, q = retrax_point_unknowns(problem);
-    const retrax_index points = problem->steps * problem->points;
-    for (retrax_index b = 0; b < m; b++) {
-        double largest = 0.0;
-        for (retrax_index i = j; i < points * c; i += c) {
-            const double slope = fabs(ARRAY(LIMIT_JACOBIANS)[i * q + q - m + b]);
-            largest = ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isfinite(slope) ? retrax_larger(largest, slope) : largest;
-        }
-        for (retrax_index i = j; i < points * c; i += c) {
-            const double slope = ARRAY(LIMIT_JACOBIANS)[i * q + q - m + b];
-            if (slope != 0.0 && ARRAY(LIMIT_WEIGHTS)[i] > 0.0) {
-                double *const to = ways + ((slope > 0.0 ? 0 : points) + i / c) * m + b;
-                *to = fmin(*to, fabs(ARRAY(LIMITS)[i]) / fmax(fabs(slope), LEAST * largest));
-            }
-        }
+void retrax_return_to_guess(retrax_search *search) {
+    EACH_PHASE(phase) {
+        const retrax_index known = phase->layout->first[RETRAX_ARRAY_POINT_CENTRES];
+        retrax_copy(search->at + phase->place, search->first + phase->guess_place, known);
     }
-}
-
-/* Writes half of the way of each control of a step from one inequality to the other, or that to the only one, 0 where
- * there is none, the largest of all steps; and the same in phase->room, but infinite where a side is open. */
-static void find_room(const retrax_search *search, retrax_phase *phase, const double *trajectory, double *ways_found) {
-    const retrax_problem *const problem = phase->layout->problem;
-    const retrax_index m = problem->control_size, s = problem->points, points = problem->steps * s;
-    double *const ways = phase->ways;
-    for (retrax_index i = 0; i < 2 * points * m; i++) {
-        ways[i] = INFINITY;
-    }
-    for (retrax_index j = 0; j < problem->inequalities; j++) {
-        if (!is_asked(phase->layout, trajectory, j)) {
-            continue;
-        }
-        find_straight_ways(phase->layout, trajectory, j, ways);
-        if (j >= problem->bounds) {
-            find_curved_ways(search, phase, trajectory, j, ways);
-        }
-    }
-    for (retrax_index i = 0; i < s * m; i++) {
-        ways_found[i] = 0.0;
-        phase->room[i] = -INFINITY;
-        for (retrax_index k = 0; k < problem->steps; k++) {
-            const double up = ways[k * s * m + i], down = ways[points * m + k * s * m + i];
-            const int closed = (int)isfinite(up) + (int)isfinite(down);
-            const double sum = (isfinite(up) ? up : 0.0) + (isfinite(down) ? down : 0.0);
-            ways_found[i] = fmax(ways_found[i], sum / (closed > 1 ? 2.0 : 1.0));
-            phase->room[i] = fmax(phase->room[i], (up + down) / 2.0);
-        }
+    if (retrax_is_coupled(search)) {
+        const retrax_index count = search->coupling.count[RETRAX_COUPLED_MULTIPLIERS];
+        retrax_copy(retrax_search_multipliers(search, false), search->first + search->guess_multipliers, count);
     }
 }
 
@@ -197,7 +95,7 @@ void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double 
     }
     if (retrax_is_limited(problem)) {
         double *const ways = phase->values + n, largest = 0.0;
-        find_room(search, phase, trajectory, ways);
+        retrax_find_control_ranges(phase, trajectory, ways);
         for (retrax_index i = 0; i < controls; i++) {
             const double way = retrax_or_one(ways[i]);
             largest = retrax_larger(largest, ARRAY(CURVATURES)[n + i] * way * way);
@@ -307,6 +205,7 @@ static bool knows_multipliers(const retrax_layout *layout, const double *traject
 static void measure_guess(retrax_search *search) {
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
     retrax_evaluate(search, search->at);
+    retrax_find_limit_curvatures(search);
     retrax_find_scales(search, search->at);
     EACH_PHASE(phase) {
         retrax_copy_scale(phase->layout, &phase->fresh, &phase->judging);
@@ -350,15 +249,14 @@ void retrax_begin(retrax_search *search) {
         phase->knows = knows_multipliers(phase->layout, search->at + phase->place);
         known = known || phase->knows;
     }
-    retrax_copy(search->spare, search->at, search->numbers); /* all of them have the same data */
-    retrax_copy(search->trial, search->at, search->numbers);
-    retrax_copy(search->first, search->at, search->numbers);
+    retrax_copy(search->trial, search->at, search->numbers); /* both have the same data */
+    retrax_keep_guess(search);
     measure_guess(search);
     if (!search->limited) {
         return;
     }
     start_slacks(search);
-    if (known && !retrax_warm_start(search, search->spare)) {
+    if (known && !retrax_warm_start(search)) {
         retrax_forget_multipliers(search, search->at);
         EACH_PHASE(phase) { phase->knows = false; }
         measure_guess(search);
@@ -381,6 +279,6 @@ void retrax_initialise(retrax_search *search) {
         find_first_multipliers(search);
         retrax_regularised_step(search, 0.0, linear, linear);
     }
-    retrax_copy_iterate(search, search->at, search->first);
+    retrax_keep_guess(search);
     search->degenerate = search->options.looks && retrax_is_degenerate(search);
 }

@@ -48,6 +48,11 @@ retrax_index retrax_augmented_size(const retrax_problem *problem);
 /* Whether there are inequalities. */
 bool retrax_is_limited(const retrax_problem *problem);
 
+/* The inequalities of a point that may be curved in the controls. */
+static inline retrax_index retrax_curved_limits(const retrax_problem *problem) {
+    return problem->inequalities > problem->bounds ? problem->inequalities - problem->bounds : 0;
+}
+
 /* One of the inequalities of a trajectory. */
 typedef struct {
     retrax_index limit; /* which of those of a point, from 0 on, or of the ends of a step, from c on */

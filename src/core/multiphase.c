@@ -271,7 +271,7 @@ void retrax_join_residuals(const retrax_search *search, double *iterate) {
 static void find_ways(const retrax_search *search, retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
-    double *const gradients = search->trial + phase->place + layout->first[RETRAX_ARRAY_GRADIENTS];
+    double *const gradients = search->trial + phase->place + layout->first[RETRAX_ARRAY_STEPS]; /* as many */
     double *const ways = phase->response.ways, *const least = phase->response.least;
     retrax_measure_motion(layout, trajectory, phase->work, phase->sizes, ways);
     for (retrax_index i = 0; i < z; i++) {

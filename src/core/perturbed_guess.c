@@ -32,10 +32,10 @@ static void write_control_sizes(retrax_search *search) {
     }
 }
 
-/* Writes to the spare trajectory the Hessian of a cost of the controls in natural sizes, and the slope of waves in it. */
+/* Writes to the trial the Hessian of a cost of the controls in natural sizes, and the slope of waves in it. */
 static void write_waves(retrax_search *search, const double *draws) {
     const retrax_layout *const layout = search->phases->layout;
-    double *const trajectory = search->spare;
+    double *const trajectory = search->trial;
     const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
     memset(ARRAY(HESSIANS), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_HESSIANS]);
@@ -54,12 +54,12 @@ static void write_waves(retrax_search *search, const double *draws) {
     }
 }
 
-/* Writes to the spare trajectory the step that waves of the controls make of the linearised iterate, from a fixed start to
+/* Writes to the trial the step that waves of the controls make of the linearised iterate, from a fixed start to
  * a free end; its largest entries are search->phases->largest. Returns whether it is finite. */
 static bool find_step(retrax_search *search, const double *draws) {
     const retrax_layout *const layout = search->phases->layout;
     const double *const at = search->at, *const ones = search->phases->sizes;
-    double *const trajectory = search->spare;
+    double *const trajectory = search->trial;
     unsigned char finite;
     write_control_sizes(search);
     write_waves(search, draws);
@@ -89,10 +89,10 @@ static bool find_step(retrax_search *search, const double *draws) {
     return finite != 0;
 }
 
-/* Writes the trial: the iterate moved by so many times the step, within its cap. */
+/* Writes the trial: the iterate moved by so many times the step of the trial, which stays, within its cap. */
 static void move_by(retrax_search *search, double size) {
     const retrax_layout *const layout = search->phases->layout;
-    const double *const steps = search->spare + layout->first[RETRAX_ARRAY_STEPS];
+    const double *const steps = search->trial + layout->first[RETRAX_ARRAY_STEPS];
     double *const trajectory = search->at;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_STEPS]; i++) {
         ARRAY(STEPS)[i] = size > 0.0 ? size * steps[i] : 0.0;
@@ -218,14 +218,12 @@ static bool violates(const retrax_layout *layout, const double *trajectory) {
 }
 
 bool retrax_search_perturb(retrax_search *search, const double *draws) {
-    const size_t size = sizeof(double) * (size_t)search->numbers;
     bool found, held, still;
     if (retrax_is_coupled(search)) {
         return false;
     }
     const bool violated = violates(search->phases->layout, search->at);
-    memcpy(search->trial, search->at, size);
-    memcpy(search->spare, search->at, size);
+    retrax_copy(search->trial, search->at, search->numbers); /* both have the same data */
     retrax_evaluate(search, search->at);
     still = perturb(search, draws, false, &found);
     found = found || still;

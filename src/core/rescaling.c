@@ -118,7 +118,8 @@ bool retrax_renew_scale(retrax_search *search) {
     }
     double *at = search->at;
     if (search->limited) { /* as where inequalities do not pull */
-        at = search->spare;
+        retrax_find_limit_curvatures(search);
+        at = search->trial;
         retrax_copy_iterate(search, search->at, at);
         EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, at + phase->place); }
         retrax_evaluate(search, at);

@@ -763,7 +763,7 @@ RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
 /* What a run has found, of a phase up to `rate`, then of all together; the arrays belong to the search. */
 typedef struct {
     const double *trajectory;   /* the last iterate */
-    const double *first;        /* the guess with its first multipliers and slacks */
+    const double *first;        /* the guess with its first multipliers and slacks: the arrays before POINT_CENTRES */
     retrax_scale judging;       /* natural sizes that success was judged by */
     retrax_scale steps;         /* those of steps */
     const double *limits;       /* [c + d] of the inequalities */

@@ -51,6 +51,7 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
     to->work = retrax_take(block, 2, E, sizeof(double));
     to->ways = retrax_take(block, 2 * points, m, sizeof(double));
     to->control_work = retrax_take(block, points + 1, m, sizeof(double));
+    to->limit_curvatures = retrax_take(block, retrax_curved_limits(problem) * points, m, sizeof(double));
     to->square = retrax_take(block, z, z, sizeof(double));
     to->steady = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
     take_augmented(problem, block, &to->augmented);
@@ -81,6 +82,18 @@ static retrax_index place_phases(const retrax_multiphase *problem, retrax_phase 
     return numbers;
 }
 
+/* Writes where the guess of each phase stands; returns the numbers of all of them. */
+static retrax_index place_guess(const retrax_multiphase *problem, retrax_phase *phases) {
+    retrax_index numbers = 0;
+    for (retrax_index k = 0; k < problem->phases; k++) {
+        if (phases != NULL) {
+            phases[k].guess_place = numbers;
+        }
+        numbers += problem->layouts[k]->first[RETRAX_ARRAY_POINT_CENTRES];
+    }
+    return numbers;
+}
+
 /* Lays out a search in a block. */
 static retrax_search *lay_out(const retrax_multiphase *problem, retrax_index max_iterations, retrax_block *block) {
     const bool coupled = problem->function.evaluate != NULL;
@@ -92,10 +105,11 @@ static retrax_search *lay_out(const retrax_multiphase *problem, retrax_index max
         to->numbers = retrax_place_coupling(problem, to->numbers, &to->coupling);
         retrax_take_coupling(block, &to->coupling);
     }
-    double **const iterates[] = {&to->at, &to->trial, &to->first, &to->spare};
-    for (int i = 0; i < 4; i++) {
-        *iterates[i] = retrax_take(block, to->numbers, 1, sizeof(double));
-    }
+    to->at = retrax_take(block, to->numbers, 1, sizeof(double));
+    to->trial = retrax_take(block, to->numbers, 1, sizeof(double));
+    to->guess_multipliers = place_guess(problem, to->phases);
+    const retrax_index multipliers = coupled ? to->coupling.count[RETRAX_COUPLED_MULTIPLIERS] : 0;
+    to->first = retrax_take(block, to->guess_multipliers + multipliers, 1, sizeof(double));
     to->costs = retrax_take(block, max_iterations + RETRAX_SETTLING + 3, 1, sizeof(double));
     size_t workspace = 0;
     for (retrax_index k = 0; k < problem->phases; k++) {
@@ -149,7 +163,8 @@ double *retrax_search_trajectory(retrax_search *search, retrax_index phase) {
 }
 
 double *retrax_search_multipliers(retrax_search *search, bool first) {
-    return (first ? search->first : search->at) + search->coupling.first[RETRAX_COUPLED_MULTIPLIERS];
+    return first ? search->first + search->guess_multipliers
+                 : search->at + search->coupling.first[RETRAX_COUPLED_MULTIPLIERS];
 }
 
 retrax_search_result retrax_search_read(const retrax_search *search, retrax_index phase) {
@@ -159,7 +174,7 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
     const retrax_index *const first = search->coupling.first;
     return (retrax_search_result){
         .trajectory = search->at + own->place,
-        .first = search->first + own->place,
+        .first = search->first + own->guess_place,
         .judging = own->judging,
         .steps = own->steps,
         .limits = own->limit_sizes,

@@ -51,6 +51,7 @@ typedef struct {
 typedef struct {
     const retrax_layout *layout;
     retrax_index place;          /* of its numbers in those of an iterate */
+    retrax_index guess_place;    /* of its given arrays and unknowns in search->first */
     retrax_scale judging, steps; /* natural sizes that success is judged by, and those of steps */
     retrax_scale fresh;          /* those of the iterate, where they are measured again */
     retrax_limit_scale limits;
@@ -62,6 +63,7 @@ typedef struct {
     double *work;                /* [2 E] */
     double *ways;                /* [2][N s m] of the controls to the inequalities on either side */
     double *control_work;        /* [N s + 1][m] */
+    double *limit_curvatures;    /* [c - bounds][N s][m] of the Lagrangian by the controls, per unit of a multiplier */
     double *square;              /* [z][z] */
     bool *steady;                /* [E + U] */
     double cap;                  /* the fraction of the step that points of constant size follow */
@@ -83,7 +85,8 @@ struct retrax_search {
     retrax_index residuals;      /* place in an iterate of RESIDUALS of all trajectories together */
     retrax_index totals;         /* and of TOTALS */
     double *at, *trial;          /* the iterate and the trial, which change places */
-    double *first, *spare;       /* the guess, and one to work with */
+    double *first;               /* the guess: what is given of each trajectory and its unknowns, then MULTIPLIERS */
+    retrax_index guess_multipliers; /* place of these */
     void *workspace;
     double *costs;               /* [max_iterations + RETRAX_SETTLING + 3] of the iterates after 1, 2, ... trials */
     double first_cost;           /* natural size of the cost at the guess */
@@ -184,9 +187,9 @@ void retrax_measure_by_spans(const retrax_search *search, double *iterate);
 /* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
 
-/* warm_start.c: sets first slacks and multipliers near to the multipliers that a guess knows, of which the evaluated
- * iterate has the unknowns; known: an iterate that is overwritten. Returns whether they fit. */
-bool retrax_warm_start(retrax_search *search, double *known);
+/* warm_start.c: sets first slacks and multipliers near to the multipliers that the guess, search->first, knows, of which
+ * the evaluated iterate has the unknowns. Returns whether they fit. */
+bool retrax_warm_start(retrax_search *search);
 
 /* barrier.c: whether no iterate leaves an inequality, as a bound of what is free. */
 bool retrax_is_kept(const retrax_phase *phase, retrax_index i);
@@ -222,8 +225,22 @@ void retrax_initialise(retrax_search *search);
 /* initialise.c: the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. */
 void retrax_begin(retrax_search *search);
 
+/* initialise.c: keeps the iterate as the guess. */
+void retrax_keep_guess(retrax_search *search);
+
+/* initialise.c: takes what is given and the unknowns of the guess. */
+void retrax_return_to_guess(retrax_search *search);
+
 /* initialise.c: takes the multipliers of the equations from an iterate. */
 void retrax_forget_multipliers(const retrax_search *search, double *iterate);
+
+/* control_range.c: writes how inequalities curve the Lagrangian in the controls at the iterate, which was evaluated, to
+ * phase->limit_curvatures, for retrax_find_scale. The trial is overwritten. */
+void retrax_find_limit_curvatures(retrax_search *search);
+
+/* control_range.c: writes half of the way of each control of a step from one inequality to the other, or that to the only
+ * one, 0 where there is none, the largest of all steps; and the same in phase->room, but infinite where a side is open. */
+void retrax_find_control_ranges(retrax_phase *phase, const double *trajectory, double *ways_found);
 
 /* initialise.c: writes the natural sizes of an evaluated trajectory to phase->fresh; least: [n] what the coordinates of
  * its nodes have to move by at least, or NULL. */

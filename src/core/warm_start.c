@@ -38,18 +38,14 @@ static void write_near(const retrax_search *search, const retrax_phase *phase, c
     }
 }
 
-/* Writes slacks and multipliers after the whole Newton step to `led`; returns by how much one of them is below zero, in
- * its natural size. */
-static double follow(const retrax_search *search, const retrax_phase *phase, double *led) {
+/* By how much a slack or a multiplier is below zero after the whole Newton step, in its natural size. */
+static double lacking(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
-    const double *const trajectory = search->at + phase->place;
     double lacks = 0.0;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double unit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
         const double slack = ARRAY(SLACKS)[i] + ARRAY(SLACK_STEPS)[i];
         const double multiplier = ARRAY(LIMIT_MULTIPLIERS)[i] + ARRAY(LIMIT_MULTIPLIER_STEPS)[i];
-        led[layout->first[RETRAX_ARRAY_SLACKS] + i] = slack;
-        led[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS] + i] = multiplier;
         if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0) {
             lacks = retrax_larger(lacks, -slack / unit);
             lacks = retrax_larger(lacks, -multiplier * unit / phase->limits.rate);
@@ -58,61 +54,61 @@ static double follow(const retrax_search *search, const retrax_phase *phase, dou
     return lacks;
 }
 
-/* Copies slacks and multipliers. */
-static void copy_both(const retrax_layout *layout, const double *from, double *to) {
-    const retrax_index count = layout->count[RETRAX_ARRAY_SLACKS];
-    const retrax_index slacks = layout->first[RETRAX_ARRAY_SLACKS];
-    const retrax_index multipliers = layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS];
-    retrax_copy(to + slacks, from + slacks, count);
-    retrax_copy(to + multipliers, from + multipliers, count);
-}
-
-/* The same of all phases that know multipliers. */
-static void copy_all(const retrax_search *search, const double *from, double *to) {
-    EACH_PHASE(phase) {
-        if (phase->knows) {
-            copy_both(phase->layout, from + phase->place, to + phase->place);
-        }
-    }
-}
-
-/* Writes slacks and multipliers of all phases that know some, near to a barrier. */
-static void write_all_near(const retrax_search *search, const double *known, double barrier) {
-    EACH_PHASE(phase) {
-        if (phase->knows) {
-            write_near(search, phase, known + phase->place, barrier);
-        }
-    }
-}
-
-bool retrax_warm_start(retrax_search *search, double *known) {
-    double *const ahead = search->first, *const led = search->trial;
-    double least = INFINITY;
+/* Writes slacks and multipliers of the iterate after the whole Newton step to the trial. */
+static void follow(const retrax_search *search) {
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
+        const double *const at = search->at + phase->place;
+        double *const trajectory = search->trial + phase->place;
         for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS] && phase->knows; i++) {
-            known[phase->place + layout->first[RETRAX_ARRAY_SLACKS] + i] =
-                -search->at[phase->place + layout->first[RETRAX_ARRAY_LIMITS] + i];
+            ARRAY(SLACKS)[i] = at[layout->first[RETRAX_ARRAY_SLACKS] + i] + at[layout->first[RETRAX_ARRAY_SLACK_STEPS] + i];
+            ARRAY(LIMIT_MULTIPLIERS)[i] = at[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS] + i] +
+                                          at[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIER_STEPS] + i];
         }
     }
-    copy_all(search, known, ahead);
+}
+
+/* Sets the slacks of the guess to the values of its inequalities. */
+static void set_guessed_slacks(const retrax_search *search) {
+    EACH_PHASE(phase) {
+        const retrax_layout *const layout = phase->layout;
+        double *const guess = search->first + phase->guess_place;
+        for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS] && phase->knows; i++) {
+            guess[layout->first[RETRAX_ARRAY_SLACKS] + i] = -search->at[phase->place + layout->first[RETRAX_ARRAY_LIMITS] + i];
+        }
+    }
+}
+
+/* Writes slacks and multipliers of all phases that know some, near to a barrier: to those that the guess knows, or to
+ * those that a step from there has led to. */
+static void write_all_near(const retrax_search *search, bool led, double barrier) {
+    EACH_PHASE(phase) {
+        if (phase->knows) {
+            write_near(search, phase, led ? search->trial + phase->place : search->first + phase->guess_place, barrier);
+        }
+    }
+}
+
+bool retrax_warm_start(retrax_search *search) {
+    double least = INFINITY;
+    set_guessed_slacks(search);
     for (size_t i = 0; i < sizeof(levels) / sizeof(levels[0]) && least > levels[i]; i++) {
-        write_all_near(search, known, levels[i]);
+        write_all_near(search, false, levels[i]);
         retrax_evaluate(search, search->at);
         retrax_newton_step(search, 0.0);
         double lacks = 0.0;
         EACH_PHASE(phase) {
-            lacks = phase->knows ? retrax_larger(lacks, follow(search, phase, led + phase->place)) : lacks;
+            lacks = phase->knows ? retrax_larger(lacks, lacking(phase, search->at + phase->place)) : lacks;
         }
         const double needed = fmax(FOLLOWED * FOLLOWED * lacks * lacks, levels[i]);
         if (search->direction.finite && isfinite(lacks) && needed < least) {
-            copy_all(search, led, ahead);
+            follow(search);
             least = needed;
         }
     }
     if (!(least < FITS)) {
         return false;
     }
-    write_all_near(search, ahead, fmin(least, FITS));
+    write_all_near(search, true, fmin(least, FITS));
     return true;
 }

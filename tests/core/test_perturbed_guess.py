@@ -60,7 +60,7 @@ def perturbed(phase: Any, guess: Any) -> tuple[bool, dict[str, np.ndarray], dict
     put(search.trajectory, phase, guess)
     before = {name: search.trajectory[name].copy() for name in UNKNOWNS}
     search.run()
-    search.trajectory.set_iterate(search.read().first.iterate)
+    search.trajectory.set_iterate(search.read().first)
     held, at = search.perturb(), search.trajectory
     return held, before, {name: at[name].copy() for name in (*UNKNOWNS, "COSTATES", "LIMIT_MULTIPLIERS")}
 

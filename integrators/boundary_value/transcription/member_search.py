@@ -137,7 +137,7 @@ class MemberSearch:
             missing.append(np.abs(found.values) / found.equations)
         first = None
         if not (found.claimed and found.strict):
-            first = MemberIterate(tuple(own.first.iterate for own in results), search.multipliers(first=True).copy())
+            first = MemberIterate(tuple(own.first.copy() for own in results), search.multipliers(first=True).copy())
         return SearchRecord(
             tuple(map(_phase_record, results)),
             search.multipliers().copy(),

@@ -18,7 +18,7 @@ class MemberIterate(NamedTuple):
     @property
     def bare(self) -> "MemberIterate":
         """The same without the multipliers of inequalities."""
-        phases = tuple(IterateNumbers(own.numbers.copy(), own.parts) for own in self.phases)
+        phases = tuple(own.copy() for own in self.phases)
         for own in phases:
             own.array("LIMIT_MULTIPLIERS")[...] = 0.0
         return self._replace(phases=phases)

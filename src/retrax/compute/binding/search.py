@@ -17,7 +17,7 @@ from ...errors import InvalidInputError
 from .library import BYTES, FLOAT, address_of, library
 from .multiphase import Multiphase
 from .structs import REPORT, IterationStruct, OptionsStruct, SearchResultStruct
-from .transcription import Scale, Sizes, Trajectory, Transcription, array_places
+from .transcription import IterateNumbers, Scale, Sizes, Trajectory, Transcription, array_places
 
 MOST_ITERATIONS = 1 << 20  # as in search.c
 WAVES = 3  # as in perturbed_guess.c
@@ -41,7 +41,7 @@ class SearchResult(NamedTuple):
     """The result of a search; ``retrax_core.h`` explains the fields."""
 
     trajectory: Trajectory
-    first: Trajectory
+    first: IterateNumbers
     judging: Scale
     steps: Scale
     limits: np.ndarray
@@ -198,7 +198,7 @@ class Search:
         found, layout = self._library.retrax_search_read(self._search, phase), of.layout
         sizes, z = of.sizes, layout.count[array_places()["PARTS"]]
         at = Trajectory(of, self._part(found.trajectory, layout.numbers))
-        first = Trajectory(of, self._part(found.first, layout.numbers))
+        first = IterateNumbers(self._part(found.first, of.iterate_numbers), of.parts)
         judging, steps = [
             Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
             for own in (found.judging, found.steps)

@@ -1,9 +1,11 @@
 """Trajectories of a transcribed problem: their arrays, their linear systems, and steps from one to the next."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from ctypes import byref
-from functools import cache
+from functools import cache, cached_property
+from threading import local
 from typing import NamedTuple, final
+from weakref import ref
 
 import numpy as np
 
@@ -24,6 +26,15 @@ Function = MachineProgram | CallbackFunction  # of a problem
 
 OPTIONAL = FunctionName.START_COST, FunctionName.END_COST  # functions that a problem may lack
 KEPT_ROOM = 2**22  # numbers, 32 MiB: more are made anew, which takes no time beside their use
+
+
+class _LastRoom(local):
+    """The transcription that keeps memory for a search in this thread; no other one does."""
+
+    of: Callable[[], "Transcription | None"] = staticmethod(lambda: None)
+
+
+_last_room = _LastRoom()
 
 
 @final
@@ -128,7 +139,7 @@ class Transcription:
         for name in FunctionName:
             if name is not FunctionName.CONTROL_FRAMES or control_groups is not None:
                 self._set_function(name, functions.get(name), points)
-        self._workspace = aligned(-(-room // BYTES))
+        self._workspace_size = -(-room // BYTES)
         self._memory, self.layout = aligned(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
         self._library.retrax_layout_make(byref(self._problem), place, byref(self.layout))
@@ -136,6 +147,10 @@ class Transcription:
         self.parts = {name: slice(firsts[k], firsts[k] + counts[k]) for name, k in array_places().items()}
         self.iterate_numbers = firsts[array_places()["POINT_CENTRES"]]
         self._room = aligned(1)
+
+    @cached_property
+    def _workspace(self) -> np.ndarray:
+        return aligned(self._workspace_size)
 
     @property
     def workspace(self) -> int:
@@ -148,9 +163,14 @@ class Transcription:
         return self._library.retrax_layout_memory(byref(self._problem))
 
     def search_room(self, size: int) -> np.ndarray:
-        """Numbers for the memory of a search, which the next search in this thread takes too, unless they are many."""
+        """Numbers for the memory of a search, which the next search in this thread takes too if it is of this problem,
+        unless they are many."""
+        last = _last_room.of()
+        if last is not None and last is not self:
+            last._room = aligned(1)
         if size > KEPT_ROOM:
             return aligned(size)
+        _last_room.of = ref(self)
         if len(self._room) < size:
             self._room = aligned(size)
         return self._room
@@ -192,6 +212,10 @@ class IterateNumbers(NamedTuple):
     def array(self, name: str) -> np.ndarray:
         """The entries of an array, a view of shape ``(count,)``."""
         return self.numbers[self.parts[name]]
+
+    def copy(self) -> "IterateNumbers":
+        """The same numbers in memory of their own."""
+        return self._replace(numbers=self.numbers.copy())
 
 
 @final
