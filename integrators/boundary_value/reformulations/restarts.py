@@ -48,11 +48,6 @@ def search_member(member: MemberSearch) -> SearchRecord:
     return found
 
 
-def from_degenerate_guess(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Degenerate guess without a perturbation: the perturbed guess may have led to an extremal with a higher cost."""
-    return _better(member, found, member.guess, _says_nothing(found)) if first.perturbed else found
-
-
 def from_perturbed_guess(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
     """Perturbed guess: the guess may run through the middle of an obstacle, or its controls may not move a state that
     has to move."""
@@ -60,13 +55,6 @@ def from_perturbed_guess(member: MemberSearch, first: SearchRecord, found: Searc
         return found
     perturbed, worth = member.perturb(first.first)
     return _better(member, found, perturbed, True) if worth else found
-
-
-def from_least_violation(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
-    """Locally infeasible trajectory as a guess with new slacks: slacks near zero, not the inequalities themselves, may
-    have made the steps too short."""
-    stuck = found.infeasible and not found.claimed
-    return _better(member, found, found.iterate.bare) if stuck else found
 
 
 def from_slow_convergence(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
@@ -120,9 +108,7 @@ def with_larger_penalty(member: MemberSearch, first: SearchRecord, found: Search
 
 # In their order, with tests that need them.
 RESTARTS: tuple[Callable[[MemberSearch, SearchRecord, SearchRecord], SearchRecord], ...] = (
-    from_degenerate_guess,
     from_perturbed_guess,  # test_a_guess_through_the_middle_of_an_obstacle_is_led_around
-    from_least_violation,
     from_slow_convergence,  # test_great_circles_beyond_half_a_turn_are_found_from_guesses_on_them
     from_feasible_trajectory,  # test_dynamic_soaring_is_not_contradictory
     from_forward_simulation,  # test_a_skip_through_the_atmosphere_is_found_from_a_constant_height
