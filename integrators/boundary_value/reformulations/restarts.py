@@ -39,7 +39,7 @@ def search_member(member: MemberSearch) -> SearchRecord:
     """The result of the search from the guess of a member, or of the best restart."""
     found = first = member.from_guess()
     for restart in RESTARTS:
-        if member.watch.stopped or (found.claimed and found.strict and not first.perturbed):
+        if member.watch.stopped or (found.claimed and found.strict):
             break
         try:
             found = restart(member, first, found)
