@@ -89,9 +89,9 @@ def test_a_table_of_a_solution_leads_near_to_it():
     found = solver_of(follow).solve((np.eye(3), REST), None, 2.0)
     assert found.success
     assert found.cost < 1e-7
-    away = solver_of(rx.tracking(problem, (times, solution(times).states), [50.0] * 3 + [1.0] * 3, 0.1)).solve(
-        start, None, 2.0
-    )
+    table = times, solution(times).states
+    follow = rx.tracking(problem, table, [50.0] * 3 + [1.0] * 3, 0.1, controls=solution(times).controls)
+    away = solver_of(follow).solve(start, None, 2.0)
     apart = [np.linalg.norm(Rotation.from_matrix(a.T @ b).as_rotvec()) for a, b in
              zip(away.states[0], solution(away.times).states[0], strict=True)]  # fmt: skip
     assert away.success
