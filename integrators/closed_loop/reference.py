@@ -27,7 +27,8 @@ class ReferencePath:
     """A trajectory on a manifold: on each piece of time a polynomial in the chart of a retraction around a centre."""
 
     def __init__(self, retraction: Retraction, times: np.ndarray, pieces: Polynomials, outside: Outside) -> None:
-        self.retraction, self.times, self.outside = retraction, times, outside
+        self.retraction, self.times = retraction, times
+        self.outside: Outside = outside
         self._pieces, self._layout = pieces, PointLayout.of(retraction.manifold)
         lost = ~np.all(np.isfinite(pieces.coordinates), axis=(1, 2))
         if np.any(lost):

@@ -93,7 +93,8 @@ class Table:
     """
 
     def __init__(self, grids: tuple[np.ndarray, ...], coefficients: np.ndarray, outside: Outside) -> None:
-        self.grids, self.coefficients, self.outside = grids, coefficients, outside
+        self.grids, self.coefficients = grids, coefficients
+        self.outside: Outside = outside
 
     def __call__(self, *points: Any) -> Array:
         """The value at a point.
