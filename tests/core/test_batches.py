@@ -1,6 +1,7 @@
 """Batches on the core: each member has a search of its own, in one of several threads."""
 
 import threading
+import time
 from collections import Counter
 from typing import Any
 
@@ -40,6 +41,8 @@ def test_an_interrupt_leaves_every_member_with_what_it_has(seen, monkeypatch):
 
     def search(member: Any) -> Any:
         begun.set()
+        while member.k == COUNT // 2 and not member.watch.stopped:
+            time.sleep(0.001)
         return alone(member)
 
     def interrupted(*_: Any, **__: Any) -> None:

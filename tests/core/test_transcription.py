@@ -224,8 +224,8 @@ def test_what_does_not_fit_is_refused(monkeypatch):
     none = np.zeros(0)
     tableau, columns = (np.ones((1, 1)), np.ones(1)), (np.zeros(sizes.state_numbers, np.intp),) * 2
     for wrong, words in (
-        (sizes._replace(steps=0), "larger than the core takes"),
-        (sizes._replace(steps=1 << 40), "larger than the core takes"),
+        (sizes._replace(steps=0), "expected sizes of at most 1024"),
+        (sizes._replace(steps=1 << 40), "expected sizes of at most 1024"),
         (sizes._replace(state_size=7), "expected"),
         (sizes._replace(inequalities=2), "expected"),
     ):

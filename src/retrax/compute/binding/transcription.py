@@ -130,7 +130,7 @@ class Transcription:
         room = self._library.retrax_workspace(byref(self._problem))
         if not size or not room:
             raise InvalidInputError(
-                f"the problem has {sizes}; expected sizes of at most 1024, and at most 2^20 steps and parameters"
+                f"the problem has {sizes}; expected sizes of at most 1024, 1 to 2^20 steps and at most 2^20 parameters"
             )
         points = (sizes.steps + 1) * s
         tapes = [own for own in functions.values() if isinstance(own, MachineProgram)]
@@ -163,8 +163,10 @@ class Transcription:
         return self._library.retrax_layout_memory(byref(self._problem))
 
     def search_room(self, size: int) -> np.ndarray:
-        """Numbers for the memory of a search, which the next search in this thread takes too if it is of this problem,
-        unless they are many."""
+        """Numbers for the memory of a search.
+
+        Unless they are many, the next search of this problem in this thread takes them too.
+        """
         last = _last_room.of()
         if last is not None and last is not self:
             last._room = aligned(1)
