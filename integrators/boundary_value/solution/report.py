@@ -171,5 +171,5 @@ def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
         return
     yield (
         "time",
-        f"{1e3 * statistics.run_seconds:.1f} ms to run; to trace and compile {statistics.compile_seconds:.2f} s",
+        f"{1e3 * statistics.run_seconds:.1f} ms to run; to prepare the functions {statistics.compile_seconds:.2f} s",
     )
