@@ -15,8 +15,8 @@ from ..manifolds import RetraxError
 from .precision import precision
 
 NAN = (
-    "where a value is NaN, try a domain without its arguments; where a derivative is NaN, try jnp.where with arguments "
-    "that are safe in both branches, as the derivative of the one not taken may be NaN"
+    "a value or a derivative is NaN, as that of a norm at v = 0; try jnp.where with arguments that are safe in both "
+    "branches, or a domain without this point"
 )
 DOUBTFUL = (
     "`violations` are zero there; if that is not a point of the manifold, try adding the equation that excludes it"
