@@ -243,22 +243,33 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
     return found;
 }
 
+/* Whether a trajectory is judged by what it spans: else no natural size is what controls reach, or the cost sets the scale,
+ * as the curvature has no bound. */
+static bool is_judged_by_spans(const retrax_problem *problem) {
+    return problem->control_size > 0 && !retrax_is_limited(problem);
+}
+
 void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
+    bool any = false;
+    EACH_PHASE(phase) { any = any || is_judged_by_spans(phase->layout->problem); }
+    if (!any) {
+        return;
+    }
     double content = retrax_is_coupled(search) ? retrax_largest_curvature(search, iterate) : 0.0;
     EACH_PHASE(phase) { content = retrax_larger(content, content_of(phase, iterate + phase->place)); }
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
         double *const trajectory = iterate + phase->place, *const found = ARRAY(RESIDUALS);
-        /* Else no natural size is what controls reach; or the cost sets the scale, as the curvature has no bound. */
-        const bool reaches = layout->problem->control_size > 0 && !retrax_is_limited(layout->problem);
-        for (retrax_index i = 0; reaches && i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
+        const bool judged = is_judged_by_spans(layout->problem);
+        for (retrax_index i = 0; judged && i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
             double span = span_of(layout, trajectory, i);
             if (i >= layout->problem->state_size) { /* a control that should not be zero may be: what costs as much counts */
                 const double curvature = own_curvature(layout, trajectory, i);
                 span = retrax_larger(span, curvature > 0.0 ? sqrt(content / curvature) : 0.0);
             }
             const double parts = retrax_larger(span * ARRAY(PARTS)[i], RETRAX_SHARE * content);
-            found[RETRAX_STATIONARITY] = retrax_larger(found[RETRAX_STATIONARITY], span * ARRAY(LARGEST_SLOPES)[i] / retrax_or_one(parts));
+            const double share = span * ARRAY(LARGEST_SLOPES)[i] / retrax_or_one(parts);
+            found[RETRAX_STATIONARITY] = retrax_larger(found[RETRAX_STATIONARITY], share);
         }
         found[RETRAX_FINAL] = retrax_larger(found[RETRAX_FINAL], found[RETRAX_STATIONARITY]);
     }
