@@ -39,7 +39,7 @@ def find_phases(
     guess, watch = problem.guess(parts), Watch(options.callback)
     if problem.coupling is not None:
         require_independent(problem, guess, names)
-    records, notes = search_all(problem, guess, options[:2], watch), None
+    records, notes = search_all(problem, guess, options, watch), None
     if problem.coupling is not None:
         notes = dependence_notes(problem, records, names)
         pairs = zip(records, notes, strict=True)

@@ -29,6 +29,8 @@ MOST_REFINED_STEPS, MOST_STAGES = 5000, 6
 FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most
 SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
+# The most iterations of a mesh that follows, whose guess is near: times those of the first mesh, or of so few.
+MOST_ITERATIONS, FEWEST_ITERATIONS = 2, 10
 SLOW_REFINEMENT, REFINEMENT_PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
 
@@ -74,11 +76,12 @@ class MeshRefinement:
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
         self._most, self._stopped = MOST_STAGES, False
         options = self.inputs.options
-        looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
-        self._tolerance = max(options.tolerance, looser)
         if options.callback is not None:
             self._callback = options.callback
-            self.inputs = replace(self.inputs, options=options._replace(callback=self._told))
+            options = options._replace(callback=self._told)
+            self.inputs = replace(self.inputs, options=options)
+        looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
+        self._options = options._replace(tolerance=max(options.tolerance, looser))
 
     def _told(self, iteration: Iteration) -> bool:
         """Whether the callback stops the iteration, which then holds for all later meshes."""
@@ -98,6 +101,9 @@ class MeshRefinement:
                 "the problem is singular, and only the mesh of a regular problem is refined; give a method and steps, "
                 "such as method=Midpoint(retraction), steps=50, and no accuracy"
             )
+        most = MOST_ITERATIONS * max(self._effort[0], FEWEST_ITERATIONS)
+        most = min(self._options.max_iterations, most)
+        self._options = self._options._replace(max_iterations=most, restarts=False)
         try:
             best = self._judged(solution)
         except KeyboardInterrupt:
@@ -154,7 +160,7 @@ class MeshRefinement:
             solver = self._solvers[key].with_steps(steps)
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
-        inputs = replace(self.inputs, options=self.inputs.options._replace(tolerance=self._tolerance))
+        inputs = replace(self.inputs, options=self._options)
         return self._counted(solver, inputs.again(solver._reader, given, guess))
 
     def _counted(self, solver: Solver, inputs: Inputs) -> Solution:
