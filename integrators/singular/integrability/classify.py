@@ -20,13 +20,13 @@ from ...problem_checks.requirements import require_treated
 from ...problem_checks.smoothness.hamiltonian_jumps import Energy, Segments
 from ...reporting.results import warn_about_precision
 from ..integrability_result import Signature
-from .algorithm_stages import Level, PointRanks, point_ranks, summarise
-from .classification import Classification, MorseTest, Stratum
+from .algorithm_stages import Level, PointRanks, StoppedPoints, point_ranks, summarise
+from .classification import Classification, MorseTest
 from .derivative_array import Pair
 from .random_points import random_starts
 from .sample_points import Points, select, with_order
 from .search import make_consistent, points_beside
-from .strata import StoppedPoints, find_strata
+from .strata import Stratum, find_strata
 
 if TYPE_CHECKING:
     from ..symbolic import SymbolicClassification
