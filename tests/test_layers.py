@@ -21,8 +21,8 @@ RECORD = Path(__file__).parent / "layers.toml"
 VALUE = "integrators.boundary_value"
 # From the ground up; a module belongs to the floor of the longest prefix of its name.
 FLOORS = (
-    ("tools", "errors module optional progress former_names newton_constants jaxpr_tools constant_folding tracing "
-     "index_bounds undisturbed _version "
+    ("tools", "errors hooks module optional progress former_names newton_constants jaxpr_tools constant_folding "
+     "tracing index_bounds undisturbed _version "
      "compute.threads compute.working_memory compute.binding"),
     ("tape", "tape"),
     ("manifolds", "manifolds"),

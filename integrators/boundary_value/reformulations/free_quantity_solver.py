@@ -11,6 +11,7 @@ import numpy as np
 from ....compute.at_points import evaluate_at_each
 from ....manifolds.numerics import ambient as vec
 from ...problem.free_quantities import Free, guess_of, guesses_of, is_free, with_scaled_guess
+from ...problem_checks.requirements import require_values
 from ..audit import status
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData
@@ -65,7 +66,7 @@ class ReformulationSolver:
         kind = ReformulationKind.of(horizon, parameters)
         if kind not in self._made:
             example = self.reader.problem.with_parameters(guesses_of(parameters)).at_time(0.0)
-            example._require_values()
+            require_values(example)
             formulation = Reformulation(self.reader.problem, self.reader.method, kind, self.at_guess)
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]

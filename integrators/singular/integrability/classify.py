@@ -16,7 +16,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import require_concrete
 from ...problem_checks.costs import is_steep
 from ...problem_checks.inspection import Inspection
-from ...problem_checks.requirements import require_treated
+from ...problem_checks.requirements import require_treated, require_values
 from ...problem_checks.smoothness.hamiltonian_jumps import Energy, Segments
 from ...reporting.results import warn_about_precision
 from ..integrability_result import Signature
@@ -193,7 +193,7 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
         if not verdict:
             raise NotOnManifoldError(f"near must be a state (q, p): {verdict.reason}")
     q = problem.manifold.random_point(jax.random.key(0)) if near is None else near[0]
-    problem._require_values()
+    require_values(problem)
     Inspection(problem, q, resting_control(problem.controls)).require_smooth()
 
 

@@ -1,0 +1,36 @@
+"""The data of an optimal control problem, as its constructor keeps them."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+
+from ...manifolds import Euclidean, Manifold
+from ...module import Module
+from .boundary_conditions import BoundaryConditions
+from .path_constraints import Inequalities
+from .quantities import Quantities
+
+# Any arguments: each takes the time and the parameters too where it wants them; ``require_arguments`` checks how many.
+Dynamics = RunningCost = TerminalCost = Callable[..., Any]
+
+
+class ProblemStatement(Module):
+    """The manifolds, functions, inequalities and boundary conditions of a problem, and the names of its quantities."""
+
+    manifold: Manifold
+    dynamics: Dynamics
+    running_cost: RunningCost
+    controls: Manifold
+    terminal_cost: TerminalCost | None
+    abnormal: bool = eqx.field(static=True)
+    initial_cost: TerminalCost | None
+    _limits: Inequalities
+    _boundary: BoundaryConditions
+    time_dependent: bool = eqx.field(static=True)
+    quantities: Quantities = eqx.field(static=True)
+    takes_parameters: bool = eqx.field(static=True)
+
+    @property
+    def _shape(self) -> tuple[int, ...]:
+        return self.controls.shape if isinstance(self.controls, Euclidean) else ()
