@@ -18,8 +18,8 @@ from ..inputs.arguments import BoundaryData
 from ..inputs.inputs import InputReader, Inputs
 from ..inputs.reformulation_kind import ReformulationKind
 from ..solution.batch import Solutions
-from ..solution.record import Solution, Statistics
-from ..solution.resampling import resample
+from ..solution.diagnostics import Statistics
+from ..solution.record import Solution
 from ..solution.sensitivity import Sensitivity
 from .free_quantities import Reformulation
 from .vanishing_horizons import VanishingHorizon
@@ -227,7 +227,7 @@ class ReformulationSolver:
         if kept is not formulation or found is None:
             return guess
         mesh = self.reader.mesh._replace(interpolant=found.interpolant)
-        own, rates = resample(found, mesh), [1.0] * bool(formulation.constants)
+        own, rates = found._guess_on(mesh), [1.0] * bool(formulation.constants)
         rates += [found.horizon / horizon] * self.reader.problem.time_dependent  # the clock runs to another time
 
         def completed(given: Any, known: Any) -> tuple:
