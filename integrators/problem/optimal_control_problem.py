@@ -249,21 +249,6 @@ class OptimalControlProblem(ProblemStatement):
         """
         return self._limits.at_node(q)
 
-    @property
-    def _inequality_names(self) -> tuple[str, ...]:
-        """A name for each of the inequalities, such as ``cone[1]``, of a problem without parameters."""
-        return self._limits.words(self._inequality_sizes, self._shape)
-
-    @property
-    def _inequality_sizes(self) -> dict[str, int | None]:
-        """The number of entries of each constraint; None for a number."""
-        return self._limits.sizes(self.manifold.ambient, self.controls.ambient)
-
-    @property
-    def _node_sizes(self) -> dict[str, int | None]:
-        """The number of entries of each node constraint; None for a number."""
-        return self._limits.node_sizes(self.manifold.ambient)
-
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
         """The velocity ``X(q, u)``; ``InvalidInputError`` if ``dynamics`` returns another structure than a point.
 

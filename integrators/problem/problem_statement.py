@@ -34,3 +34,18 @@ class ProblemStatement(Module):
     @property
     def _shape(self) -> tuple[int, ...]:
         return self.controls.shape if isinstance(self.controls, Euclidean) else ()
+
+    @property
+    def _inequality_names(self) -> tuple[str, ...]:
+        """A name for each of the inequalities, such as ``cone[1]``, of a problem without parameters."""
+        return self._limits.words(self._inequality_sizes, self._shape)
+
+    @property
+    def _inequality_sizes(self) -> dict[str, int | None]:
+        """The number of entries of each constraint; None for a number."""
+        return self._limits.sizes(self.manifold.ambient, self.controls.ambient)
+
+    @property
+    def _node_sizes(self) -> dict[str, int | None]:
+        """The number of entries of each node constraint; None for a number."""
+        return self._limits.node_sizes(self.manifold.ambient)
