@@ -65,9 +65,15 @@ def imported(name: str, source: str, is_package: bool, known: set[str]) -> set[s
     parts = name.split(".") if name else []
     package = parts if is_package else parts[:-1]
     for node in ast.walk(ast.parse(source)):
-        if not isinstance(node, ast.ImportFrom) or not node.level:
+        if not isinstance(node, ast.ImportFrom):
             continue
-        base = [*package[: len(package) - node.level + 1], *(node.module.split(".") if node.module else [])]
+        asked = node.module.split(".") if node.module else []
+        if node.level:
+            base = [*package[: len(package) - node.level + 1], *asked]
+        elif asked[0] == "retrax":
+            base = asked[1:]
+        else:
+            continue
         for alias in node.names:
             whole = ".".join([*base, alias.name])
             found.add(whole if whole in known else ".".join(base))
@@ -138,6 +144,8 @@ def test_the_test_sees_an_import_in_a_function_and_a_circle():
     source = "def f():\n    from ..problem.notation import g\n    return g\n"
     known = {"integrators.problem.notation", "integrators.reporting.text"}
     assert imported("integrators.reporting.text", source, False, known) == {"integrators.problem.notation"}
+    absolute = source.replace("..problem", "retrax.integrators.problem")
+    assert imported("integrators.reporting.text", absolute, False, known) == {"integrators.problem.notation"}
     below = {"integrators.reporting.text": frozenset({"integrators.problem.notation"})}
     assert arrows_up(below) == {"integrators.reporting.text": ["integrators.problem.notation"]}
     assert circles({"a": frozenset("b"), "b": frozenset("c"), "c": frozenset("a"), "d": frozenset("a")}) == [
