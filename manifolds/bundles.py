@@ -6,6 +6,7 @@ set ``{(x, v) : x in Q, v in T_xQ}``. They differ in what lives on them: the can
 
 from typing import Any, ClassVar, final
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -156,3 +157,10 @@ class CotangentBundle(VectorBundle):
         """
         s, t = self.parts(z, covector)
         return self.lift(z, t, vec.scale(-1.0, s))
+
+
+def same_manifold(a: Manifold, b: Manifold) -> bool:
+    """Whether two manifolds are of one class with the same data; tangent and cotangent bundles are the same set."""
+    if isinstance(a, VectorBundle) and isinstance(b, VectorBundle):
+        return same_manifold(a.base, b.base)
+    return bool(eqx.tree_equal(a, b))

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from ..hooks import Hook
 from ..module import Module
 from .numerics import ambient as vec
 from .numerics.ambient import Ambient, Frame
@@ -20,6 +21,9 @@ from .numerics.shapes import check_shapes, require_shapes
 from .verdict import Verdict
 
 LOST_DIGITS = 1e-2  # of the manifold: a point that lost digits rather than a wrong one
+
+
+product_of: Hook[["Manifold", "Manifold"], "Manifold"] = Hook("manifolds/product.py")
 
 
 class Manifold(Module):
@@ -294,13 +298,9 @@ class Manifold(Module):
 
     def __mul__(self, other: "Manifold") -> "Manifold":
         """Cartesian product; chains of ``*`` give one flat tuple of factors."""
-        from .product import Product
-
         if not isinstance(other, Manifold):
             raise self._no_product(other)
-        mine = self.factors if isinstance(self, Product) else (self,)
-        theirs = other.factors if isinstance(other, Product) else (other,)
-        return Product(*mine, *theirs)
+        return product_of(self, other)
 
     def __rmul__(self, other: Any) -> NoReturn:
         raise self._no_product(other)
@@ -382,12 +382,3 @@ def _violations(manifold: Manifold, x: Ambient) -> dict[str, Array]:
 @eqx.filter_jit
 def _normal_part(manifold: Manifold, x: Ambient, v: Ambient) -> Array:
     return vec.size(vec.subtract(v, manifold.projection(x, v))) / (1 + vec.size(v))
-
-
-def same_manifold(a: Manifold, b: Manifold) -> bool:
-    """Whether two manifolds are of one class with the same data; tangent and cotangent bundles are the same set."""
-    from .bundles import VectorBundle
-
-    if isinstance(a, VectorBundle) and isinstance(b, VectorBundle):
-        return same_manifold(a.base, b.base)
-    return bool(eqx.tree_equal(a, b))

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from .manifold import HomogeneousSpace, Manifold
+from .manifold import HomogeneousSpace, Manifold, product_of
 from .numerics import ambient as vec
 from .numerics.errors import InvalidInputError
 
@@ -96,6 +96,13 @@ class Product(Manifold):
             return jax.lax.pad(leaf, np.zeros((), leaf.dtype), [(before[i], after, 0), *[(0, 0, 0)] * (leaf.ndim - 1)])
 
         return tuple(jax.tree.map(lambda leaf, i=i: padded(leaf, i), frame) for i, frame in enumerate(frames))
+
+
+@product_of.register
+def _flat_product(first: Manifold, second: Manifold) -> Product:
+    """The product of two manifolds, or of their factors, in one tuple."""
+    mine, theirs = (one.factors if isinstance(one, Product) else (one,) for one in (first, second))
+    return Product(*mine, *theirs)
 
 
 def factor_name(k: int) -> str:

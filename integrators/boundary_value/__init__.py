@@ -10,13 +10,12 @@ from .drivers.multistart import multistart
 from .drivers.phase_transcription import PhaseEnds
 from .drivers.phases import Phase, solve_phases
 from .guess import Guess, default_guess
-from .solution.batch import Solutions
-from .solution.batch_file import load_solutions
-from .solution.diagnostics import Checks, RegularChecks, SingularChecks
+from .solution.batch import Solutions, load_solutions
+from .solution.diagnostics import Checks, RegularChecks, SingularArc, SingularChecks, Statistics
 from .solution.differentiable_solution import DifferentiableSolution
 from .solution.feedback import Feedback
 from .solution.multiphase_solution import PhasedSolution
-from .solution.record import SingularArc, Solution, Statistics, load_solution
+from .solution.record import Solution, load_solution
 from .solution.sensitivity import Derivative, Sensitivity
 from .solve import solve
 from .solver import Solver

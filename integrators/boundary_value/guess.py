@@ -1,5 +1,6 @@
 """First guesses of a trajectory."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -143,6 +144,27 @@ class Guess(NamedTuple):
         return (
             f"Guess(states={shapes(self.states)}, controls={shapes(self.controls)}, costates={shapes(self.costates)})"
         )
+
+
+class Mesh(NamedTuple):
+    """The mesh of a method: lengths of steps, places of stages in a step, and polynomials between the nodes."""
+
+    fractions: np.ndarray  # of the horizon, (N,)
+    stages: np.ndarray  # of a step, (s,)
+    interpolant: Any  # an ``Interpolant``
+
+    def times(self, horizon: float) -> tuple[np.ndarray, np.ndarray]:
+        """Times of the nodes, and of the stages."""
+        nodes = horizon * np.concatenate([[0.0], np.cumsum(self.fractions)])
+        return nodes, (nodes[:-1, None] + np.diff(nodes)[:, None] * self.stages).ravel()
+
+
+class MeshGuess(ABC):
+    """A record of a trajectory that is a guess on every mesh: a base class."""
+
+    @abstractmethod
+    def _guess_on(self, mesh: Mesh) -> Guess:
+        """The trajectory at the nodes and stages of a mesh."""
 
 
 def default_guess(problem: OptimalControlProblem, method: Method, start: Any, end: Any, steps: Any) -> Guess:

@@ -13,6 +13,7 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem_checks.control_use import unread_controls
 from ..problem_checks.costs import is_steep, require_cost
 from ..problem_checks.inspection import inspect_problem, probes
+from ..problem_checks.requirements import require_values
 from ..reporting.results import callers
 from ..singular import Classification, classify
 from .inputs.inputs import Inputs
@@ -141,7 +142,7 @@ class Regularity:
 
 def _warn_of_unread(problem: OptimalControlProblem) -> None:
     """Warn of controls that no function reads: each makes a problem singular."""
-    unread = unread_controls(problem._require_values(), problem.quantities)
+    unread = unread_controls(require_values(problem), problem.quantities)
     if unread:
         warnings.warn(
             f"no function of the problem reads {', '.join(unread)}, which makes the problem singular; try fewer "

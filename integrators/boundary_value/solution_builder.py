@@ -18,9 +18,9 @@ from .audit.status import Status, concave_status, termination_statuses
 from .audit.unmoved_entries import unmoved_words
 from .inputs.arguments import require_tangent_dynamics
 from .inputs.inputs import Inputs
-from .solution.diagnostics import RegularChecks, figures
+from .solution.diagnostics import RegularChecks, Statistics, figures
 from .solution.interpolation import Interpolant
-from .solution.record import Solution, Statistics
+from .solution.record import Solution
 from .transcription.diagnosis import Diagnostics
 from .transcription.discrete_extremals import DiscreteExtremals
 from .transcription.transcribed_problem import TranscribedProblem

@@ -26,7 +26,7 @@ from ..singular import Classification, SingularIntegrator
 from .audit.audit import Audit
 from .audit.status import explain_failure
 from .export.c_export import export_c
-from .guess import Guess
+from .guess import Guess, Mesh
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
 from .inputs.inputs import InputReader, Inputs
 from .iteration import Iteration
@@ -41,7 +41,6 @@ from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, d
 from .solution.feedback import feedback
 from .solution.interpolation import Interpolant
 from .solution.record import Solution
-from .solution.resampling import Mesh
 from .solution.sensitivity import ParametricSensitivity, Sensitivity, require_isolated
 from .solution_builder import ExtremalRecords, SolutionBuilder
 from .transcription.discrete_extremals import DiscreteExtremals

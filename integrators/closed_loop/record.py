@@ -7,8 +7,8 @@ from typing import Annotated, Any, final, get_type_hints
 import numpy as np
 
 from ...manifolds import InvalidInputError
-from ..boundary_value.solution.plots import HistoryPlots
 from ..problem.quantities import Quantities
+from ..reporting.presentation import HistoryPlots
 from ..reporting.records import Along, RecordFile, not_finite, shapes, write_protect
 from .statistics import ControllerStatistics
 

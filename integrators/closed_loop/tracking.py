@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import Euclidean, InvalidInputError, Manifold
-from ...manifolds.manifold import same_manifold
+from ...manifolds.bundles import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Retraction, default_retraction

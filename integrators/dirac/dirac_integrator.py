@@ -10,7 +10,7 @@ from jaxtyping import Array, ArrayLike
 from ...compute.jit_cache import compile_function
 from ...index_bounds import require_indices
 from ...manifolds import InvalidInputError, NotOnManifoldError
-from ...manifolds.manifold import same_manifold
+from ...manifolds.bundles import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from ...manifolds import InvalidInputError, Manifold, Metric
-from ...manifolds.manifold import same_manifold
+from ...manifolds.bundles import same_manifold
 from ...manifolds.numerics.ambient import Ambient, is_count
 from ...retractions import CotangentLift, Midpoint, Retraction, default_retraction
 from ...retractions.retraction import nan_unless

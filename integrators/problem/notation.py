@@ -2,18 +2,16 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .boundary_conditions import identity
+from .problem_statement import ProblemStatement
 from .user_functions import BoundFunction
 
-if TYPE_CHECKING:
-    from .optimal_control_problem import OptimalControlProblem
 
-
-def problem_notation(problem: "OptimalControlProblem") -> str:
+def problem_notation(problem: ProblemStatement) -> str:
     """The statement of the problem in a few lines: minimised costs and conditions, with the names of the functions."""
     t, p = (", t" if problem.time_dependent else ""), (", p" if problem.takes_parameters else "")
     rate = "" if problem.abnormal else f"int_0^T {_name(problem.running_cost)}(q, u{t}{p}) dt"
@@ -24,9 +22,9 @@ def problem_notation(problem: "OptimalControlProblem") -> str:
         f"minimise    {terms or '0, an abnormal problem'}",
         f"subject to  q' = {_name(problem.dynamics)}(q, u{t}{p}),  q in {problem.manifold},  u in {problem.controls}",
     ]
-    lines += [f"            {text}" for text in _bounds(problem.control_bounds)]
-    lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem.constraints]
-    lines += [f"            {name}(q{t}{p}) <= 0 at the nodes" for name in problem.node_constraints]
+    lines += [f"            {text}" for text in _bounds(problem._limits.bounds(problem._shape))]
+    lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem._limits.names]
+    lines += [f"            {name}(q{t}{p}) <= 0 at the nodes" for name in problem._limits.node_names]
     last = ", T" if t else ""
     lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem._boundary.names]
     turn = problem._boundary.turn

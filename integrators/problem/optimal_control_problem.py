@@ -3,39 +3,31 @@
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, final
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend.core import ClosedJaxpr
 from jaxtyping import Array, Float
 
 from ...compute.jit_cache import digest
-from ...errors import FAILURES
-from ...index_bounds import require_indices
-from ...manifolds import Euclidean, InvalidInputError, Manifold, Product, RetraxError
-from ...manifolds.manifold import same_manifold
+from ...hooks import Hook
+from ...manifolds import Euclidean, InvalidInputError, Manifold, Product
+from ...manifolds.bundles import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
-from ...module import Module
 from ...retractions import default_retraction
-from ...tracing import trace_program
-from ..problem_checks.control_probing import failure_words
-from ..problem_checks.control_use import warn_of_broadcast
-from ..problem_checks.inspection import Inspection
 from .argument_errors import arguments_of, require_arguments, require_known_options, takes_more
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, identity, linkage
 from .notation import problem_notation
 from .path_constraints import Constraint, Inequalities, constraint_words, node_words
+from .problem_statement import Dynamics, ProblemStatement, RunningCost, TerminalCost
 from .quantities import Quantities
 from .user_functions import BoundFunction, in_precision, real_number, shapes_in, with_last
 
-# Any arguments: each takes the time and the parameters too where it wants them; ``require_arguments`` checks how many.
-Dynamics = RunningCost = TerminalCost = Callable[..., Any]
+check_functions: Hook[..., None] = Hook("integrators/problem_checks/inspection.py")
 
 
 @final
-class OptimalControlProblem(Module):
+class OptimalControlProblem(ProblemStatement):
     r"""An optimal control problem on a manifold: dynamics, cost, constraints and boundary conditions in JAX.
 
     Parameters
@@ -82,19 +74,6 @@ class OptimalControlProblem(Module):
     >>> float(line.hamiltonian(jnp.zeros(1), jnp.ones(1), jnp.ones(1)))
     0.5
     """
-
-    manifold: Manifold
-    dynamics: Dynamics
-    running_cost: RunningCost
-    controls: Manifold
-    terminal_cost: TerminalCost | None
-    abnormal: bool = eqx.field(static=True)
-    initial_cost: TerminalCost | None
-    _limits: Inequalities
-    _boundary: BoundaryConditions
-    time_dependent: bool = eqx.field(static=True)
-    quantities: Quantities = eqx.field(static=True)
-    takes_parameters: bool = eqx.field(static=True)
 
     @require_known_options
     def __init__(
@@ -159,8 +138,7 @@ class OptimalControlProblem(Module):
     @property
     def control_bounds(self) -> tuple[np.ndarray, np.ndarray] | None:
         """The bounds of the controls, arrays of their shape; None if there are none."""
-        both = [np.array(side) for side in (self._limits.lower, self._limits.upper)]
-        return (both[0].reshape(self._shape), both[1].reshape(self._shape)) if both[0].size else None
+        return self._limits.bounds(self._shape)
 
     @property
     def constraints(self) -> dict[str, Constraint]:
@@ -171,10 +149,6 @@ class OptimalControlProblem(Module):
     def node_constraints(self) -> dict[str, Constraint]:
         """The constraints at the nodes by their names."""
         return dict(zip(self._limits.node_names, self._limits.node_functions, strict=True))
-
-    @property
-    def _shape(self) -> tuple[int, ...]:
-        return self.controls.shape if isinstance(self.controls, Euclidean) else ()
 
     def __repr__(self) -> str:
         """The problem in mathematical notation."""
@@ -274,21 +248,6 @@ class OptimalControlProblem(Module):
             The state, an array or a tuple of arrays of the shapes of the manifold.
         """
         return self._limits.at_node(q)
-
-    @property
-    def _inequality_names(self) -> tuple[str, ...]:
-        """A name for each of the inequalities, such as ``cone[1]``, of a problem without parameters."""
-        return self._limits.words(self._inequality_sizes, self._shape)
-
-    @property
-    def _inequality_sizes(self) -> dict[str, int | None]:
-        """The number of entries of each constraint; None for a number."""
-        return self._limits.sizes(self.manifold.ambient, self.controls.ambient)
-
-    @property
-    def _node_sizes(self) -> dict[str, int | None]:
-        """The number of entries of each node constraint; None for a number."""
-        return self._limits.node_sizes(self.manifold.ambient)
 
     def velocity(self, q: Ambient, u: Ambient) -> Ambient:
         """The velocity ``X(q, u)``; ``InvalidInputError`` if ``dynamics`` returns another structure than a point.
@@ -390,24 +349,7 @@ class OptimalControlProblem(Module):
         InvalidInputError
             With the name of the function, what the function returns, and what to try.
         """
-        self._require_values()
-        Inspection(self, q, u).require_sound()
-
-    def _require_values(self) -> ClosedJaxpr:
-        """The program of all functions of a point and a control.
-
-        Raises if a function cannot be called, reads entries that its arguments do not have, or returns another kind.
-        """
-        q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in (self.manifold, self.controls))
-        try:
-            program = trace_program(self._values, q, u)
-        except RetraxError:
-            raise
-        except FAILURES as error:
-            raise InvalidInputError(failure_words(self, error, q, u)) from error
-        require_indices(program, "a function of the problem")
-        warn_of_broadcast(program)
-        return program
+        check_functions(self, q, u)
 
 
 def is_same_problem(a: object, b: object) -> bool:

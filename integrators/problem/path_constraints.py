@@ -64,6 +64,11 @@ class Inequalities(eqx.Module):
         names = self.lower, self.upper, self.names
         return Inequalities(*names, functions, self.at_first, self.node_names, node_functions, self.clock)
 
+    def bounds(self, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray] | None:
+        """The bounds of controls of this shape; None if there are none."""
+        lower, upper = np.array(self.lower), np.array(self.upper)
+        return (lower.reshape(shape), upper.reshape(shape)) if lower.size else None
+
     @property
     def bounded(self) -> dict[str, list[int]]:
         """The entries of ``u`` that have a bound, from below and from above."""

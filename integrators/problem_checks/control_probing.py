@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,11 +15,9 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import working_precision
 from ...manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
+from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout
 from ..problem.user_functions import BoundFunction, failing_line
-
-if TYPE_CHECKING:
-    from ..problem.optimal_control_problem import OptimalControlProblem
 
 CURVATURES = 3  # random controls and covectors at which second derivatives are looked at
 PROBE_SIZE = 0.3  # size of the coordinates of these controls around the resting one
@@ -50,7 +48,7 @@ class ControlProbe(NamedTuple):
 
 
 def probe(
-    problem: "OptimalControlProblem", q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient
+    problem: OptimalControlProblem, q: Ambient, u: Ambient, directions: np.ndarray, covectors: Ambient
 ) -> ControlProbe:
     """The functions at ``(q, u)``, and at controls in ``directions`` from ``u``; of ``covectors`` the projections
     count."""
@@ -79,7 +77,7 @@ def probe(
     return ControlProbe(there, normals, lengths, (running, final), slopes, curvatures, (value, slope))
 
 
-def parts(problem: "OptimalControlProblem", q: Ambient, u: Ambient, covector: Ambient, c: Array) -> Float[Array, " 2"]:
+def parts(problem: OptimalControlProblem, q: Ambient, u: Ambient, covector: Ambient, c: Array) -> Float[Array, " 2"]:
     """``<p, X>`` and ``p_0 F`` at the control with coordinates ``c`` around ``u``."""
     return jnp.stack(problem._parts(q, problem.manifold.projection(q, covector), problem._steer(u, c)))
 
@@ -155,7 +153,7 @@ class AlongLine(NamedTuple):
 
 
 def along_lines(
-    problem: "OptimalControlProblem", q: Ambient, u: Ambient, covectors: Ambient, bases: Array, ways: Array, s: Array
+    problem: OptimalControlProblem, q: Ambient, u: Ambient, covectors: Ambient, bases: Array, ways: Array, s: Array
 ) -> AlongLine:
     """The parts of ``H`` along the lines of several directions, with a covector each, at parameters ``s``."""
 
@@ -274,13 +272,13 @@ IN_JAX = {  # what to write in a line that JAX cannot trace, by what is in it
 }
 
 
-def _normal_size(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> tuple[Array, Array]:
+def _normal_size(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array]:
     """Sizes of the normal part of ``X(q, u)``, which is zero for dynamics on the manifold, and of ``X(q, u)``."""
     v = problem.velocity(q, u)
     return vec.size(vec.subtract(v, problem.manifold.projection(q, v))), vec.size(v)
 
 
-def failure_words(problem: "OptimalControlProblem", error: Exception, q: Ambient, u: Ambient) -> str:
+def failure_words(problem: OptimalControlProblem, error: Exception, q: Ambient, u: Ambient) -> str:
     """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
     shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
     reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
@@ -313,7 +311,7 @@ def _traceable(source: str) -> str:
     return TRACEABLE
 
 
-def _has_velocity(problem: "OptimalControlProblem", *arguments: Ambient) -> bool:
+def _has_velocity(problem: OptimalControlProblem, *arguments: Ambient) -> bool:
     try:
         jax.eval_shape(problem.velocity, *arguments)
     except FAILURES:

@@ -1,7 +1,7 @@
 """Whether the costs of a problem tell one curve from another, seen at random points with random controls."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -15,15 +15,13 @@ from ...manifolds.numerics.precision import working_precision
 from ...manifolds.numerics.tolerances import rounding_of
 from ...retractions import default_retraction
 from ..problem.argument_errors import HORIZON
+from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout
 from .control_probing import CURVATURES
 
-if TYPE_CHECKING:
-    from ..problem.optimal_control_problem import OptimalControlProblem
-
 
 def require_cost(
-    problem: "OptimalControlProblem", around: tuple[Ambient, Ambient, np.ndarray], end: Ambient, fixed: tuple[bool, ...]
+    problem: OptimalControlProblem, around: tuple[Ambient, Ambient, np.ndarray], end: Ambient, fixed: tuple[bool, ...]
 ) -> None:
     """Raise unless both costs are a number each, around a state, a control, and coordinates of nearby controls."""
     q, u, near = around
@@ -48,7 +46,7 @@ def require_cost(
     )
 
 
-def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...] = ()) -> bool:
+def is_steep(problem: OptimalControlProblem, fixed: tuple[bool, ...] = ()) -> bool:
     """Whether an entry of the differential of the terminal cost is one number, not zero, in an array that is not
     ``fixed``."""
     if problem.terminal_cost is None:
@@ -60,7 +58,7 @@ def is_steep(problem: "OptimalControlProblem", fixed: tuple[bool, ...] = ()) -> 
     )
 
 
-def _points(problem: "OptimalControlProblem", q: Ambient, fixed: tuple[bool, ...] = ()) -> Ambient:
+def _points(problem: OptimalControlProblem, q: Ambient, fixed: tuple[bool, ...] = ()) -> Ambient:
     """A point and random points along the leading axis; arrays that are ``fixed`` are the same in all points."""
     keys = jax.random.split(jax.random.key(0), CURVATURES)
     points = [jax.tree.map(np.asarray, x) for x in (q, *map(problem.manifold.random_point, keys))]
@@ -70,7 +68,7 @@ def _points(problem: "OptimalControlProblem", q: Ambient, fixed: tuple[bool, ...
     return jax.tree.unflatten(structure, leaves)
 
 
-def _terminal(problem: "OptimalControlProblem", points: Ambient) -> tuple[np.ndarray, Ambient]:
+def _terminal(problem: OptimalControlProblem, points: Ambient) -> tuple[np.ndarray, Ambient]:
     """The terminal cost at several points, and its differentials there, of the structure of the points."""
     layout = PointLayout.of(problem.manifold)
 
@@ -83,7 +81,7 @@ def _terminal(problem: "OptimalControlProblem", points: Ambient) -> tuple[np.nda
 
 
 def _cost_rates(
-    problem: "OptimalControlProblem", q: Ambient, moves: np.ndarray, u: Ambient, directions: np.ndarray
+    problem: OptimalControlProblem, q: Ambient, moves: np.ndarray, u: Ambient, directions: np.ndarray
 ) -> tuple[Float[np.ndarray, "moves controls"], Float[np.ndarray, "moves controls"]]:
     """The running cost at several points around ``q`` and controls around ``u``, and the sizes of its derivatives by
     both."""

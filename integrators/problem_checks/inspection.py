@@ -3,7 +3,7 @@ control."""
 
 from functools import cached_property
 from itertools import pairwise
-from typing import TYPE_CHECKING, final
+from typing import final
 
 import jax
 import numpy as np
@@ -15,6 +15,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import default_tolerance, working_precision
 from ..problem.initial_controls import resting_control, within_bounds
+from ..problem.optimal_control_problem import OptimalControlProblem, check_functions
 from .control_probing import (
     CURVATURES,
     LADDER,
@@ -31,16 +32,14 @@ from .control_probing import (
     probe,
     undefined_words,
 )
+from .requirements import require_values
 from .smoothness.derivative_check import require_correct_derivatives
 from .smoothness.problem_jumps import require_no_jumps
-
-if TYPE_CHECKING:
-    from ..problem.optimal_control_problem import OptimalControlProblem
 
 GUESSED_CONTROL_SHARES = 1.0, 0.1, 1e-2  # shares of a guessed control: how near to it the functions are looked at
 
 
-def probes(problem: "OptimalControlProblem", u: Ambient, near: float | None = None) -> tuple[np.ndarray, Ambient]:
+def probes(problem: OptimalControlProblem, u: Ambient, near: float | None = None) -> tuple[np.ndarray, Ambient]:
     """Random coordinates of controls around ``u`` and random ambient covectors, the same at every call.
 
     The controls are inside the bounds, at most half of the way to these; ``near``: a share of ``u`` that is the size
@@ -59,7 +58,7 @@ def probes(problem: "OptimalControlProblem", u: Ambient, near: float | None = No
     return moves.astype(working_precision()), covectors
 
 
-def inspect_problem(problem: "OptimalControlProblem", q: Ambient, guessed: Ambient | None = None) -> "Inspection":
+def inspect_problem(problem: OptimalControlProblem, q: Ambient, guessed: Ambient | None = None) -> "Inspection":
     """A look at the functions at a state, at rest or inside the bounds; near a guessed control where they are not
     finite there."""
     found = Inspection(problem, q, within_bounds(problem._limits, resting_control(problem.controls)))
@@ -73,6 +72,13 @@ def inspect_problem(problem: "OptimalControlProblem", q: Ambient, guessed: Ambie
     return found
 
 
+@check_functions.register
+def _check(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> None:
+    """Raise if the functions return a wrong kind at ``(q, u)``, or are not smooth in the controls there."""
+    require_values(problem)
+    Inspection(problem, q, u).require_sound()
+
+
 @final
 class Inspection:
     """A look at the functions of a problem at ``(q, u)``, at a few random controls around ``u`` and with random
@@ -81,7 +87,7 @@ class Inspection:
     What several questions need is evaluated once, at the first of them.
     """
 
-    def __init__(self, problem: "OptimalControlProblem", q: Ambient, u: Ambient, near: float | None = None) -> None:
+    def __init__(self, problem: OptimalControlProblem, q: Ambient, u: Ambient, near: float | None = None) -> None:
         """``near``: a share of ``u`` within which other controls are, else of one."""
         self.problem, self.q, self.u = problem, q, u
         self.directions, self._covectors = probes(problem, u, near)

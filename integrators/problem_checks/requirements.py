@@ -7,14 +7,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import ClosedJaxpr
 
-from ...manifolds import InvalidInputError
-from ...manifolds.manifold import same_manifold
+from ...errors import FAILURES
+from ...index_bounds import require_indices
+from ...manifolds import InvalidInputError, RetraxError
+from ...manifolds.bundles import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import CollocationMethod, DiscretizationMap, Retraction
+from ...tracing import trace_program
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..reporting.text import brief
+from .control_probing import failure_words
+from .control_use import warn_of_broadcast
 
 RETRACTED = 1e-4  # relative: less is rounding of a retraction by iterations or in single precision
 
@@ -37,6 +43,24 @@ def require_treated(problem: OptimalControlProblem, what: str, *treated: str) ->
             f"the problem has {' and '.join(left)}, which {what} does not treat; expected a problem without; try "
             "one that has none"
         )
+
+
+def require_values(problem: OptimalControlProblem) -> ClosedJaxpr:
+    """The program of all functions of a problem, of a point and a control.
+
+    Raises if a function cannot be called, reads entries that its arguments do not have, or returns another kind.
+    """
+    spaces = problem.manifold, problem.controls
+    q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), space.ambient) for space in spaces)
+    try:
+        program = trace_program(problem._values, q, u)
+    except RetraxError:
+        raise
+    except FAILURES as error:
+        raise InvalidInputError(failure_words(problem, error, q, u)) from error
+    require_indices(program, "a function of the problem")
+    warn_of_broadcast(program)
+    return program
 
 
 def require_same_manifold(problem: OptimalControlProblem, method: DiscretizationMap | CollocationMethod) -> None:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ...manifolds import EmbeddedMetric, InvalidInputError, Manifold, Metric
-from ...manifolds.manifold import same_manifold
+from ...manifolds.bundles import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.root import find_root

@@ -27,6 +27,7 @@ from .integrators import (
 )
 from .loading import load
 from .manifolds import SE, SO, SPD, SU, Euclidean, Grassmann, LevelSet, Sphere, Stiefel, hat
+from .presentation import present_records
 from .retractions import Cayley, Exponential, Gauss, Midpoint, Radau, default_retraction
 
 if TYPE_CHECKING:
@@ -73,6 +74,7 @@ __all__ = [
 LAZY = "plotting", "problems"  # packages that take long to import
 
 find_former_modules()
+present_records()
 logging.getLogger(__name__).addHandler(logging.NullHandler())  # what is heard of it is the user's choice
 
 

@@ -15,7 +15,7 @@ from typing import Any
 MODULES = {
     f"retrax.{former}": f"retrax.{present}"
     for former, present in {
-        "integrators.boundary_value.batch_file": "integrators.boundary_value.solution.batch_file",
+        "integrators.boundary_value.batch_file": "integrators.boundary_value.solution.batch",
         "integrators.boundary_value.checks": "integrators.boundary_value.solution.diagnostics",
         "integrators.boundary_value.continuation": "integrators.boundary_value.drivers.continuation",
         "integrators.boundary_value.differentiable": "integrators.boundary_value.solution.differentiable_solution",

@@ -12,7 +12,7 @@ from retrax.integrators.boundary_value.inputs.boundary_data import EndPart, Pres
 from retrax.integrators.boundary_value.transcription.inequality_rows import InequalityRows
 from retrax.integrators.dirac import DiracSystem
 from retrax.integrators.problem.optimal_control_problem import is_same_problem
-from retrax.integrators.problem_checks.requirements import require_treated
+from retrax.integrators.problem_checks.requirements import require_treated, require_values
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, CotangentLift, Midpoint
 from retrax.tape import Tape
@@ -237,7 +237,7 @@ def test_a_constraint_that_returns_something_else_is_named(constraint, words):
 
 def test_an_initial_cost_that_is_no_number_is_named():
     with pytest.raises(InvalidInputError, match=r"initial_cost must return a scalar, got an array of shape \(3,\)"):
-        body(initial_cost=lambda q: q[1])._require_values()
+        require_values(body(initial_cost=lambda q: q[1]))
 
 
 LEFT_OUT = {

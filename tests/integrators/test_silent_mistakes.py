@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax import SO, Cayley, Euclidean, Exponential, Midpoint, OptimalControlProblem, hat, solve
+from retrax.integrators.problem_checks.requirements import require_values
 from retrax.manifolds import NotOnManifoldError
 
 from .problems import rotation
@@ -24,14 +25,14 @@ def test_one_control_that_is_added_to_several_entries_is_asked_about():
     with pytest.warns(
         UserWarning, match="the only control, in .*, is added to each of 2 entries; try controls=2"
     ) as caught:
-        OptimalControlProblem(PLANE, lambda q, u: u - q, lambda q, u: u @ u, 1)._require_values()
+        require_values(OptimalControlProblem(PLANE, lambda q, u: u - q, lambda q, u: u @ u, 1))
     assert caught[0].filename == __file__
     for dynamics in (
         lambda q, u: jnp.array([0.0, 1.0]) * u - q,
         lambda q, u: u[0] - q,
         lambda q, u: jnp.stack([q[1], u[0]]),
     ):
-        OptimalControlProblem(PLANE, dynamics, lambda q, u: u @ u, 1)._require_values()
+        require_values(OptimalControlProblem(PLANE, dynamics, lambda q, u: u @ u, 1))
 
 
 @pytest.mark.parametrize("used", [(0,), (1,), (0, 1)])

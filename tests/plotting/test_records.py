@@ -22,7 +22,6 @@ from retrax.retractions import Addition, Cayley, Gauss, Midpoint
 from scipy.spatial.transform import Rotation
 
 mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 LINE = Euclidean(2)
 BOUND = 4.5
@@ -57,13 +56,6 @@ def limited():
 def turn():
     """A turn without active bounds."""
     return solve(TURN, np.eye(3), END, 2.0, method=Midpoint(Cayley(SO(3))), steps=6)
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    """Every figure is closed."""
-    yield
-    plt.close("all")
 
 
 def curves(axis):

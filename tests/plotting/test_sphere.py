@@ -13,18 +13,10 @@ from retrax.plotting.sphere import FAINT, behind
 from scipy.spatial.transform import Rotation
 
 mpl.use("Agg")
-from matplotlib import pyplot as plt
 
 ANGLES = np.linspace(0, 2 * np.pi, 73)[:-1]
 EQUATOR = np.stack([np.cos(ANGLES), np.sin(ANGLES), 0 * ANGLES], axis=1)
 TURNS = Rotation.from_rotvec(ANGLES[:, None] * [0.0, 0.0, 1.0]).as_matrix()
-
-
-@pytest.fixture(autouse=True)
-def closed():
-    """Every figure is closed."""
-    yield
-    plt.close("all")
 
 
 def record(q):

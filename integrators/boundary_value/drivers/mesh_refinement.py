@@ -14,14 +14,13 @@ from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER
 from ..audit import status
 from ..audit.step_errors import StepErrorEstimator, StepErrors
 from ..audit.switching_structure import SwitchingStructure, switching_structure
-from ..guess import Guess
+from ..guess import Guess, Mesh
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import Inputs
 from ..iteration import Iteration, stops
 from ..reformulations.switching_arcs import DURATIONS, SwitchingArcs
-from ..solution.diagnostics import RegularChecks
-from ..solution.record import Solution, Statistics
-from ..solution.resampling import Mesh
+from ..solution.diagnostics import RegularChecks, Statistics
+from ..solution.record import Solution
 from ..solver import Solver
 
 REFINEMENT_ROUNDS = 25  # at most

@@ -14,6 +14,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.inspection import inspect_problem
 from ..audit.audit import Audit
 from ..audit.status import explain_failure
+from ..guess import Mesh
 from ..inputs.arguments import BoundaryData, Method, Options, step_fractions
 from ..inputs.inputs import InputReader, Inputs
 from ..reformulations.free_quantities import Reformulation
@@ -21,7 +22,6 @@ from ..reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationS
 from ..reformulations.vanishing_horizons import VanishingHorizon
 from ..solution.interpolation import Interpolant
 from ..solution.record import Solution
-from ..solution.resampling import Mesh
 from ..solution_builder import ExtremalRecords, SolutionBuilder
 from ..transcription.discrete_extremals import DiscreteExtremals
 from ..transcription.transcribed_problem import TranscribedProblem, Transcription

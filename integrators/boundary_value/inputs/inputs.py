@@ -29,9 +29,7 @@ from ...problem.point_layout import PointLayout, parameter_layout
 from ...problem_checks.requirements import require_retraction
 from ...reporting.results import callers
 from ...singular import Classification, SingularIntegrator
-from ..guess import Guess
-from ..solution.record import Solution
-from ..solution.resampling import Mesh, resample
+from ..guess import Guess, Mesh, MeshGuess
 from .arguments import (
     BoundaryData,
     Method,
@@ -79,7 +77,7 @@ class InputReader:
     def flat_guess(self, guesses: Sequence[Any]) -> FlatGuess | None:
         """The guesses, solutions among them resampled, with the multipliers of inequalities that the problem has."""
         given = [
-            self.guesses.known(resample(guess, self.mesh)) if isinstance(guess, Solution) else guess
+            self.guesses.known(guess._guess_on(self.mesh)) if isinstance(guess, MeshGuess) else guess
             for guess in guesses
         ]
         return self.guesses.flat(given) if any(guess is not None for guess in given) else None

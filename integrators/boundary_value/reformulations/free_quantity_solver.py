@@ -11,14 +11,15 @@ import numpy as np
 from ....compute.at_points import evaluate_at_each
 from ....manifolds.numerics import ambient as vec
 from ...problem.free_quantities import Free, guess_of, guesses_of, is_free, with_scaled_guess
+from ...problem_checks.requirements import require_values
 from ..audit import status
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData
 from ..inputs.inputs import InputReader, Inputs
 from ..inputs.reformulation_kind import ReformulationKind
 from ..solution.batch import Solutions
-from ..solution.record import Solution, Statistics
-from ..solution.resampling import resample
+from ..solution.diagnostics import Statistics
+from ..solution.record import Solution
 from ..solution.sensitivity import Sensitivity
 from .free_quantities import Reformulation
 from .vanishing_horizons import VanishingHorizon
@@ -65,7 +66,7 @@ class ReformulationSolver:
         kind = ReformulationKind.of(horizon, parameters)
         if kind not in self._made:
             example = self.reader.problem.with_parameters(guesses_of(parameters)).at_time(0.0)
-            example._require_values()
+            require_values(example)
             formulation = Reformulation(self.reader.problem, self.reader.method, kind, self.at_guess)
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]
@@ -226,7 +227,7 @@ class ReformulationSolver:
         if kept is not formulation or found is None:
             return guess
         mesh = self.reader.mesh._replace(interpolant=found.interpolant)
-        own, rates = resample(found, mesh), [1.0] * bool(formulation.constants)
+        own, rates = found._guess_on(mesh), [1.0] * bool(formulation.constants)
         rates += [found.horizon / horizon] * self.reader.problem.time_dependent  # the clock runs to another time
 
         def completed(given: Any, known: Any) -> tuple:

@@ -28,8 +28,8 @@ from ..guess import default_guess
 from ..inputs.arguments import copy_parameters
 from ..inputs.inputs import Inputs
 from ..iteration import say
-from ..solution.diagnostics import SingularChecks
-from ..solution.record import SingularArc, Solution, Statistics
+from ..solution.diagnostics import SingularArc, SingularChecks, Statistics
+from ..solution.record import Solution
 from ..transcription.diagnosis import Diagnosis
 from .end_conditions import EndConditions, points_at_ends
 from .gauss_newton import ShootingResult, meet_conditions

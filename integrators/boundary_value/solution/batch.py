@@ -1,6 +1,7 @@
 """The solutions of a batch: one after the other, and their arrays together."""
 
 import math
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -9,10 +10,12 @@ from typing import Any, Self, final, overload
 import jax
 import numpy as np
 
+from ....manifolds import InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
-from .batch_file import save_batch
-from .plots import HistoryPlots
-from .record import Solution
+from ....retractions import Retraction
+from ...reporting.presentation import HistoryPlots
+from .batch_file import save_batch, unpack_batch
+from .record import Solution, load_solution
 
 LISTED = "result", "checks", "statistics", "singular", "interpolant", "quantities"  # fields that are lists
 SAME_EXTREMAL = 1e-6  # relative distance within which two extremals are one
@@ -128,3 +131,34 @@ class Solutions(HistoryPlots, Sequence[Solution]):
         span = f"costs {costs.min():.9g} to {costs.max():.9g}, " if len(costs) else ""
         counts = f"{len(self)}, {self.converged} of them converged, {self.distinct} distinct"
         return f"Solutions({counts}, {span}{self.times.shape[1] - 1} steps each)"
+
+
+def load_solutions(
+    path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None
+) -> Solutions:
+    """The batch in a file that ``Solutions.save`` wrote; nothing in the file is executed.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file.
+    retraction, controls
+        As in ``load_solution``, for every member.
+
+    Returns
+    -------
+    Solutions
+        The batch.
+
+    Raises
+    ------
+    InvalidInputError
+        If the file is something else, damaged, incomplete, or of another version; if members have different arrays.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        places = unpack_batch(Path(path), Path(folder))
+        try:
+            return Solutions.of([load_solution(place, retraction, controls) for place in places])
+        except (InvalidInputError, ValueError) as error:
+            words = str(error).replace(f"{folder}/", "member ")
+            raise InvalidInputError(f"{path} is not a saved batch: {words}") from error

@@ -4,22 +4,23 @@ import tempfile
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Protocol
 
-from ....manifolds import InvalidInputError, Manifold
-from ....retractions import Retraction
+from ....manifolds import InvalidInputError
 from ...reporting.archives import read_archive
 from ...reporting.records import BATCH_ENTRY
 from ...reporting.text import brief
 
-if TYPE_CHECKING:
-    from .batch import Solutions
-    from .record import Solution
-
 BATCH_SCHEMA = "retrax.Solutions 1"
 
 
-def save_batch(members: Sequence["Solution"], path: str | Path) -> None:
+class Record(Protocol):
+    """A record that can be written to a file."""
+
+    def save(self, path: str | Path) -> None: ...
+
+
+def save_batch(members: Sequence[Record], path: str | Path) -> None:
     """Write the members of a batch to one file; raises what ``Solution.save`` raises, before the file is there."""
     with tempfile.TemporaryDirectory() as folder:
         places = [Path(folder) / f"{k}.npz" for k in range(len(members))]
@@ -31,42 +32,8 @@ def save_batch(members: Sequence["Solution"], path: str | Path) -> None:
                 archive.write(place, place.name)
 
 
-def load_solutions(
-    path: str | Path, retraction: Retraction | None = None, controls: Manifold | None = None
-) -> "Solutions":
-    """The batch in a file that ``Solutions.save`` wrote; nothing in the file is executed.
-
-    Parameters
-    ----------
-    path : str or Path
-        The file.
-    retraction, controls
-        As in ``load_solution``, for every member.
-
-    Returns
-    -------
-    Solutions
-        The batch.
-
-    Raises
-    ------
-    InvalidInputError
-        If the file is something else, damaged, incomplete, or of another version; if members have different arrays.
-    """
-    from .batch import Solutions
-    from .record import load_solution
-
-    with tempfile.TemporaryDirectory() as folder:
-        places = _unpacked(Path(path), Path(folder))
-        try:
-            return Solutions.of([load_solution(place, retraction, controls) for place in places])
-        except (InvalidInputError, ValueError) as error:
-            words = str(error).replace(f"{folder}/", "member ")
-            raise InvalidInputError(f"{path} is not a saved batch: {words}") from error
-
-
-def _unpacked(path: Path, folder: Path) -> list[Path]:
-    """The files of the members, written to a folder."""
+def unpack_batch(path: Path, folder: Path) -> list[Path]:
+    """The files of the members of a batch, written to a folder."""
     try:
         content = read_archive(path)
     except InvalidInputError as error:

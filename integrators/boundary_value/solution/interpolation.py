@@ -1,7 +1,7 @@
 """An extremal between its nodes: the polynomials of its method in the charts of its steps."""
 
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple, Self, final
+from typing import Any, NamedTuple, Protocol, Self, final
 
 import equinox as eqx
 import jax
@@ -21,9 +21,6 @@ from ...reporting.text import brief
 from ..guess import Guess
 from ..transcription.chart import Chart, Polynomials, lagrange
 
-if TYPE_CHECKING:
-    from .record import Solution
-
 SUMMED = 8 * EPS  # relative to the horizon, and for each step: what the sum of the steps loses
 
 
@@ -34,6 +31,31 @@ class Sample(NamedTuple):
     states: Any
     controls: Any
     costates: Any
+
+
+class ExtremalArrays(Protocol):
+    """The arrays of an extremal at nodes and stages, as ``Solution`` has them."""
+
+    @property
+    def times(self) -> np.ndarray: ...
+    @property
+    def states(self) -> Any: ...
+    @property
+    def costates(self) -> Any: ...
+    @property
+    def stage_times(self) -> np.ndarray: ...
+    @property
+    def stage_states(self) -> Any: ...
+    @property
+    def stage_costates(self) -> Any: ...
+    @property
+    def controls(self) -> Any: ...
+    @property
+    def stage_multipliers(self) -> dict[str, np.ndarray]: ...
+    @property
+    def node_multipliers(self) -> dict[str, np.ndarray]: ...
+    @property
+    def jumps(self) -> np.ndarray: ...
 
 
 class _Step(NamedTuple):
@@ -119,7 +141,7 @@ class Interpolant:
                 if np.iscomplexobj(a) and not np.issubdtype(s.dtype, np.complexfloating):
                     raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
 
-    def __call__(self, record: "Solution", t: Any) -> Sample:
+    def __call__(self, record: ExtremalArrays, t: Any) -> Sample:
         """The extremal at a time, or at an array of times.
 
         Raises ``InvalidInputError`` for a time outside the horizon, ``DomainError`` where a step does not fit into a
@@ -142,7 +164,7 @@ class Interpolant:
         q, u, p = (layout.points(a) for layout, a in zip((self.state, self.control, self.state), rows, strict=True))
         return Sample(times, q, u, p)
 
-    def guess(self, record: "Solution", times: np.ndarray, stage_times: np.ndarray) -> Guess:
+    def guess(self, record: ExtremalArrays, times: np.ndarray, stage_times: np.ndarray) -> Guess:
         """The extremal at times of nodes and of stages."""
         nodes, stages = (self(record, np.minimum(t, record.times[-1])) for t in (times, stage_times))
         own, at_nodes = record.stage_multipliers, record.node_multipliers
@@ -151,7 +173,7 @@ class Interpolant:
         jumps = {name: after * _along(times, record.times, rows / before) for name, rows in at_nodes.items()}
         return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers, jumps)
 
-    def within(self, record: "Solution", places: np.ndarray, costates: bool = True) -> Sample:
+    def within(self, record: ExtremalArrays, places: np.ndarray, costates: bool = True) -> Sample:
         """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own
         controls.
 
@@ -167,7 +189,7 @@ class Interpolant:
         )
         return Sample(record.times[each].reshape(count, -1) + np.outer(np.diff(record.times), places), q, u, p)
 
-    def _steps(self, record: "Solution", k: np.ndarray) -> _Step:
+    def _steps(self, record: ExtremalArrays, k: np.ndarray) -> _Step:
         """The steps of these numbers."""
         count = len(record.times) - 1
         nodes, points = (self.state.rows(part, 1) for part in (record.states, record.stage_states))
@@ -200,12 +222,12 @@ class Interpolant:
         offset = np.einsum("tj,tjm->tm", lagrange(controls.places, places), controls.coordinates[where])
         return states, found, self._steered.at(1, controls.centres[where], offset)[0]
 
-    def polynomials(self, record: "Solution") -> Polynomials:
+    def polynomials(self, record: ExtremalArrays) -> Polynomials:
         """The polynomials of the states in all steps; entries are NaN where a step does not fit into a chart."""
         with one_tracing(), np.errstate(all="ignore"):
             return self._polynomials(self._steps(record, np.arange(len(record.times) - 1)))
 
-    def control_polynomials(self, record: "Solution") -> Polynomials:
+    def control_polynomials(self, record: ExtremalArrays) -> Polynomials:
         """The polynomials of the controls in all steps, in charts of the default retraction of their manifold."""
         with one_tracing(), np.errstate(all="ignore"):
             return self._control_polynomials(self._steps(record, np.arange(len(record.times) - 1)))

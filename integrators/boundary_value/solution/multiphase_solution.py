@@ -7,10 +7,11 @@ from typing import Self, final
 import numpy as np
 
 from ....manifolds import ConvergenceError
+from ...reporting.presentation import HistoryPlots
 from ...reporting.text import table
+from .diagnostics import Statistics
 from .interpolation import Sample, checked_times
-from .plots import HistoryPlots
-from .record import Solution, Statistics, Status, status_of
+from .record import Solution, Status, status_of
 
 
 @final

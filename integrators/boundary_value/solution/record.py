@@ -1,7 +1,7 @@
 """The immutable record of a solved optimal control problem, and its file format."""
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass
 from difflib import get_close_matches
 from html import escape
 from pathlib import Path
@@ -11,14 +11,17 @@ import numpy as np
 
 from ....manifolds import ConvergenceError, Euclidean, InvalidInputError, Manifold
 from ....manifolds.numerics.ambient import is_finite_number
-from ....manifolds.numerics.tolerances import ACTIVE
+from ....manifolds.numerics.tolerances import ACTIVE, SAME_TIME
 from ....retractions import Retraction
 from ...problem.quantities import Quantities
-from ...reporting.records import Along, RecordFile, Values, not_finite, shapes, write_protect
-from ..guess import Guess
-from .diagnostics import RegularChecks, SingularArc, SingularChecks, Statistics
+from ...reporting import presentation
+from ...reporting.presentation import HistoryPlots
+from ...reporting.records import RecordFile, Values, not_finite, shapes
+from ..guess import Guess, Mesh, MeshGuess
+from .diagnostics import RegularChecks
 from .interpolation import Interpolant, Sample
-from .plots import HistoryPlots
+from .report import report_text
+from .solution_fields import SolutionFields, at_stages
 
 FILE_VERSION = 7  # of the file
 # Names of the fields in other libraries.
@@ -28,7 +31,7 @@ IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
 
 @dataclass(frozen=True, eq=False)
-class Solution(HistoryPlots):
+class Solution(SolutionFields, HistoryPlots, MeshGuess):
     r"""A discrete extremal with costates, multipliers and checks, in read-only NumPy arrays over nodes or stages.
 
     Attributes
@@ -86,32 +89,6 @@ class Solution(HistoryPlots):
     >>> found.q.shape, found.u.shape, found.t[-1].item()
     ((5, 1), (4, 1), 2.0)
     """
-
-    times: Annotated[np.ndarray, Along("nodes", ndim=1)]
-    states: Annotated[np.ndarray | Any, Along("nodes")]
-    costates: Annotated[np.ndarray | Any, Along("nodes", like="states")]
-    stage_times: Annotated[np.ndarray, Along("stages", ndim=1)]
-    stage_states: Annotated[np.ndarray | Any, Along("stages", like="states")]
-    stage_costates: Annotated[np.ndarray | Any, Along("stages", like="states")]
-    controls: Annotated[np.ndarray | Any, Along("stages")]
-    hamiltonians: Annotated[np.ndarray, Along("stages", ndim=1)]
-    momenta: Annotated[dict[str, np.ndarray], Along("nodes", ndim=2)]
-    body_costates: Annotated[dict[str, np.ndarray], Along("nodes")]
-    spatial_costates: Annotated[dict[str, np.ndarray], Along("nodes")]
-    cost: float
-    success: bool
-    result: str
-    checks: RegularChecks | SingularChecks
-    statistics: Statistics
-    singular: SingularArc | None = None
-    multipliers: Annotated[dict[str, np.ndarray], Along("stages", ndim=2)] = field(default_factory=dict)
-    node_multipliers: Annotated[dict[str, np.ndarray], Along("nodes", ndim=2)] = field(default_factory=dict)
-    parameters: Annotated[Any, Values()] = None
-    interpolant: Interpolant | None = field(default=None, repr=False)
-    quantities: Quantities | Any = None
-
-    def __post_init__(self) -> None:
-        write_protect(vars(self))
 
     @property
     def status(self) -> Status:
@@ -215,6 +192,20 @@ class Solution(HistoryPlots):
         multipliers = self.stage_multipliers, self.node_multipliers
         return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates, *multipliers)
 
+    def _guess_on(self, mesh: Mesh) -> Guess:
+        """The solution at the nodes and stages of a mesh, over its own horizon.
+
+        Raises ``InvalidInputError`` if it is of other manifolds, and ``DomainError`` where a step does not fit into one
+        chart.
+        """
+        mesh.interpolant.require_fits("guess: ", self.states, self.controls)
+        times, stage_times = (self.times[0] + places for places in mesh.times(self.horizon))
+        if _are_same(times, self.times) and _are_same(stage_times, self.stage_times):
+            return self.guess()
+        # A file that says nothing of the retraction is read as one of this: what it is between the nodes is a guess all
+        # the same.
+        return (self.interpolant or mesh.interpolant).guess(self, times, stage_times)
+
     def report(self) -> None:
         """A print of the figures of the solution: status, cost, violations, errors and time."""
         print(self)
@@ -233,8 +224,6 @@ class Solution(HistoryPlots):
         return "\n  ".join(["Solution(", *parts, f"result={self.result!r})"])
 
     def __str__(self) -> str:
-        from .report import report_text
-
         return report_text(self)
 
     def _repr_html_(self) -> str:
@@ -244,15 +233,13 @@ class Solution(HistoryPlots):
     def require_success(self) -> "Solution":
         """This solution; raises ``ConvergenceError`` with its result if the conditions are not met."""
         if not self.success:
-            from .report import report_text
-
             raise ConvergenceError(f"{self.result}\n{report_text(self, result=False)}", self)
         return self
 
     @property
     def stage_multipliers(self) -> dict[str, np.ndarray]:
         """The multipliers of the inequalities, shape ``(N s, k)``, without boundary constraints."""
-        return {name: rows for name, rows in self.multipliers.items() if rows.ndim > 1}
+        return at_stages(self.multipliers)
 
     @property
     def jumps(self) -> np.ndarray:
@@ -282,9 +269,7 @@ class Solution(HistoryPlots):
 
     def to_xarray(self) -> Any:
         """The solution as an ``xarray.Dataset`` with named dimensions and units; see ``retrax.interop.to_xarray``."""
-        from ....interop.tables import to_xarray
-
-        return to_xarray(self)
+        return presentation.to_xarray(self)
 
     def to_pandas(self, at: Any = "nodes") -> Any:
         """The solution as a ``pandas.DataFrame`` with a column for each entry; see ``retrax.interop.to_pandas``.
@@ -294,9 +279,7 @@ class Solution(HistoryPlots):
         at : {"nodes", "stages"} or array_like
             The rows: nodes, stages, or times.
         """
-        from ....interop.tables import to_pandas
-
-        return to_pandas(self, at)
+        return presentation.to_pandas(self, at)
 
     def to_html(
         self,
@@ -314,9 +297,7 @@ class Solution(HistoryPlots):
         path, mesh, title, degrees, cones, obstacles
             As in ``retrax.plotting.to_html``.
         """
-        from ....plotting.page import to_html
-
-        to_html(self, path, mesh, title, degrees=degrees, cones=cones, obstacles=obstacles)
+        presentation.to_html(self, path, mesh, title, degrees=degrees, cones=cones, obstacles=obstacles)
 
     def save(self, path: str | Path) -> None:
         """An ``.npz`` file with the solution, which ``load_solution`` reads.
@@ -338,6 +319,12 @@ class Solution(HistoryPlots):
 def status_of(success: bool, strict_minimum: bool) -> Status:
     """The status of an extremal with or without success."""
     return ("minimum" if strict_minimum else "stationary") if success else "failed"
+
+
+def _are_same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether times are the same to rounding."""
+    horizon = np.max(np.abs(other), initial=0.0)
+    return one.shape == other.shape and bool(np.all(np.abs(one - other) <= SAME_TIME * horizon))
 
 
 def _parts(value: Any) -> dict[str, Any]:

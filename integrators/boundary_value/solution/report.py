@@ -7,16 +7,16 @@ import numpy as np
 
 from ....manifolds.numerics import ambient as vec
 from ...reporting.text import counted, table
-from .diagnostics import RegularChecks
+from .diagnostics import RegularChecks, SingularArc
 from .factor_distances import factor_distances
-from .record import SingularArc, Solution
+from .solution_fields import SolutionFields, at_stages
 
 LONGEST_MOMENTUM = 6
 LONGEST_TURN = 2 * np.pi / 3  # radians: larger turns in one step hardly tell one direction from the other
 EQUAL = 1e-9  # relative: steps that differ by less are of one length
 
 
-def report_text(solution: Solution, *, result: bool = True) -> str:
+def report_text(solution: SolutionFields, *, result: bool = True) -> str:
     """The report of a solution: the outcome and the effort, then the residuals and the geometry.
 
     ``result``: whether the report begins with the sentence on how the search ended.
@@ -25,11 +25,11 @@ def report_text(solution: Solution, *, result: bool = True) -> str:
     return "\n\n".join(map(table, (rows if result else rows[1:], [*_residuals(solution), *_geometry(solution)])))
 
 
-def _outcome(solution: Solution) -> Iterator[tuple[str, str]]:
+def _outcome(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     checks = solution.checks
     yield "result", solution.result
     yield "cost", f"{solution.cost:.12g}{_unit(solution, 'cost')}"
-    yield "horizon", f"{solution.horizon:.9g}{_unit(solution, 'time')}"
+    yield "horizon", f"{solution.times[-1] - solution.times[0]:.9g}{_unit(solution, 'time')}"
     if solution.singular is not None:
         yield from _singular(solution.singular)
         return
@@ -42,12 +42,12 @@ def _outcome(solution: Solution) -> Iterator[tuple[str, str]]:
     for name, values in solution.multipliers.items():
         if values.ndim == 1:
             yield "boundary", f"{name}: multipliers {np.array2string(values, precision=8)}"
-    if (solution.stage_multipliers or solution.node_multipliers) and isinstance(checks, RegularChecks):
+    if (at_stages(solution.multipliers) or solution.node_multipliers) and isinstance(checks, RegularChecks):
         yield from _inequalities(solution, checks)
 
 
-def _inequalities(solution: Solution, checks: RegularChecks) -> Iterator[tuple[str, str]]:
-    every = {"stages": solution.stage_multipliers, "nodes": solution.node_multipliers}
+def _inequalities(solution: SolutionFields, checks: RegularChecks) -> Iterator[tuple[str, str]]:
+    every = {"stages": at_stages(solution.multipliers), "nodes": solution.node_multipliers}
     places = " and ".join(place for place, multipliers in every.items() if multipliers)
     held = (
         f"violated by {checks.violation:.1e}, complementarity {checks.complementarity:.1e} (relative, at the {places})"
@@ -58,7 +58,7 @@ def _inequalities(solution: Solution, checks: RegularChecks) -> Iterator[tuple[s
             yield "", f"{name}: {_active(name, rows, place, checks)}"
 
 
-def _unit(solution: Solution, of: str) -> str:
+def _unit(solution: SolutionFields, of: str) -> str:
     """The unit of time or cost, behind a space; empty where it is not known."""
     unit = getattr(solution.quantities, of, "")
     return f" {unit}" if unit else ""
@@ -86,7 +86,7 @@ def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:
         yield "", f"{name} missed by {violation:.1e}"
 
 
-def _turns(solution: Solution) -> Iterator[tuple[str, str]]:
+def _turns(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     """The angles of rotations, and of points of spheres, from the start to the end and in one step."""
     if solution.interpolant is None:
         return
@@ -109,14 +109,14 @@ def _turns(solution: Solution) -> Iterator[tuple[str, str]]:
             )
 
 
-def _residuals(solution: Solution) -> Iterator[tuple[str, str]]:
+def _residuals(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     """The residuals of the conditions of an extremal."""
     checks = solution.checks
     kind, other = ("KKT residual", "stationarity") if solution.singular is None else ("residual", "equations of P_f")
     yield kind, f"defect {checks.defect:.1e}, {other} {checks.stationarity:.1e} (relative)"
 
 
-def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
+def _geometry(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     checks = solution.checks
     for equation, violation in checks.violations.items():
         yield "constraint error", f"{name_with_label(equation, solution)}: {violation:.1e}"
@@ -144,7 +144,7 @@ def _geometry(solution: Solution) -> Iterator[tuple[str, str]]:
         yield title, f"{label}: {first}, size {size:.3g}; {constant}{kept}"
 
 
-def name_with_label(name: str, solution: Solution) -> str:
+def name_with_label(name: str, solution: SolutionFields) -> str:
     """A name that begins with ``factor k``, with the label of that factor instead."""
     states, quantities = solution.states, solution.quantities
     if not isinstance(states, tuple) or quantities is None:
@@ -152,18 +152,18 @@ def name_with_label(name: str, solution: Solution) -> str:
     return re.sub(r"^factor (\d+)", lambda found: quantities.factors(len(states))[int(found[1])], name)
 
 
-def _effort(solution: Solution) -> Iterator[tuple[str, str]]:
+def _effort(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     statistics, steps = solution.statistics, np.diff(solution.times)
     method = "Newton" if solution.singular is None else "Gauss-Newton"
     least, most = float(steps.min()), float(steps.max())
     length = f"{least:.6g}" if most - least <= EQUAL * most else f"{least:.3g} to {most:.3g}"
     length += _unit(solution, "time")
     if solution.interpolant is not None and len(solution.stage_times):
-        stages = counted(len(solution.stage_times) // solution.steps, "stage")
+        stages = counted(len(solution.stage_times) // len(steps), "stage")
         yield "discretization", f"{stages} a step, retraction {solution.interpolant.retraction}"
     yield (
         "iterations",
-        f"{counted(statistics.iterations, f'{method} step')} on {counted(solution.steps, 'step')} of {length}",
+        f"{counted(statistics.iterations, f'{method} step')} on {counted(len(steps), 'step')} of {length}",
     )
     if solution.singular is not None:
         seconds = statistics.compile_seconds + statistics.run_seconds

@@ -12,6 +12,7 @@ from ....undisturbed import undisturbed
 from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
+from ...problem_checks.requirements import require_values
 from ..inputs.arguments import Method, structure_of
 from ..inputs.connecting_curve import ConnectingCurve
 from ..inputs.guess_arrays import FlatGuess
@@ -80,7 +81,7 @@ class Transcription:
     def _traced(self, parameters: Any) -> TracedFunctions:
         """The same, traced anew."""
         example = self.problem.with_parameters(parameters)
-        example._require_values()
+        require_values(example)
         given = self.problem, parameters, self.evaluator
         if isinstance(self.method, CollocationMethod) and self.method.stages > 1:
             steps: Any = CollocationFunctions(self.problem, self.method, *given[1:])

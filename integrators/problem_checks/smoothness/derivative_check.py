@@ -7,7 +7,7 @@ the shortest spans that are clear of rounding.
 
 from collections.abc import Callable
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, final
+from typing import Any, final
 
 import jax
 import jax.numpy as jnp
@@ -26,12 +26,10 @@ from ....manifolds.numerics.tolerances import rounding_of, tolerance
 from ....retractions import Retraction, default_retraction
 from ....tracing import one_tracing
 from ...problem.boundary_conditions import boundary_words
+from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import parameter_layout
 from ...problem.user_functions import real_number
 from .step_primitives import dependent_equations, program_of
-
-if TYPE_CHECKING:
-    from ...problem.optimal_control_problem import OptimalControlProblem
 
 MADE_BY = {
     "stop_gradient": "jax.lax.stop_gradient",
@@ -117,7 +115,7 @@ def _missed_share(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> n
     return np.where(tells, shares, 0.0)
 
 
-def require_correct_derivatives(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
+def require_correct_derivatives(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> None:
     """Raise if a function changes near ``q`` or ``u`` in a way that its derivative does not tell."""
     derivatives = DerivativeCheck(problem, None)
     if derivatives:
@@ -131,7 +129,7 @@ def require_correct_derivatives(problem: "OptimalControlProblem", q: Ambient, u:
 class DerivativeCheck:
     """Checks at some points whether the derivatives of a problem's functions tell of their values; traced once."""
 
-    def __init__(self, problem: "OptimalControlProblem", parameters: Any) -> None:
+    def __init__(self, problem: OptimalControlProblem, parameters: Any) -> None:
         self.problem, bound, spaces = problem, problem.with_parameters(parameters), (problem.manifold, problem.controls)
         point = (*(jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), m.ambient) for m in spaces), 0.0)
         self.rules = own_rules(program_of(partial(_values, bound.at_time(0.0)), *point[:2]))
@@ -225,7 +223,7 @@ def moved_along(retraction: Retraction, x: Ambient, way: Array) -> Ambient:
     return retraction(x, vec.combine(frame, way * jnp.maximum(vec.coordinate_sizes(frame, x), POINT_DISTANCE)))
 
 
-def _values(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> Array:
+def _values(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> Array:
     """The entries of all functions in a row, with one point for both ends."""
     costs = [problem.cost_rate(q, u), problem.final_cost(q), problem.first_cost(q)]
     velocity = [jnp.real(leaf).ravel() for leaf in jax.tree.leaves(problem.velocity(q, u))]
@@ -234,7 +232,7 @@ def _values(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> Array:
     )
 
 
-def _names(problem: "OptimalControlProblem", q: Ambient) -> list[str]:
+def _names(problem: OptimalControlProblem, q: Ambient) -> list[str]:
     """The name of the function of each of these entries."""
     count = sum(leaf.size for leaf in jax.tree.leaves(problem.manifold.ambient))
     limits = problem._limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)

@@ -7,7 +7,7 @@ interval, or falls with a low power of it. No margins of steps are used (``jumps
 compared, as at the tip of a cone.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,12 +19,10 @@ from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.tolerances import FINEST, rounding_of, tolerance
+from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import parameter_layout
 from ..control_probing import PARTS, SMOOTH_COSTS
 from .jumps import JUMP_DECREASE, PIECES, SMALLEST_JUMP
-
-if TYPE_CHECKING:
-    from ...problem.optimal_control_problem import OptimalControlProblem
 
 KINK_STAGES = 5  # of a trajectory from whose controls is looked
 KINK_REACH = 2.0  # times the largest control: how far
@@ -50,7 +48,7 @@ class Zoom(NamedTuple):
     size: np.ndarray
 
 
-def find_kinks(problem: "OptimalControlProblem", solution: Any) -> str:
+def find_kinks(problem: OptimalControlProblem, solution: Any) -> str:
     """Words on the largest kink of a function along the controls of a record; empty if none is found.
 
     From a few stages along every coordinate of U, and in Euclidean space along the control itself, towards zero.
@@ -81,7 +79,7 @@ def find_kinks(problem: "OptimalControlProblem", solution: Any) -> str:
     return words
 
 
-def _directions(problem: "OptimalControlProblem", u: Ambient) -> tuple[np.ndarray, float]:
+def _directions(problem: OptimalControlProblem, u: Ambient) -> tuple[np.ndarray, float]:
     """Coordinates of directions from several controls, shape ``(k, d, m)``, of size one, and how far to go."""
     count, m = len(jax.tree.leaves(u)[0]), problem.controls.dimension
     ways, reach = np.broadcast_to(np.eye(m), (count, m, m)), 1.0
@@ -95,7 +93,7 @@ def _directions(problem: "OptimalControlProblem", u: Ambient) -> tuple[np.ndarra
 
 
 @np.errstate(all="ignore")
-def zoom_in(problem: "OptimalControlProblem", lines: Any, part: np.ndarray, reach: float) -> Zoom:
+def zoom_in(problem: OptimalControlProblem, lines: Any, part: np.ndarray, reach: float) -> Zoom:
     """Intervals that close in on where the slope of a part of ``H`` changes by the most that its derivative misses.
 
     ``lines``: states, costates, controls and directions of K lines. At a kink between two points no derivative is

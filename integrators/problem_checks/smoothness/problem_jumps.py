@@ -1,7 +1,7 @@
 """Jumps of the functions of a problem: the curves on which they are searched for, and the search in the controls."""
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,13 +12,11 @@ from ....manifolds import InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Retraction
+from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import OF_CONTROL
 from .jumps import Jump, JumpSearch, largest_jump
 from .kinks import without_rounding
 from .step_primitives import find_step_primitives
-
-if TYPE_CHECKING:
-    from ...problem.optimal_control_problem import OptimalControlProblem
 
 CONTROL_SIZES = 10.0 ** np.arange(-4, 7)  # distances from a control, times its size, between which a jump is looked for
 SMOOTH_STEPS = (
@@ -48,7 +46,7 @@ class Curves(NamedTuple):
 
 def search_on_curves(
     function: Callable[..., Array],
-    problem: "OptimalControlProblem",
+    problem: OptimalControlProblem,
     retraction: Retraction | None,
     given: Any,
     row: Any,
@@ -70,7 +68,7 @@ def search_on_curves(
     return JumpSearch(values, point, given, row)
 
 
-def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> None:
+def require_no_jumps(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> None:
     """Raise if a function of the problem jumps in the controls, along a coordinate of these from ``u``.
 
     Only functions that compute steps of the controls are looked at.
@@ -84,13 +82,13 @@ def require_no_jumps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -
             raise InvalidInputError(words)
 
 
-def control_steps(problem: "OptimalControlProblem", q: Ambient, u: Ambient) -> list[str]:
+def control_steps(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> list[str]:
     """Names of the steps that functions of a problem compute from the controls."""
     return find_step_primitives(lambda u: rates(problem, q, u), u)
 
 
 def control_lines(
-    problem: "OptimalControlProblem", points: tuple[Ambient, Ambient, np.ndarray], size: float = 1.0
+    problem: OptimalControlProblem, points: tuple[Ambient, Ambient, np.ndarray], size: float = 1.0
 ) -> tuple[Curves, np.ndarray]:
     """Lines from each of some controls of a size along every coordinate to both sides, in pieces with these ends."""
     n, m = problem.manifold.dimension, problem.controls.dimension
@@ -101,7 +99,7 @@ def control_lines(
 
 
 def control_jump_words(
-    problem: "OptimalControlProblem",
+    problem: OptimalControlProblem,
     search: JumpSearch,
     lines: tuple[Curves, np.ndarray],
     steps: list[str],
@@ -129,7 +127,7 @@ def control_jump_words(
     )
 
 
-def _is_admissible(problem: "OptimalControlProblem", jump: Jump) -> bool:
+def _is_admissible(problem: OptimalControlProblem, jump: Jump) -> bool:
     if problem.control_bounds is None:
         return True
     u, (lower, upper) = jump.point[1], problem.control_bounds
@@ -137,7 +135,7 @@ def _is_admissible(problem: "OptimalControlProblem", jump: Jump) -> bool:
     return bool(np.all(u >= lower - slack) and np.all(u <= upper + slack))
 
 
-def rates(problem: "OptimalControlProblem", q: Ambient, u: Ambient, _: None = None) -> Array:
+def rates(problem: OptimalControlProblem, q: Ambient, u: Ambient, _: None = None) -> Array:
     """The entries of the velocity, the running cost, and the constraints."""
     q, u = jax.tree.map(jnp.asarray, (q, u))  # functions may ask for what arrays of NumPy lack
     leaves = jax.tree.leaves(problem.velocity(q, u))
@@ -147,7 +145,7 @@ def rates(problem: "OptimalControlProblem", q: Ambient, u: Ambient, _: None = No
     return jnp.concatenate([*halves, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem._limits.of_functions(q, u)])
 
 
-def rate_names(problem: "OptimalControlProblem") -> list[str]:
+def rate_names(problem: OptimalControlProblem) -> list[str]:
     """The name of the function of each of these entries."""
     count = sum(
         leaf.size * (1 + jnp.issubdtype(leaf.dtype, jnp.complexfloating))

@@ -3,10 +3,11 @@
 from ..integrability_result import Signature
 from .affine_hulls import AffineHull
 from .algorithm_stages import Level
-from .classification import Classification, MorseTest, Stratum
+from .classification import Classification, MorseTest
 from .classify import classify
 from .final_equations import FinalEquations
 from .lagrangian_submanifolds import L_H, S_H, critical_set
+from .strata import Stratum
 
 __all__ = [
     "L_H",

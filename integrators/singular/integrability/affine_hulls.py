@@ -1,6 +1,6 @@
 """Affine hulls of pieces of ``P_f``: linear equations that hold on one piece and not on the pieces that cross it."""
 
-from typing import TYPE_CHECKING, Self, final
+from typing import Self, final
 
 import equinox as eqx
 import jax
@@ -10,12 +10,10 @@ from jaxtyping import Array, Bool, Float
 
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.precision import default_tolerance
+from .algorithm_stages import StoppedPoints
 from .derivative_array import Pair
 from .final_equations import FinalEquations
 from .sample_points import Points
-
-if TYPE_CHECKING:
-    from .strata import StoppedPoints
 
 SAME_DIRECTION = 1e-9  # largest difference of directions that are the same, in units
 APART = 1e-7  # larger differences of directions are clear: between, a curved piece may be nearly flat
@@ -39,7 +37,7 @@ class AffineHull(eqx.Module):
         return jnp.all(jnp.abs(self(z)) <= default_tolerance() * (1 + sizes))
 
     @classmethod
-    def of(cls, members: "list[StoppedPoints]") -> Self | None:
+    def of(cls, members: list[StoppedPoints]) -> Self | None:
         """The hull of a piece from points of it and tangent spaces there; None if these leave out no direction.
 
         That is known where one point less shows the same. What vanishes all over ``T*Q`` is left out.

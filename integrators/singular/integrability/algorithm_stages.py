@@ -3,12 +3,15 @@ strata."""
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from ..integrability_result import Signature
 from .echelon import CERTAIN, COUNTED, RANK_GAP, eliminate, significance
 from .sample_points import RESOLUTION, Points
+
+VANISHING_COSTATE = 1e-6  # of the action: a costate whose product with the lengths is smaller counts as zero
 
 
 @dataclass(frozen=True)
@@ -29,6 +32,24 @@ class PointRanks:
     determined: np.ndarray
     tangents: np.ndarray
     pivots: np.ndarray
+
+
+class StoppedPoints(NamedTuple):
+    """A point around which ``P^k`` stopped, in a batch of its own, and its ranks at all levels."""
+
+    points: Points
+    history: list[PointRanks]
+
+    @property
+    def ranks(self) -> PointRanks:
+        """At the last level."""
+        return self.history[-1]
+
+    @property
+    def trivial(self) -> bool:
+        """Whether the costate vanishes."""
+        sizes = self.points.sizes
+        return bool(np.max(np.abs(self.points.at.costate) * sizes.lengths) <= VANISHING_COSTATE * sizes.action)
 
 
 @dataclass(frozen=True)

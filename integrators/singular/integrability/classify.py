@@ -16,17 +16,17 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import require_concrete
 from ...problem_checks.costs import is_steep
 from ...problem_checks.inspection import Inspection
-from ...problem_checks.requirements import require_treated
+from ...problem_checks.requirements import require_treated, require_values
 from ...problem_checks.smoothness.hamiltonian_jumps import Energy, Segments
 from ...reporting.results import warn_about_precision
 from ..integrability_result import Signature
-from .algorithm_stages import Level, PointRanks, point_ranks, summarise
-from .classification import Classification, MorseTest, Stratum
+from .algorithm_stages import Level, PointRanks, StoppedPoints, point_ranks, summarise
+from .classification import Classification, MorseTest
 from .derivative_array import Pair
 from .random_points import random_starts
 from .sample_points import Points, select, with_order
 from .search import make_consistent, points_beside
-from .strata import StoppedPoints, find_strata
+from .strata import Stratum, find_strata
 
 if TYPE_CHECKING:
     from ..symbolic import SymbolicClassification
@@ -193,7 +193,7 @@ def _check(problem: OptimalControlProblem, starts: int, near: Pair | None) -> No
         if not verdict:
             raise NotOnManifoldError(f"near must be a state (q, p): {verdict.reason}")
     q = problem.manifold.random_point(jax.random.key(0)) if near is None else near[0]
-    problem._require_values()
+    require_values(problem)
     Inspection(problem, q, resting_control(problem.controls)).require_smooth()
 
 

@@ -1,39 +1,84 @@
 """The pieces of ``P_f``, told apart by the points at which the algorithm stopped."""
 
 from collections import Counter
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.ambient import Ambient
 from ..integrability_result import Signature
-from .affine_hulls import APART, FEWEST_POINTS, SAME_DIRECTION, AffineHull, piece_equations
-from .algorithm_stages import PointRanks
-from .classification import Stratum
-from .final_equations import final_equations
-from .sample_points import Points
-
-VANISHING_COSTATE = 1e-6
+from .affine_hulls import APART, FEWEST_POINTS, SAME_DIRECTION, AffineHull, PieceEquations, piece_equations
+from .algorithm_stages import PointRanks, StoppedPoints
+from .final_equations import FinalEquations, final_equations
 
 
-class StoppedPoints(NamedTuple):
-    """A point around which ``P^k`` stopped, in a batch of its own, and its ranks at all levels."""
+@dataclass(frozen=True, eq=False)
+class Stratum:
+    """A piece of ``P_f`` with constant ranks, found at ``count`` of the points.
 
-    points: Points
-    history: list[PointRanks]
+    Attributes
+    ----------
+    signature : Signature
+        Codimension, free controls, rank of the form.
+    count : int
+        The number of points on it.
+    flat : bool
+        Whether its tangent spaces are the same at all points.
+    k_f, k_f_base : int
+        The levels at which ``S`` and ``P`` stop changing.
+    determined_at : tuple of int or None
+        For each control component the level that determines it; None if it is free.
+    q, p, u : point, covector, control
+        A point of the piece, and a control there.
+    kernel : pair
+        Basis of the kernel of ``omega_f`` at the point, leaves ``(k, *leaf)`` of pairs ``(dq, dp)``.
+    states : pair
+        All its points, leaves ``(count, *leaf)`` of pairs ``(q, p)``.
+    equations : FinalEquations
+        Equations, which may vanish on other pieces too.
+    piece : PieceEquations or None
+        Equations of this piece alone; None if it lies in no affine space of its own.
+    feedback : FinalEquations
+        The equations that determine the controls.
+    """
+
+    signature: Signature
+    count: int
+    flat: bool
+    k_f: int
+    k_f_base: int
+    determined_at: tuple[int | None, ...]
+    q: Ambient
+    p: Ambient
+    u: Ambient
+    kernel: Ambient
+    states: Ambient
+    equations: FinalEquations
+    piece: PieceEquations | None
+    feedback: FinalEquations
 
     @property
-    def ranks(self) -> PointRanks:
-        """At the last level."""
-        return self.history[-1]
+    def codimension(self) -> int:
+        """The number of independent equations in ``T*Q``."""
+        return self.signature.codimension
 
     @property
-    def trivial(self) -> bool:
-        """Whether the costate vanishes."""
-        sizes = self.points.sizes
-        return bool(np.max(np.abs(self.points.at.costate) * sizes.lengths) <= VANISHING_COSTATE * sizes.action)
+    def dimension(self) -> int:
+        """The dimension of the piece: rank of the form plus dimension of its kernel."""
+        return self.rank + len(jax.tree.leaves(self.kernel)[0])
+
+    @property
+    def rank(self) -> int:
+        """The rank of ``omega_f``."""
+        return self.signature.form_rank
+
+    @property
+    def free_controls(self) -> int:
+        """The number of free controls."""
+        return self.signature.free_controls
 
 
 def find_strata(found: list[StoppedPoints]) -> tuple[Stratum, ...]:

@@ -2,12 +2,10 @@
 of."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    from .sample_points import Linearisation
+from .linearisation import Linearisation
 
 SMALLEST_LENGTH = 1e-3  # of a coordinate of Q: its unit is not smaller, so that steps of it are no rounding
 LEAST = 1e-13  # of an equation's terms: its unit is not smaller, since that is their rounding
@@ -61,7 +59,7 @@ def typical(sizes: np.ndarray) -> np.ndarray:
     return np.where(medians > 0, medians, np.nanmax(known, axis=0))
 
 
-def sizes_at_starts(at: "Linearisation", lengths: np.ndarray, vanishing: np.ndarray) -> Sizes:
+def sizes_at_starts(at: Linearisation, lengths: np.ndarray, vanishing: np.ndarray) -> Sizes:
     """Sizes from the velocity, the cost, the costate and the control at the starts."""
     n = len(lengths)
     rate = float(typical(np.max(np.abs(at.velocity[:, :n]) / lengths, axis=1))) or 1.0
@@ -73,7 +71,7 @@ def sizes_at_starts(at: "Linearisation", lengths: np.ndarray, vanishing: np.ndar
     return Sizes(lengths, first.action, rate, first.control, typical(units_at(at, first).rows), vanishing)
 
 
-def units_at(at: "Linearisation", sizes: Sizes) -> Units:
+def units_at(at: Linearisation, sizes: Sizes) -> Units:
     """The unit of each equation at each point: the sum of its partial derivatives, each times the size of its variable.
 
     A value is then the distance, relative to such sizes, at which the equation holds. Variables far larger than at the
@@ -95,11 +93,11 @@ def units_at(at: "Linearisation", sizes: Sizes) -> Units:
     return Units(np.where(np.isfinite(rows) & (rows > 0), rows, 1.0), terms, state, jet)
 
 
-def own_sizes(at: "Linearisation") -> np.ndarray:
+def own_sizes(at: Linearisation) -> np.ndarray:
     """The size of each equation from the values of the variables at the point, ``(batch, order + 1, m)``."""
     with np.errstate(all="ignore"):
         return np.nan_to_num(_weigh(at, np.abs(np.concatenate([at.position, at.costate], axis=1)), np.abs(at.jet)))
 
 
-def _weigh(at: "Linearisation", state: np.ndarray, jet: np.ndarray) -> np.ndarray:
+def _weigh(at: Linearisation, state: np.ndarray, jet: np.ndarray) -> np.ndarray:
     return np.einsum("bkms,bs->bkm", np.abs(at.by_state), state) + np.einsum("bkmln,bln->bkm", np.abs(at.by_jet), jet)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..integrators import Free, Guess, OptimalControlProblem
 from ..manifolds import InvalidInputError, Manifold, Metric
-from ..manifolds.manifold import same_manifold
+from ..manifolds.bundles import same_manifold
 from ..retractions import CollocationMethod, DiscretizationMap, Retraction, default_retraction
 from .conventions import Conventions
 from .counterpart import Counterpart

@@ -18,7 +18,6 @@ from retrax.integrators import (
     load_solution,
     solve,
 )
-from retrax.integrators.boundary_value.shooting.legendre_clebsch import generalised_legendre_clebsch
 from retrax.integrators.singular import Classification, singular_integrator
 from retrax.integrators.singular.strategies import RattleIntegrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
@@ -363,33 +362,6 @@ def test_an_integrator_is_for_singular_problems_and_their_discretization():
         solve(regular, ZERO, ONE, 1.0, method=Midpoint(Exponential(LINE)), steps=4, classification=classified(ALY_CHAN))
 
 
-def test_kelley_and_goh_tell_a_minimum_from_what_is_none():
-    """Of ``(a x2^2 - x1^2)/2`` the arc minimises for ``a > 0`` only; ``p = A(q)`` in a magnetic field never does."""
-    z, u = ((jnp.ones((2, 1)), jnp.ones((2, 1))), (jnp.ones((2, 1)), jnp.zeros((2, 1)))), jnp.ones((2, 1))
-    upside_down = cascade(lambda q, u: -(q[1] @ q[1] + q[0] @ q[0]) / 2)
-    assert "strict generalised Legendre-Clebsch condition met" in generalised_legendre_clebsch(ALY_CHAN, z, u)
-    assert "condition fails" in generalised_legendre_clebsch(upside_down, z, u)
-    particle = SINGULAR["massless particle"]().problem
-    assert "Goh's condition fails" in generalised_legendre_clebsch(
-        particle, (jnp.ones((2, 2)), jnp.ones((2, 2))), jnp.ones((2, 2))
-    )
-
-
-@pytest.mark.parametrize("order", [2, 3])
-def test_the_sign_of_kelleys_condition_alternates_with_the_order(order):
-    """``x_1' = x_2, ..., x_k' = u`` with the cost ``a x_1^2 / 2``: the arc ``x = 0`` of order k minimises for
-    ``a > 0``."""
-    for sign, words in ((1, "strict Kelley's condition"), (-1, "Kelley's condition of order")):
-        problem = OptimalControlProblem(
-            Euclidean(order), lambda q, u: jnp.concatenate([q[1:], u]), lambda q, u, a=sign: a * q[0] ** 2 / 2, 1
-        )
-        found = generalised_legendre_clebsch(
-            problem, (np.zeros((2, order)), np.zeros((2, order))), jnp.zeros((2, 1)), order
-        )
-        assert found.startswith(words)
-        assert ("fails" in found) == (sign < 0)
-
-
 @pytest.mark.slow
 def test_an_extremal_that_is_a_point_rests():
     """``x' = u`` with cost ``x^2``: ``P_f = {x = p = 0}``."""
@@ -411,38 +383,3 @@ def test_an_iterate_that_overflows_leaves_no_warning():
     )
     ends = np.zeros(2), np.array([1.0, 0.0])
     assert not solve(problem, *ends, 1.0, method=Midpoint(Exponential(plane)), steps=6, throw=False).success
-
-
-@pytest.mark.parametrize(("last", "interrupted"), [(0, False), (1, False), (1, True), (100, False)])
-def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last, interrupted):
-    seen = []
-
-    def stop(iteration):
-        seen.append(iteration)
-        if interrupted and iteration.number == last:
-            raise KeyboardInterrupt
-        return iteration.number == last
-
-    given = (ZERO, None), (ONE, None), np.pi / 2
-    known = {"classification": classified(ALY_CHAN), "throw": False}
-    found = solve(ALY_CHAN, *given, method=MIDPOINT, steps=8, callback=stop, **known)
-    assert [iteration.number for iteration in seen] == list(range(len(seen)))
-    assert all(np.isfinite(iteration.defect).all() and np.isnan(iteration.cost).all() for iteration in seen)
-    assert {np.shape(part) for iteration in seen for part in iteration[1:]} == {(1,)}  # one member
-    assert found.success == (last == 100)
-    assert len(seen) == (found.statistics.iterations + 1 if found.success else last + 1)
-    if not found.success:
-        assert found.result == Result[Result.stopped]
-        assert found.statistics.stopped
-
-
-@pytest.mark.parametrize("verbose", [False, True])
-@pytest.mark.parametrize("known", [(), ("classification",), ("classification", "integrator")])
-def test_what_is_done_before_the_iterations_is_printed_where_it_is_asked_for(verbose, known, capsys):
-    given = {"classification": (c := classified(ALY_CHAN)), "integrator": singular_integrator(c, MIDPOINT)[0]}
-    options = {"verbose": verbose, **{name: given[name] for name in known}}
-    solution = solve(ALY_CHAN, (ZERO, None), (ONE, None), np.pi / 2, method=MIDPOINT, steps=4, **options)
-    words = ["is classified", "is chosen", "are looked for", "is compiled", "iteration"][len(known) :]
-    numbers = [f"{count:>9} " for count in range(solution.statistics.iterations + 1)]
-    expected, lines = [*words, *numbers, "is examined"] if verbose else [], capsys.readouterr().out.splitlines()
-    assert [part in line for part, line in zip(expected, lines, strict=True)] == [True] * len(expected)

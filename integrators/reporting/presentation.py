@@ -1,6 +1,14 @@
-"""The method ``plot`` of a solution, of a batch and of phases."""
+"""Pictures, tables and pages of records, which the packages for them draw and write."""
 
 from typing import Any
+
+from ...hooks import Hook
+
+PLACE = "src/retrax/presentation.py"
+histories: Hook[..., Any] = Hook(PLACE)  # of a record, as axes of Matplotlib
+to_xarray: Hook[..., Any] = Hook(PLACE)
+to_pandas: Hook[..., Any] = Hook(PLACE)
+to_html: Hook[..., None] = Hook(PLACE)
 
 
 class HistoryPlots:
@@ -19,6 +27,4 @@ class HistoryPlots:
         ndarray of matplotlib axes
             One for each array of the state, then one for each array of the controls.
         """
-        from ....plotting.histories import histories
-
         return histories(self, degrees=degrees)

@@ -1,0 +1,70 @@
+"""An accuracy that is asked for where constraints hold a trajectory, touch it, or depend on time."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from retrax.integrators import (
+    OptimalControlProblem,
+    solve,
+)
+from retrax.manifolds import SO, Euclidean, hat
+from retrax.retractions import Addition, Cayley, Gauss, default_retraction
+
+from .test_refinement import energy
+
+
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
+@pytest.mark.parametrize("slope", [1.4, 2.0])
+def test_a_cone_whose_slopes_pass_through_zero_is_solved_to_any_accuracy(slope, accuracy):
+    """Near the end of the arc on the cone the thrust passes its axis in one direction: finer steps come nearer to
+    where the cone has no slope in that, and no curvature in the other."""
+    gravity, rest = np.array([0.0, 0.0, -1.0]), np.zeros(3)
+    space = Euclidean(3) * Euclidean(3)
+
+    def cone(q, u):
+        return jnp.sqrt(u[0] ** 2 + u[1] ** 2 + 1e-6) - slope * u[2]
+
+    problem = OptimalControlProblem(
+        space, lambda q, u: (q[1], u + gravity), lambda q, u: u @ u / 2, 3, constraints={"cone": cone}
+    )
+    start = np.array([2.0, 1.0, 3.0]), np.array([0.3, -0.2, -0.5])
+    solution = solve(
+        problem, start, (rest, rest), 3.0, method=Gauss(2, default_retraction(space)), steps=10, accuracy=accuracy
+    )
+    assert solution.checks.strict_minimum
+    assert solution.cost == pytest.approx({1.4: 6.88101245, 2.0: 5.343992}[slope], rel=max(10 * accuracy, 1e-7))
+
+
+@pytest.mark.long("15.0-0.0001", "15.0-1e-05", "20.0-0.0001", "20.0-1e-05")
+@pytest.mark.parametrize("accuracy", [1e-4, 1e-5, 1e-7])
+@pytest.mark.parametrize("degrees", [15.0, 16.0, 18.0, 20.0])
+def test_a_minimum_that_touches_a_cone_is_shown_with_any_accuracy(degrees, accuracy):
+    """A slew past a cone that is left alone up to 16 degrees, and touched at one time by a wider one: finer stages
+    beside that time hold almost the same."""
+    inertia, space = jnp.array([3.0, 2.0, 1.0]), SO(3) * Euclidean(3)
+    aim = np.array([np.cos(0.8) * np.cos(0.3), np.sin(0.8) * np.cos(0.3), np.sin(0.3)])
+
+    def dynamics(q, u):
+        return q[0] @ hat(q[1]), (u - jnp.cross(q[1], inertia * q[1])) / inertia
+
+    def outside(q, u):
+        return q[0][:, 0] @ aim - np.cos(np.deg2rad(degrees))
+
+    problem = OptimalControlProblem(space, dynamics, energy, 3, constraints={"outside": outside})
+    turned = np.array([[np.cos(1.6), -np.sin(1.6), 0.0], [np.sin(1.6), np.cos(1.6), 0.0], [0.0, 0.0, 1.0]])
+    ends, method = ((np.eye(3), np.zeros(3)), (turned, np.zeros(3))), Gauss(2, Cayley(space))
+    solution = solve(problem, *ends, 5.0, method=method, steps=10, accuracy=accuracy)
+    assert solution.checks.strict_minimum
+    assert (solution.checks.active["outside"] > 0) == (degrees > 17)
+
+
+@pytest.mark.parametrize("kind", ["constraints", "node_constraints"])
+def test_constraints_with_an_explicit_time_are_looked_at_between_the_points(kind):
+    line = Euclidean(1)
+    tube = (lambda q, u, t: q[0] - 1 - t) if kind == "constraints" else (lambda q, t: q[0] - 1 - t)
+    problem = OptimalControlProblem(
+        line, lambda q, u, t: u, lambda q, u, t: u @ u / 2, 1, time_dependent=True, **{kind: {"tube": tube}}
+    )
+    found = solve(problem, np.zeros(1), np.ones(1), 1.0, method=Gauss(2, Addition(line)), steps=10, accuracy=1e-6)
+    assert found.cost == pytest.approx(0.5, rel=1e-9)
+    assert found.checks.between == {"tube": 0.0}
