@@ -43,7 +43,7 @@ def find_phases(
     if problem.coupling is not None:
         notes = dependence_notes(problem, records, names)
         pairs = zip(records, notes, strict=True)
-        records = [own._replace(strict=own.strict and not words) for own, words in pairs]
+        records = [own.with_facts(strict=own.facts.strict and not words) for own, words in pairs]
     multipliers, found, begin = np.stack([own.multipliers for own in records]), list[DiscreteExtremals](), 0
     for j, (phase, part, own) in enumerate(zip(problem.phases, parts, owns, strict=True)):
         boundary = dict[str, np.ndarray]()

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from retrax.compute.binding.block_elimination import BlockArrays, solve_blocks
-from retrax.compute.binding.condensing import CollocationArrays, condense_slope, condense_steps, expand_steps
+from retrax.compute.binding.condensing import CollocationArrays, condense_slope, condense_steps
 from retrax.compute.binding.library import best_instruction_set
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Gauss
+
+from .core_calls import expand_steps
 
 SETS = range(best_instruction_set() + 1)
 COUNT = 4  # steps

@@ -2,14 +2,16 @@
 
 import numpy as np
 import pytest
-from retrax.compute.binding.library import best_instruction_set, library
+from retrax.compute.binding.library import best_instruction_set
+
+from .core_calls import core
 
 
 def factorised(matrix):
     """Factors and exchanges of rows, by the core."""
     n = len(matrix)
     factors, swaps, weights = np.ascontiguousarray(matrix, float).copy(), np.full(n, -1, np.intp), np.empty(n)
-    library().retrax_lu_factorise(n, factors.ctypes.data, swaps.ctypes.data, weights.ctypes.data)
+    core().retrax_lu_factorise(n, factors.ctypes.data, swaps.ctypes.data, weights.ctypes.data)
     return factors, swaps
 
 
@@ -17,13 +19,13 @@ def solved(factors, swaps, side, own=0):
     n, columns = side.shape
     x = np.zeros((n, -(-columns // 8) * 8))
     x[:, :columns] = side
-    library().retrax_lu_solve(n, factors.ctypes.data, swaps.ctypes.data, x.shape[1], x.ctypes.data, own)
+    core().retrax_lu_solve(n, factors.ctypes.data, swaps.ctypes.data, x.shape[1], x.ctypes.data, own)
     return x[:, :columns]
 
 
 def solved_transposed(factors, swaps, side):
     x = np.array(side, float)
-    library().retrax_lu_solve_transposed(len(factors), factors.ctypes.data, swaps.ctypes.data, x.ctypes.data)
+    core().retrax_lu_solve_transposed(len(factors), factors.ctypes.data, swaps.ctypes.data, x.ctypes.data)
     return x
 
 

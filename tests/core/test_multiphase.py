@@ -197,8 +197,8 @@ def searched(problem: LinkedPhases, guess: Any, callback: Any = None) -> Any:
 def test_searches_end_at_the_minima_of_the_discrete_problems(case, monkeypatch):
     problem, guess = posed(case, monkeypatch)
     found, (cost, off) = searched(problem, guess), COSTS[case]
-    assert found.claimed
-    assert found.strict
+    assert found.facts.claimed
+    assert found.facts.strict
     assert found.cost == pytest.approx(cost(), rel=off)
     assert np.max(found.missing) < 1e-9
     assert np.max(found.residuals[:2]) < 1e-10
@@ -214,8 +214,8 @@ def test_a_search_from_what_it_has_found_takes_no_time(monkeypatch):
     problem, guess = posed("three phases of one horizon", monkeypatch)
     member = MemberSearch(problem, guess, 0, (1e-10, 100), Watch(None))
     again = member.from_iterate(member.from_guess().iterate)
-    assert again.claimed
-    assert again.iterations <= 1
+    assert again.facts.claimed
+    assert again.facts.iterations <= 1
 
 
 @pytest.mark.parametrize("content", [np.nan, 1e300])
@@ -231,15 +231,15 @@ def test_the_memory_of_a_search_may_have_any_content(content, monkeypatch):
 
     monkeypatch.setattr(Transcription, "search_room", filled)
     found = searched(problem, guess)
-    assert found.iterations == expected.iterations
+    assert found.facts.iterations == expected.facts.iterations
     assert found.cost == expected.cost
 
 
 def test_a_callback_stops_a_search(monkeypatch):
     found = searched(*posed("three phases of one horizon", monkeypatch), lambda one: one.number == 2)
-    assert found.stopped
-    assert not found.claimed
-    assert found.iterations == 2
+    assert found.facts.stopped
+    assert not found.facts.claimed
+    assert found.facts.iterations == 2
 
 
 UNTRACEABLE = {  # a constraint of the ends, and a cost of an end, that no tape computes

@@ -41,8 +41,7 @@ def with_callbacks(transcription: Transcription, conditions: Any, share: Any) ->
     of = transcription
     tapes = conditions.transcription.functions | conditions.at_nodes.functions
     functions = {name: function_of(tapes[name]) if share(name) else program for name, program in of.programs.items()}
-    matrix, weights, groups, of_controls, kept = of._kept[:5]
-    return Transcription(of.sizes, (matrix, weights), groups, of_controls, kept, of._problem.bounds, functions)
+    return Transcription(of.sizes, of.tableau, of.groups, of.control_groups, of.kept, of.bounds, functions)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -57,7 +56,7 @@ def test_searches_by_callbacks_are_those_by_tapes(name, monkeypatch):
         core_transcription.put(search.trajectory, conditions, guess._replace(slacks=None), 0)
         assert search.run() is SearchStatus.CONVERGED
         at = search.trajectory
-        found.append((search.read().iterations, at["TOTALS"][0], at["CENTRES"].copy(), at["CONTROLS"].copy()))
+        found.append((search.read().facts.iterations, at["TOTALS"][0], at["CENTRES"].copy(), at["CONTROLS"].copy()))
     for iterations, cost, *arrays in found[1:]:
         assert iterations == found[0][0]
         assert cost == pytest.approx(found[0][1], rel=1e-12)

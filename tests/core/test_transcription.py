@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from retrax.compute.binding.library import best_instruction_set
 from retrax.compute.binding.search import Search, SearchStatus
-from retrax.compute.binding.transcription import FunctionName, LimitScale, Scale, Trajectory, Transcription
+from retrax.compute.binding.transcription import FunctionName, Scale, Trajectory, Transcription
 from retrax.integrators import OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.transcription import core_transcription
 from retrax.integrators.boundary_value.transcription.discrete_phase import DiscretePhase
@@ -17,6 +17,7 @@ from retrax.retractions import Addition, Midpoint, default_retraction
 
 from ..integrators.problems import SPHERE, half_square
 from ..integrators.search_cases import SLEWS
+from .core_calls import LimitScale, expand, measure, move, move_inequalities, step_inequalities
 from .discrete_equations import DiscreteEquations, Expansion
 from .trajectories import CASES, posed, put
 
@@ -54,7 +55,7 @@ def random_iterate(of: Transcription, phase: DiscretePhase, guess: Any, seed: in
     at["VELOCITY_STEPS"] = speed * rng.standard_normal(len(speed))
     for name in ("COVECTOR_STEPS", "POINT_MULTIPLIER_STEPS"):
         at[name] = rng.standard_normal(len(at[name]))
-    to.move(at, 1.0)
+    move(to, at, 1.0)
     elastic = rng.random(len(to["LIMITS"])) < 0.5
     for name in ("SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES"):
         to[name] = (0.1 + rng.random(len(to[name]))) * (to["LIMIT_WEIGHTS"] > 0)
@@ -90,7 +91,7 @@ def test_systems_are_the_derivatives_of_the_discrete_equations(name):
     held = np.sum(at["LIMIT_WEIGHTS"] * at["LIMIT_MULTIPLIERS"] * lacking)
     measured = Scale(np.ones(len(at["PARTS"])), np.ones(equations.n), 1.0)
     limits = LimitScale(1.0, np.ones(steps.inequalities), 1e3, 0.9, 1e9)
-    at.measure(measured, measured, limits, 1.0)
+    measure(at, measured, measured, limits, 1.0)
     rest, asked, survey = at["PENALTIES"] - at["LIMIT_MULTIPLIERS"], at["LIMIT_WEIGHTS"] > 0, at["LIMIT_SURVEY"]
     np.testing.assert_allclose(survey[6], held, rtol=1e-9)
     elastic = asked & np.isfinite(rest)
@@ -121,12 +122,12 @@ def test_steps_solve_the_linear_equations_and_move_in_charts(name):
     inner = slice(n, n + equations.inner)
     at["STEPS"] = np.delete(steps, np.r_[inner], axis=1).ravel()
     at["MULTIPLIER_STEPS"] = of_nodes.ravel()
-    at.expand()
+    expand(at)
     if equations.collocates:
         of_points = solution[unknowns + (count + 1) * n :]
         compare(at, {"VELOCITY_STEPS": steps[:, inner], "POINT_MULTIPLIER_STEPS": of_points}, rtol=1e-6)
     part, to = 0.7, put(of.trajectory(), phase, guess)
-    to.move(at, part)
+    move(to, at, part)
     x, nu, u = equations._moved_all(expected.given, part * steps)
     moved = {"CENTRES": x, "CONTROLS": u}
     lift = expected.multipliers + part * at["COVECTOR_STEPS"].reshape(count + 1, n)
@@ -143,7 +144,7 @@ def test_steps_solve_the_linear_equations_and_move_in_charts(name):
 def check_inequalities(at: Trajectory, to: Trajectory, change: np.ndarray) -> None:
     """Steps of slacks, multipliers and excesses solve their linear equations, and are made as far as they stay
     inside."""
-    at.step_inequalities(SHARE)
+    step_inequalities(at, SHARE)
     s, nu, t, rho, mu = (at[k] for k in ("SLACKS", "LIMIT_MULTIPLIERS", "EXCESSES", "PENALTIES", "BARRIER"))
     ds, dnu, dt = (at[k] for k in ("SLACK_STEPS", "LIMIT_MULTIPLIER_STEPS", "EXCESS_STEPS"))
     asked, elastic = at["LIMIT_WEIGHTS"] > 0, np.isfinite(rho)
@@ -169,7 +170,7 @@ def check_inequalities(at: Trajectory, to: Trajectory, change: np.ndarray) -> No
     found = at["LIMIT_STEP"]
     np.testing.assert_allclose([min(1.0, found[0]), found[1]], [primal, dual], rtol=1e-6)
     np.testing.assert_allclose(found[2:4], [ahead, np.sum(w * dnu * lacking)], rtol=1e-6, atol=1e-8)
-    to.move_inequalities(at, 0.5, 0.25)
+    move_inequalities(to, at, 0.5, 0.25)
     expected = {"SLACKS": s + 0.5 * ds, "EXCESSES": t + 0.5 * dt, "LIMIT_MULTIPLIERS": nu + 0.25 * dnu}
     for name, array in expected.items():
         inside = asked & (array > 1e-3)  # else multipliers are held near the barrier over their slacks
@@ -250,8 +251,8 @@ def test_searches_end_where_the_first_and_second_order_conditions_hold(name):
     put(search.trajectory, phase, guess._replace(slacks=None))
     assert search.run() is SearchStatus.CONVERGED
     found, at = search.read(), search.trajectory
-    assert found.claimed
-    assert found.strict
+    assert found.facts.claimed
+    assert found.facts.strict
     expected, steps = Expansion(equations, at), phase.transcription
     own, hessian = expected.of_steps, expected.of_steps["hessian"]
     size = sizes_of_unknowns(equations, found.judging)
@@ -293,7 +294,7 @@ def test_what_the_memory_of_a_search_held_before_changes_no_bit(name):
         search = Search(own, 1e-10, 100)
         put(search.trajectory, phase, guess._replace(slacks=None))
         status, found = search.run(), search.read()
-        told = [status, found.iterations, found.claimed, found.strict, found.convex, found.limits.tobytes()]
+        told = [status, found.facts, found.limits.tobytes()]
         names = "CENTRES", "CONTROLS", "COSTATES", "LIMIT_MULTIPLIERS", "RESIDUALS", "STEPS", "TOTALS"
         ends.append(told + [found.trajectory[array].tobytes() for array in names])
     assert ends[0] == ends[1] == ends[2]

@@ -18,7 +18,7 @@ def test_iterations_of_searches_without_success_are_counted(speed, monkeypatch):
 
     def counted(search):
         status = run(search)
-        counts.append(search.read().iterations)
+        counts.append(search.read().facts.iterations)
         return status
 
     def counted_phase(search, most):

@@ -39,7 +39,7 @@ def search_member(member: MemberSearch) -> SearchRecord:
     """The result of the search from the guess of a member, or of the best restart."""
     found = first = member.from_guess()
     for restart in RESTARTS:
-        if member.watch.stopped or (found.claimed and found.strict):
+        if member.watch.stopped or (found.facts.claimed and found.facts.strict):
             break
         try:
             found = restart(member, first, found)
@@ -67,7 +67,7 @@ def from_slow_convergence(member: MemberSearch, first: SearchRecord, found: Sear
 
     A new search begins without regularisation, with which steps converge only linearly.
     """
-    return _better(member, found, found.iterate) if _is_near(found) and not found.right_inertia else found
+    return _better(member, found, found.iterate) if _is_near(found) and not found.facts.right_inertia else found
 
 
 def from_feasible_trajectory(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
@@ -78,14 +78,14 @@ def from_feasible_trajectory(member: MemberSearch, first: SearchRecord, found: S
     and parameters, and only a minimum is the best fit.
     """
     controlled = any(phase.transcription.controls.dimension for phase in member.problem.phases)
-    settled = found.claimed or _is_near(found) if controlled else found.claimed and found.strict
-    if settled or found.falls:
+    settled = found.facts.claimed or _is_near(found) if controlled else found.facts.claimed and found.facts.strict
+    if settled or found.facts.falls:
         return found
     restored, iterate = member.restore(member.guess.bare)
-    found = found._replace(iterations=found.iterations + restored.trials)
+    found = found.with_facts(iterations=found.facts.iterations + restored.trials)
     if restored.feasible:
         found = _better(member, found, iterate.bare, width=NARROW)
-    return found._replace(infeasible=found.infeasible and not restored.holds)
+    return found.with_facts(infeasible=found.facts.infeasible and not restored.holds)
 
 
 def from_forward_simulation(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
@@ -136,20 +136,20 @@ def _better(
         return found
     again = member.from_iterate(start, width, firm)
     anything = anything and not member.watch.stopped  # a search that was stopped may not have begun
-    better = anything or (again.claimed and not (found.claimed and again.cost >= found.cost))
-    return (again if better else found)._replace(iterations=found.iterations + again.iterations)
+    better = anything or (again.facts.claimed and not (found.facts.claimed and again.cost >= found.cost))
+    return (again if better else found).with_facts(iterations=found.facts.iterations + again.facts.iterations)
 
 
 def _says_nothing(found: SearchRecord) -> bool:
     """Whether a result is neither an extremal nor infeasible: then the result of any other search says as much."""
-    return not (found.claimed or found.infeasible)
+    return not (found.facts.claimed or found.facts.infeasible)
 
 
 def _is_near(found: SearchRecord) -> bool:
     """Whether the iteration limit came near to an extremal."""
-    return not found.claimed and found.limited and bool(found.residuals[LARGEST] <= NEAR)
+    return not found.facts.claimed and found.facts.limited and bool(found.residuals[LARGEST] <= NEAR)
 
 
 def _is_open(found: SearchRecord) -> bool:
     """Whether no search came near to an extremal, and the cost has a lower bound."""
-    return not (found.claimed or _is_near(found) or found.falls)
+    return not (found.facts.claimed or _is_near(found) or found.facts.falls)

@@ -19,7 +19,7 @@ from .functions.linked_ends import LinkageFunctions
 from .functions.steps import AtStages
 from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
 from .kkt_system import KKTSystem
-from .search_record import FACTS, LARGEST, PhaseRecord, SearchRecord
+from .search_record import LARGEST, PhaseRecord, SearchRecord
 
 KEPT_MESHES = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
 
@@ -176,7 +176,7 @@ def extremals_of(
     def system(k: int) -> KKTSystem:
         return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].steps)
 
-    flags = [np.array(own) for own in zip(*(record[FACTS] for record in records), strict=True)]
+    flags = [np.array(own) for own in zip(*(record.facts for record in records), strict=True)]
     iterations, limited, claimed, strict, convex, solvable, infeasible, falling, *_ = flags
     nodes, costates, totals = map(_rows, zip(*((own.nodes, own.costates, own.totals) for own in members), strict=True))
     return DiscreteExtremals(

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import cached_property, partial
-from operator import attrgetter
 from typing import Any, final
 
 import numpy as np
@@ -13,9 +12,7 @@ from ..iteration import Iteration, stops
 from .core_transcription import coupled_ends, numbers_of, put, transcription_of
 from .discrete_phase import DiscretePhase, LinkedPhases
 from .iterate import Iterate, LinkedIterate
-from .search_record import FACTS, MemberIterate, PhaseRecord, SearchRecord
-
-read_facts = attrgetter(*SearchRecord._fields[FACTS])
+from .search_record import MemberIterate, PhaseRecord, SearchRecord
 
 
 @final
@@ -115,7 +112,7 @@ class MemberSearch:
         except KeyboardInterrupt:
             self.watch.stop()
             status = last = SearchStatus.STOPPED
-            if not search.read().iterations:  # the values of the guess are not complete
+            if not search.read().facts.iterations:  # the values of the guess are not complete
                 search.run()  # ends behind the evaluation of the guess
         if last is SearchStatus.STOPPED:
             self.watch.stop()
@@ -130,13 +127,13 @@ class MemberSearch:
         """The record of a search that has ended."""
         results = [search.read(j) for j in range(len(self.problem.phases))]
         found = results[0]
-        if found.stopped:
+        if found.facts.stopped:
             self.watch.stop()
         missing = [own.trajectory["LACKING"] / own.judging.nodes for own in results]
         if self.problem.coupling is not None:
             missing.append(np.abs(found.values) / found.equations)
         first = None
-        if not (found.claimed and found.strict):
+        if not (found.facts.claimed and found.facts.strict):
             first = MemberIterate(tuple(own.first.copy() for own in results), search.multipliers(first=True).copy())
         return SearchRecord(
             tuple(map(_phase_record, results)),
@@ -146,7 +143,7 @@ class MemberSearch:
             found.jacobian.copy(),
             first,
             perturbed,
-            *read_facts(found),
+            found.facts,
         )
 
 

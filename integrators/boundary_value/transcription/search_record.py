@@ -1,9 +1,10 @@
 """Records of the searches of the compiled core for a member of a batch; ``retrax_core.h`` explains the arrays."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ....compute.binding.search import SearchFacts
 from ....compute.binding.transcription import IterateNumbers, Scale
 
 LARGEST = 8  # place of the largest residual
@@ -39,7 +40,7 @@ class PhaseRecord(NamedTuple):
 
 
 class SearchRecord(NamedTuple):
-    """The result of a search for all phases, in arrays of its own; flags as in ``SearchResult``."""
+    """The result of a search for all phases, in arrays of its own."""
 
     phases: tuple[PhaseRecord, ...]
     multipliers: np.ndarray  # of what couples the ends
@@ -48,16 +49,7 @@ class SearchRecord(NamedTuple):
     jacobian: np.ndarray  # of the equations between the ends, by coordinates of all ends
     first: MemberIterate | None  # the guess with first multipliers and slacks, where no minimum was found
     perturbed: bool  # whether the guess was degenerate and was moved aside
-    iterations: int  # of this search and of those before it
-    limited: bool
-    claimed: bool
-    strict: bool
-    convex: bool
-    solvable: bool
-    infeasible: bool
-    falls: bool
-    stopped: bool
-    right_inertia: bool
+    facts: SearchFacts  # with the iterations of this search and of those before it
 
     @property
     def iterate(self) -> MemberIterate:
@@ -69,5 +61,6 @@ class SearchRecord(NamedTuple):
         """The cost of all phases."""
         return sum(float(own.totals[0]) for own in self.phases)
 
-
-FACTS = slice(SearchRecord._fields.index("iterations"), None)  # of all phases together, as in ``SearchResult``
+    def with_facts(self, **changes: Any) -> "SearchRecord":
+        """The same with other facts."""
+        return self._replace(facts=self.facts._replace(**changes))

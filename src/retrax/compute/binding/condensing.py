@@ -115,28 +115,6 @@ def condense_steps(arrays: CollocationArrays, instruction_set: int | None = None
     return condensed, kept
 
 
-def expand_steps(
-    arrays: CollocationArrays, kept: KeptArrays, step: np.ndarray, multipliers: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return velocities and multipliers of the points, shape (N, s, n, k), from the solution of a condensed system.
-
-    The solution has the step (N, z, k) and the multipliers (N + 1, n, k).
-    """
-    system, sizes = _system(arrays), _sizes(arrays)
-    count, s, n, m, k = sizes
-    velocities, lambdas, workspace = np.empty((count, s, n, k)), np.empty((count, s, n, k)), _workspace(sizes)
-    library().retrax_expand(
-        byref(system),
-        byref(_kept(kept, sizes)),
-        0,
-        count,
-        address_of(step, FLOAT, (count, n + s * m, k), "step of a condensed system"),
-        address_of(multipliers, FLOAT, (count + 1, n, k), "multipliers of a condensed system"),
-        *(address_of(a, FLOAT, a.shape, "result") for a in (velocities, lambdas, workspace)),
-    )
-    return velocities, lambdas
-
-
 def condense_slope(
     arrays: CollocationArrays, kept: KeptArrays, slope: np.ndarray, end_slope: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -1,7 +1,7 @@
 """The library of the compiled core, called through ctypes: what ``src/core/retrax_core.h`` declares."""
 
 import ctypes
-from ctypes import POINTER, addressof, c_bool, c_char, c_char_p, c_double, c_int, c_size_t, c_ssize_t, c_void_p
+from ctypes import POINTER, addressof, c_bool, c_char, c_char_p, c_int, c_size_t, c_ssize_t, c_void_p
 from functools import cache
 from importlib.util import find_spec
 from typing import Any
@@ -17,12 +17,10 @@ from .structs import (
     FeasibilityStruct,
     IntegrationStruct,
     LayoutStruct,
-    LimitScaleStruct,
     MethodStruct,
     MultiphaseStruct,
     OptionsStruct,
     ProblemStruct,
-    ResidualScaleStruct,
     SearchResultStruct,
     TapeDataStruct,
     TapeStruct,
@@ -58,9 +56,6 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
         None,
         [c_void_p, c_void_p, c_ssize_t, c_ssize_t, c_void_p, c_ssize_t, c_int],
     ),
-    "retrax_lu_factorise": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
-    "retrax_lu_solve": (None, [c_ssize_t, c_void_p, c_void_p, c_ssize_t, c_void_p, c_int]),
-    "retrax_lu_solve_transposed": (None, [c_ssize_t, c_void_p, c_void_p, c_void_p]),
     "retrax_block_workspace": (c_size_t, [c_ssize_t] * 4),
     "retrax_block_eliminate": (
         None,
@@ -68,7 +63,6 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     ),
     "retrax_condensing_workspace": (c_size_t, [c_ssize_t] * 4),
     "retrax_condense": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, c_void_p, c_int]),
-    "retrax_expand": (None, [*_CONDENSED, c_ssize_t, c_ssize_t, *[c_void_p] * 5]),
     "retrax_condense_slope": (None, [*_CONDENSED, *[c_void_p] * 4]),
     "retrax_array_name": (c_char_p, [c_int]),
     "retrax_evaluate_tape": (None, [c_void_p, POINTER(TapeDataStruct), c_ssize_t]),
@@ -80,14 +74,7 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_assemble_system": (None, [POINTER(LayoutStruct), c_void_p, c_void_p, c_int]),
     "retrax_workspace": (c_size_t, [POINTER(ProblemStruct)]),
     "retrax_add_inequalities": (None, [POINTER(LayoutStruct), c_void_p]),
-    "retrax_survey_inequalities": (None, [POINTER(LayoutStruct), c_void_p, POINTER(LimitScaleStruct)]),
-    "retrax_step_inequalities": (None, [POINTER(LayoutStruct), c_void_p, c_double]),
-    "retrax_move_inequalities": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_double, c_void_p]),
     "retrax_survey_trajectory": (None, [POINTER(LayoutStruct), c_void_p]),
-    "retrax_measure_residuals": (
-        None,
-        [POINTER(LayoutStruct), c_void_p, POINTER(ResidualScaleStruct), POINTER(LimitScaleStruct)],
-    ),
     "retrax_search_memory": (c_size_t, [POINTER(MultiphaseStruct), c_ssize_t]),
     "retrax_search_make": (c_void_p, [POINTER(MultiphaseStruct), POINTER(OptionsStruct), c_int, c_void_p]),
     "retrax_search_trajectory": (c_void_p, [c_void_p, c_ssize_t]),
@@ -97,13 +84,11 @@ _SIGNATURES: dict[str, tuple[Any, list[Any]]] = {
     "retrax_search_run": (c_int, [c_void_p]),
     "retrax_search_read": (SearchResultStruct, [c_void_p, c_ssize_t]),
     "retrax_write_right_sides": (None, [POINTER(LayoutStruct), c_void_p]),
-    "retrax_expand_step": (None, [POINTER(LayoutStruct), c_void_p, c_void_p]),
     "retrax_integration_workspace": (c_size_t, [POINTER(MethodStruct)]),
     "retrax_integrate": (
         None,
         [POINTER(MethodStruct), POINTER(IntegrationStruct), c_ssize_t, c_ssize_t, c_void_p],
     ),
-    "retrax_move_trajectory": (None, [POINTER(LayoutStruct), c_void_p, c_double, c_void_p]),
 }
 
 

@@ -37,6 +37,25 @@ class SearchStatus(IntEnum):
 
 
 @final
+class SearchFacts(NamedTuple):
+    """Facts on the end of a search, of all phases together; ``retrax_core.h`` explains the fields."""
+
+    iterations: int
+    limited: bool
+    claimed: bool
+    strict: bool
+    convex: bool
+    solvable: bool
+    infeasible: bool
+    falls: bool
+    stopped: bool
+    right_inertia: bool
+
+
+read_facts = attrgetter(*SearchFacts._fields)
+
+
+@final
 class SearchResult(NamedTuple):
     """The result of a search; ``retrax_core.h`` explains the fields."""
 
@@ -50,19 +69,7 @@ class SearchResult(NamedTuple):
     equations: np.ndarray
     values: np.ndarray
     jacobian: np.ndarray  # (r, Z)
-    iterations: int
-    limited: bool
-    claimed: bool
-    strict: bool
-    convex: bool
-    solvable: bool
-    infeasible: bool
-    falls: bool
-    stopped: bool
-    right_inertia: bool
-
-
-FACTS = attrgetter(*SearchResult._fields[SearchResult._fields.index("iterations") :])  # of all phases together
+    facts: SearchFacts
 
 
 @final
@@ -204,8 +211,8 @@ class Search:
             for own in (found.judging, found.steps)
         ]
         limits, residuals = self._part(found.limits, sizes.limits), self._part(found.residuals, len(at["RESIDUALS"]))
-        coupled = self._coupled(found)
-        return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, *FACTS(found))
+        coupled, facts = self._coupled(found), SearchFacts(*read_facts(found))
+        return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, facts)
 
     def _coupled(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Natural sizes, values and derivatives of the equations between the ends."""

@@ -204,32 +204,6 @@ class MultiphaseStruct(Structure):
 
 
 @final
-class LimitScaleStruct(Structure):
-    """``retrax_limit_scale``."""
-
-    _fields_ = (
-        ("rate", c_double),
-        ("limits", c_void_p),
-        ("first_penalty", c_double),
-        ("near", c_double),
-        ("last_penalty", c_double),
-    )
-
-
-@final
-class ResidualScaleStruct(Structure):
-    """``retrax_residual_scale``."""
-
-    _fields_ = (
-        ("judging_nodes", c_void_p),
-        ("judging_unknowns", c_void_p),
-        ("least_part", c_double),
-        ("nodes", c_void_p),
-        ("cost", c_double),
-    )
-
-
-@final
 class ScaleStruct(Structure):
     """``retrax_scale``."""
 

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from ctypes import byref
 from functools import cache, cached_property
 from threading import local
-from typing import NamedTuple, final
+from typing import Any, NamedTuple, final
 from weakref import ref
 
 import numpy as np
@@ -13,13 +13,7 @@ from ...errors import InvalidInputError
 from ..working_memory import aligned
 from .library import BYTES, FLOAT, PLACE, address_of, best_instruction_set, library
 from .problem_functions import CallbackFunction, Failure, FunctionName
-from .structs import (
-    ARRAYS,
-    LayoutStruct,
-    LimitScaleStruct,
-    ProblemStruct,
-    ResidualScaleStruct,
-)
+from .structs import ARRAYS, LayoutStruct, ProblemStruct
 from .tape_machine import MachineProgram
 
 Function = MachineProgram | CallbackFunction  # of a problem
@@ -72,17 +66,6 @@ class Scale(NamedTuple):
 
 
 @final
-class LimitScale(NamedTuple):
-    """Natural sizes of the inequalities; ``retrax_core.h`` explains them."""
-
-    rate: float
-    limits: np.ndarray  # (c,)
-    first_penalty: float
-    near: float
-    last_penalty: float
-
-
-@final
 class Transcription:
     """A transcribed problem as the core has it, for one thread: its functions share registers.
 
@@ -111,34 +94,15 @@ class Transcription:
         self.instruction_set = best_instruction_set() if instruction_set is None else instruction_set
         self.tableau, self.groups, self.control_groups = tableau, groups, control_groups
         self.kept, self.bounds = kept, bounds
-        (matrix, weights), s = tableau, sizes.points
-        addresses = (
-            address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
-            address_of(weights, FLOAT, (s,), "weights of a tableau"),
-            *(address_of(own, PLACE, (sizes.state_numbers,), "columns of the entries of a state") for own in groups),
-            control_groups is not None,
-            *(address_of(own, PLACE, (sizes.control_numbers,), "columns of controls") for own in control_groups or ()),
-            *(() if control_groups else (None, None)),
-            address_of(kept, FLOAT, (sizes.limits,), "bounds that no iterate leaves"),
-        )
-        for own in (*groups, *(control_groups or ())):
-            if own.size and not (own.min() >= 0 and own.max() < own.size):
-                raise InvalidInputError(f"columns of entries lie in 0 to {own.size - 1}, got {own}")
-        self._problem = ProblemStruct(*sizes, *addresses, bounds, False)
-        self._kept: list[object] = [matrix, weights, groups, control_groups, kept]
+        self._problem = ProblemStruct(*sizes, *self._addresses(), bounds, False)
+        self._kept = list[object]()  # what C reads of the functions
         size = self._library.retrax_layout_memory(byref(self._problem))
         room = self._library.retrax_workspace(byref(self._problem))
         if not size or not room:
             raise InvalidInputError(
                 f"the problem has {sizes}; expected sizes of at most 1024, 1 to 2^20 steps and at most 2^20 parameters"
             )
-        points = (sizes.steps + 1) * s
-        tapes = [own for own in functions.values() if isinstance(own, MachineProgram)]
-        most = max((own.sizes[2] * own.lanes(points) for own in tapes), default=0)
-        self._registers = aligned(max(most, 1))
-        for name in FunctionName:
-            if name is not FunctionName.CONTROL_FRAMES or control_groups is not None:
-                self._set_function(name, functions.get(name), points)
+        self._set_functions()
         self._workspace_size = -(-room // BYTES)
         self._memory, self.layout = aligned(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
@@ -147,6 +111,23 @@ class Transcription:
         self.parts = {name: slice(firsts[k], firsts[k] + counts[k]) for name, k in array_places().items()}
         self.iterate_numbers = firsts[array_places()["POINT_CENTRES"]]
         self._room = aligned(1)
+
+    def _addresses(self) -> tuple[Any, ...]:
+        """The addresses of the arrays of the problem, for its struct."""
+        own, (matrix, weights), s = self.sizes, self.tableau, self.sizes.points
+        of_controls = self.control_groups or ()
+        for groups in (*self.groups, *of_controls):
+            if groups.size and not (groups.min() >= 0 and groups.max() < groups.size):
+                raise InvalidInputError(f"columns of entries lie in 0 to {groups.size - 1}, got {groups}")
+        return (
+            address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
+            address_of(weights, FLOAT, (s,), "weights of a tableau"),
+            *(address_of(a, PLACE, (own.state_numbers,), "columns of the entries of a state") for a in self.groups),
+            bool(of_controls),
+            *(address_of(a, PLACE, (own.control_numbers,), "columns of controls") for a in of_controls),
+            *(() if of_controls else (None, None)),
+            address_of(self.kept, FLOAT, (own.limits,), "bounds that no iterate leaves"),
+        )
 
     @cached_property
     def _workspace(self) -> np.ndarray:
@@ -180,6 +161,15 @@ class Transcription:
     def trajectory(self) -> "Trajectory":
         """Return a trajectory, all of whose numbers are zero."""
         return Trajectory(self)
+
+    def _set_functions(self) -> None:
+        """Hand the functions of the problem to its struct."""
+        points = (self.sizes.steps + 1) * self.sizes.points
+        tapes = [own for own in self.programs.values() if isinstance(own, MachineProgram)]
+        self._registers = aligned(max([1, *(own.sizes[2] * own.lanes(points) for own in tapes)]))
+        for name in FunctionName:
+            if name is not FunctionName.CONTROL_FRAMES or self.control_groups is not None:
+                self._set_function(name, self.programs.get(name), points)
 
     def _set_function(
         self, name: FunctionName, function: MachineProgram | CallbackFunction | None, points: int
@@ -260,46 +250,6 @@ class Trajectory:
         own.retrax_assemble_system(*here, self._of.workspace, self._of.instruction_set)
         own.retrax_write_right_sides(*here)
         own.retrax_survey_trajectory(*here)
-        self._of.failure.check()
-
-    def measure(self, judging: Scale, steps: Scale, limits: LimitScale | None, least_part: float) -> None:
-        """Measure how far the trajectory is from its conditions, and survey its inequalities.
-
-        ``judging``, ``steps``: natural sizes that success is judged by, and those of steps; ``least_part``: the cost
-        that sets the scale of slopes where their parts vanish, 0 where their curvature does.
-        """
-        own, here, of_limits = self._of._library, (byref(self._layout), self._address), None
-        n, z = self._of.sizes.state_size, len(self["PARTS"])
-        scale = ResidualScaleStruct(
-            address_of(judging.nodes, FLOAT, (n,), "natural sizes of nodes"),
-            address_of(judging.unknowns, FLOAT, (z,), "natural sizes of unknowns"),
-            least_part,
-            address_of(steps.nodes, FLOAT, (n,), "natural sizes of nodes"),
-            steps.cost,
-        )
-        if limits is not None:
-            c = self._of.sizes.limits
-            place = address_of(limits.limits, FLOAT, (c,), "natural sizes of inequalities")
-            of_limits = byref(LimitScaleStruct(limits.rate, place, *limits[2:]))
-            own.retrax_survey_inequalities(*here, of_limits)
-        own.retrax_measure_residuals(*here, byref(scale), of_limits)
-
-    def step_inequalities(self, share: float) -> None:
-        """Compute the steps of slacks, excesses and multipliers; a share of the way to the boundary may be made."""
-        self._of._library.retrax_step_inequalities(byref(self._layout), self._address, share)
-
-    def move_inequalities(self, before: "Trajectory", primal: float, dual: float) -> None:
-        """Move slacks, excesses and multipliers from another trajectory by parts of their steps."""
-        own = self._of._library
-        own.retrax_move_inequalities(byref(self._layout), before._address, primal, dual, self._address)
-
-    def expand(self) -> None:
-        """Expand the step of the linear system to steps of the velocities and multipliers of points."""
-        self._of._library.retrax_expand_step(byref(self._layout), self._address, self._of.workspace)
-
-    def move(self, before: "Trajectory", part: float) -> None:
-        """Move the unknowns from another trajectory by a part of the step from there."""
-        self._of._library.retrax_move_trajectory(byref(self._layout), before._address, part, self._address)
         self._of.failure.check()
 
     @property
