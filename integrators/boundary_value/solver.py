@@ -30,8 +30,8 @@ from .guess import Guess, Mesh
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
 from .inputs.inputs import InputReader, Inputs
 from .iteration import Iteration
-from .reformulations.free_quantities import Reformulation
-from .reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationSolver
+from .reformulations.free_quantities import FreeQuantities
+from .reformulations.free_quantity_solver import SINGULAR_WORDS, FreeQuantitySolver
 from .regular_extremals import find_extremals
 from .regularity import Regularity
 from .shooting import solve_on_final_manifold
@@ -98,7 +98,7 @@ class Solver:
         mesh = Mesh(self.fractions, self._transcription.stages, interpolant)
         self._reader = InputReader(problem, method, mesh, self._evaluator)
         self._builder = SolutionBuilder(problem, self._transcription.stages, interpolant)
-        self._reformulation = ReformulationSolver(self._reader, self._inner)
+        self._reformulation = FreeQuantitySolver(self._reader, self._inner)
         self._regularity, self._audit = Regularity(self._transcription), Audit(problem)
         self._kept: WeakKeyDictionary[Solution, _LastSolution] = WeakKeyDictionary()
         self._derivatives: dict[Any, Any] = {}  # the traced functions
@@ -115,7 +115,7 @@ class Solver:
         else:
             self._transcription.traced(None)
 
-    def _inner(self, formulation: Reformulation) -> "Solver":
+    def _inner(self, formulation: FreeQuantities) -> "Solver":
         """A solver of a reformulation of the problem."""
         solver = Solver(formulation.problem, formulation.method, self.fractions, self._evaluator)
         solver._regularity.refusal, solver._builder.formulation = SINGULAR_WORDS, formulation
@@ -312,9 +312,10 @@ class Solver:
             conjugate.
         """
         require_treated(self.problem, "sensitivity", *ALONG)
-        sensitivity = self._reformulation.sensitivity(solution)
-        if sensitivity is not None:
-            return sensitivity
+        origin = self._reformulation.origin(solution)
+        if origin is not None:
+            formulation, solver, found = origin
+            return formulation.recover_sensitivity(solver.sensitivity(found))
         if not isinstance(solution, Solution) or solution not in self._kept or not solution.success:
             raise InvalidInputError(
                 "sensitivity takes a solution with success of a regular problem that this solver found, got "

@@ -1,13 +1,16 @@
 """Free horizons, free parameters and explicit time, against closed forms and against the problem with what was
 found."""
 
+from dataclasses import replace
 from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, load_solution, solve
+from retrax.integrators import Free, Guess, OptimalControlProblem, Solution, Solver, load_solution, solve
+from retrax.integrators.boundary_value.inputs.arguments import BoundaryData
+from retrax.integrators.boundary_value.reformulations.reformulation import Reformulation
 from retrax.manifolds import SO, Euclidean, InvalidInputError, NotOnManifoldError, hat
 from retrax.retractions import Addition, Adjoint, Cayley, Euler, Gauss, Midpoint, ProductRetraction, Theta
 
@@ -342,6 +345,38 @@ def test_constraints_have_parameters_and_time():
         level = slope * (2 - np.sqrt(4 - 2 / slope))  # of c (2 - c / a) + c^2 / (2 a) = 1
         np.testing.assert_allclose(found.controls[:, 0], np.minimum(slope * found.stage_times, level), atol=2e-3)
         assert list(found.multipliers) == ["ramp"]
+
+
+class OtherUnit(Reformulation[BoundaryData, BoundaryData, Solution, Solution]):
+    """The cart with states in another unit of length."""
+
+    def __init__(self, unit):
+        self.unit, self.problem = unit, OptimalControlProblem(PLANE, self.moved, timed_effort, 1)
+
+    def moved(self, y, u):
+        return cart(self.unit * y, u) / self.unit
+
+    def apply(self, data):
+        return data._replace(start=data.start / self.unit, end=data.end / self.unit)
+
+    def guess(self, data, posed):
+        return None
+
+    def recover(self, posed, found):
+        states = {name: self.unit * getattr(found, name) for name in ("states", "stage_states")}
+        costates = {name: getattr(found, name) / self.unit for name in ("costates", "stage_costates")}
+        return replace(found, **states, **costates)
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_a_reformulation_of_ones_own_is_one_class(unit):
+    own = OtherUnit(unit)
+    solver = Solver(own.problem, GAUSS, 6)
+    given = BoundaryData(REST, AHEAD, Free(1.0), None)
+    found = own.solve(given, lambda posed, guess: solver.solve(**posed._asdict(), guess=guess))
+    assert_same_extremal(found, quickly().solve(REST, AHEAD, Free(1.0)))
+    with pytest.raises(InvalidInputError, match="OtherUnit recovers no derivatives"):
+        own.recover_sensitivity(None)
 
 
 def test_functions_of_time_that_fail_are_named():

@@ -3,9 +3,10 @@
 import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Solver, solve
+from retrax.integrators.boundary_value.inputs.arguments import BoundaryData
 from retrax.integrators.boundary_value.inputs.boundary_data import EndPart, PrescribedEnd
 from retrax.integrators.boundary_value.inputs.reformulation_kind import ReformulationKind
-from retrax.integrators.boundary_value.reformulations.free_quantities import Reformulation
+from retrax.integrators.boundary_value.reformulations.free_quantities import FreeQuantities
 from retrax.integrators.boundary_value.transcription.inequality_rows import InequalityRows
 from retrax.retractions import Addition, Midpoint
 
@@ -21,8 +22,9 @@ def test_bounds_are_inequalities_at_the_first_point():
     )
     horizon = Free(2.0, lower=1.0, upper=8.0)
     given = {"gain": 3.0, "drift": Free(np.array([0.5]), upper=np.array([0.75]))}
-    formulation = Reformulation(limited, Midpoint(Addition(LINE)), ReformulationKind.of(horizon, given))
-    inner = formulation.problem.with_parameters(formulation.parameters(horizon, given))
+    reader = Solver(limited, Midpoint(Addition(LINE)), 3)._reader
+    formulation = FreeQuantities(reader, ReformulationKind.of(horizon, given))
+    inner = formulation.problem.with_parameters(formulation.parameters(BoundaryData(None, None, horizon, given)))
     names = "control_bounds lower", "far", "horizon lower", "horizon upper", "parameters upper"
     assert inner._inequality_names == tuple(f"{name}[0]" for name in names)
     y = np.ones(1), np.array([0.5, 1 + 0.25])

@@ -18,7 +18,7 @@ from ..guess import Guess, Mesh
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import Inputs
 from ..iteration import Iteration, stops
-from ..reformulations.switching_arcs import DURATIONS, SwitchingArcs
+from ..reformulations.switching_arcs import ArcData, SwitchingArcs
 from ..solution.diagnostics import RegularChecks, Statistics
 from ..solution.record import Solution
 from ..solver import Solver
@@ -290,23 +290,18 @@ class MeshRefinement:
         key = structure.sides.tobytes(), None if is_free(horizon) else float(horizon)
         if key not in self._arcs:
             self._arcs[key] = SwitchingArcs(self.problem, structure.sides, horizon, _unit(guess))
-        transcribed = self._arcs[key]
-        each = np.bincount(arcs, lengths)
-        fractions = lengths / each[arcs]
+        reformulation = self._arcs[key]
+        fractions = lengths / np.bincount(arcs, lengths)[arcs]
         mesh = Mesh(fractions, self.method.nodes, guess.interpolant)  # pyright: ignore[reportArgumentType]
-        nodes, at_stages = mesh.times(1.0)
-        parameters = transcribed.parameters(np.diff(structure.times), self.given.near(guess).parameters)
-        given = BoundaryData(self.given.start, self.given.end, float(transcribed.count), parameters)
-        found = self._on(
-            transcribed.problem, fractions, given, transcribed.guess(guess, structure.times, nodes, at_stages)
+        solution = reformulation.solve(
+            ArcData(self.given, guess, structure.times, mesh),
+            lambda posed, own: self._on(reformulation.problem, fractions, posed, own),
         )
-        if not found.success:
-            return found, structure
-        solution = transcribed.solution(found)
-        durations = transcribed.durations(found.parameters[DURATIONS])
-        times = np.concatenate([[0.0], np.cumsum(durations)])
+        if not solution.success:
+            return solution, structure
+        times = solution.times[np.searchsorted(arcs, np.arange(structure.arcs + 1))]
         lasting = structure._replace(times=times).without_vanished()
-        right = lasting.arcs < structure.arcs or transcribed.lack(solution, arcs) <= self.accuracy
+        right = lasting.arcs < structure.arcs or reformulation.lack(solution, arcs) <= self.accuracy
         return solution if right else status.fail_between_switches(solution), lasting
 
     def _horizon(self, solution: Solution) -> Any:

@@ -3,28 +3,21 @@
 from typing import Any, NamedTuple, final
 
 import jax.numpy as jnp
-import numpy as np
 
 from ....compute.automatic import AutomaticEvaluator
-from ....compute.base import Evaluator
 from ....manifolds import DomainError, InvalidInputError, NotOnManifoldError
 from ....manifolds.numerics import ambient as vec
-from ...problem.free_quantities import guesses_of
-from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.inspection import inspect_problem
-from ..audit.audit import Audit
 from ..audit.status import explain_failure
-from ..guess import Mesh
-from ..inputs.arguments import BoundaryData, Method, Options, step_fractions
-from ..inputs.inputs import InputReader, Inputs
-from ..reformulations.free_quantities import Reformulation
-from ..reformulations.free_quantity_solver import SINGULAR_WORDS, ReformulationSolver
-from ..reformulations.vanishing_horizons import VanishingHorizon
-from ..solution.interpolation import Interpolant
+from ..inputs.arguments import BoundaryData, Options, step_fractions
+from ..inputs.inputs import Inputs
+from ..reformulations.free_quantities import FreeQuantities
+from ..reformulations.free_quantity_solver import SINGULAR_WORDS
 from ..solution.record import Solution
-from ..solution_builder import ExtremalRecords, SolutionBuilder
+from ..solution_builder import ExtremalRecords
+from ..solver import Solver
 from ..transcription.discrete_extremals import DiscreteExtremals
-from ..transcription.transcribed_problem import TranscribedProblem, Transcription
+from ..transcription.transcribed_problem import TranscribedProblem
 
 PHASE_ERRORS = InvalidInputError, NotOnManifoldError, DomainError  # errors that are said to be of a phase
 
@@ -46,40 +39,15 @@ class PhaseEnds(NamedTuple):
 
 
 @final
-class _InnerProblem:
-    """The means to solve a phase, in the states of its reformulation."""
-
-    def __init__(
-        self, problem: OptimalControlProblem, method: Method, fractions: np.ndarray, evaluator: Evaluator
-    ) -> None:
-        self.problem, self.transcription = problem, Transcription(problem, method, fractions, evaluator)
-        self.interpolant = Interpolant(method.retraction, problem.controls)
-        mesh = Mesh(fractions, self.transcription.stages, self.interpolant)
-        self._reader = InputReader(problem, method, mesh, evaluator)
-        self.builder = SolutionBuilder(problem, self.transcription.stages, self.interpolant)
-        self.audit = Audit(problem)
-        # Zero: durations come from afar, where one that is one at its guess would pass through zero.
-        self.reformulation = ReformulationSolver(self._reader, lambda own: self._of(own, fractions, evaluator), 0.0)
-
-    @staticmethod
-    def _of(formulation: Reformulation, fractions: np.ndarray, evaluator: Evaluator) -> "_InnerProblem":
-        """The means to solve a reformulation."""
-        inner = _InnerProblem(formulation.problem, formulation.method, fractions, evaluator)
-        inner.builder.formulation = formulation
-        return inner
-
-
-@final
 class TranscribedPhase(NamedTuple):
-    """A phase as equations: the problem as given, its reformulation if it has one, and the equations of that.
+    """A phase as equations: its solver, the reformulation with its solver if the phase has one, and the equations.
 
     ``inputs``: what is asked of the problem; ``own``: of its reformulation.
     """
 
-    problem: OptimalControlProblem
-    formulation: Reformulation | None
-    outer: _InnerProblem
-    inner: _InnerProblem
+    solver: Solver
+    formulation: FreeQuantities | None
+    inner: Solver
     inputs: Inputs
     own: Inputs
     transcribed: TranscribedProblem
@@ -97,19 +65,17 @@ class TranscribedPhase(NamedTuple):
         """The time at which the phase begins."""
         return jnp.zeros(()) if self.formulation is None else self.formulation.rate(first) * first[-1][0]
 
-    def recorded(self, found: DiscreteExtremals, seconds: tuple[float, float]) -> Solution:
-        """The solution of the phase."""
-        records = ExtremalRecords(self.inner.builder, self.transcribed, self.own, found)
+    def recover(self, found: DiscreteExtremals, seconds: tuple[float, float], free: bool) -> Solution:
+        """The solution of the phase, after the checks that its conditions do not show; ``free`` if times of any phase
+        are free."""
+        records = ExtremalRecords(self.inner._builder, self.transcribed, self.own, found)
         records.seconds = seconds
         solution = records.member(0)
         if self.formulation is not None:
-            solution = self.formulation.solution(solution, self.inputs.given.parameters, self.outer.interpolant)
-        return solution
-
-    def checked(self, solution: Solution, free: bool) -> Solution:
-        """The solution after the checks that its conditions do not show; ``free`` if times of any phase are free."""
-        solution = solution if self.formulation is not None else explain_failure(self.own.problem, solution)
-        return self.outer.audit(solution, free, self.inputs.ends.prescribed)
+            solution = self.formulation.recover(self.own.given, solution)
+        else:
+            solution = explain_failure(self.own.problem, solution)
+        return self.solver._audit(solution, free, self.inputs.ends.prescribed)
 
 
 @final
@@ -121,31 +87,28 @@ class PhaseTranscription:
 
     def __init__(self, options: Options) -> None:
         self.options, self.evaluator = options, AutomaticEvaluator()
-        self._made: dict[Any, tuple[Any, _InnerProblem]] = {}
+        self._made: dict[Any, tuple[Any, Solver]] = {}
         self._asked: dict[int, Inputs] = {}
-        self._vanishing: dict[int, tuple[Any, VanishingHorizon]] = {}
 
-    def inner(self, phase: Any) -> _InnerProblem:
-        """The means to solve a phase."""
-        fractions = step_fractions(phase.steps)
-        key = id(phase.problem), id(phase.method), fractions.tobytes()
+    def solver(self, phase: Any) -> Solver:
+        """The solver of a phase."""
+        key = id(phase.problem), id(phase.method), step_fractions(phase.steps).tobytes()
         if key not in self._made:  # with the phase, so that nothing else comes to have its number
-            self._made[key] = phase, _InnerProblem(phase.problem, phase.method, fractions, self.evaluator)
+            solver = Solver(phase.problem, phase.method, phase.steps, self.evaluator)
+            # Durations come from afar, where one that is one at its guess would pass through zero.
+            solver._reformulation.at_guess = 0.0
+            self._made[key] = phase, solver
         return self._made[key][1]
 
-    def vanishing(self, phase: Any) -> VanishingHorizon:
-        """The test whether the duration of a phase tends to zero."""
-        key = id(phase.problem)
-        if key not in self._vanishing:
-            self._vanishing[key] = phase, VanishingHorizon(phase.problem, guesses_of(phase.parameters))
-        return self._vanishing[key][1]
+    def vanishes(self, phase: Any, solution: Solution) -> bool:
+        """Whether the free duration of a phase tends to zero."""
+        own = self.solver(phase)._reformulation
+        return own.vanishes(phase.duration, phase.parameters, solution, self.options.tolerance)
 
     def inputs(self, number: int, phase: Any) -> Inputs:
         """The inputs of a phase."""
-        reader, given = (
-            self.inner(phase)._reader,
-            BoundaryData(phase.start, phase.end, phase.duration, phase.parameters),
-        )
+        reader = self.solver(phase)._reader
+        given = BoundaryData(phase.start, phase.end, phase.duration, phase.parameters)
         if number in self._asked:
             return self._asked[number].again(reader, given, phase.guess)
         return self._asked.setdefault(number, Inputs.of(reader, given, phase.guess, self.options))
@@ -158,13 +121,15 @@ def transcribe_phase(
 
     ``repeated``: its first node is the last one of a phase with the same constraints.
     """
-    problem, outer = phase.problem, phases.inner(phase)
-    inner, formulation = outer, None
+    solver = phases.solver(phase)
+    inner, formulation = solver, None
     try:
         own = inputs = phases.inputs(number, phase)
         if inputs.needs_reformulation:
-            formulation, inner, own = outer.reformulation.reformulate(inputs, begins if number else None)
-        equations = inner.transcription.transcribe(own, repeated)
+            formulation, inner = solver._reformulation.of(phase.duration, phase.parameters)
+            posed = formulation.apply(inputs, begins if number else None)
+            own = inputs.again(inner._reader, posed, formulation.guess(inputs, posed))
+        equations = inner._transcription.transcribe(own, repeated)
         bound, guess = own.problem, own.guess_of(0)
         ends = own.conditions_of(0)[0].point, None
         first, control = ends if guess is None else vec.taken((guess.states, guess.controls), 0)
@@ -175,4 +140,4 @@ def transcribe_phase(
         raise type(error)(f"phase {number}: {error}") from error
     if not regular:
         raise InvalidInputError(f"phase {number}: {SINGULAR_WORDS}")
-    return TranscribedPhase(problem, formulation, outer, inner, inputs, own, equations)
+    return TranscribedPhase(solver, formulation, inner, inputs, own, equations)

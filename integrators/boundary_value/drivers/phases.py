@@ -23,11 +23,14 @@ from ..audit.independence_of_boundary_conditions import equation_words
 from ..inputs.arguments import Method, Options, check_problem
 from ..iteration import Iteration
 from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
+from ..reformulations.reformulation import Reformulation
 from ..regular_extremals import find_phases
 from ..solution.diagnostics import add_compile_time
 from ..solution.multiphase_solution import PhasedSolution
+from ..transcription.discrete_extremals import DiscreteExtremals
 from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.functions.linked_ends import Link
+from ..transcription.iterate import Iterate
 from ..transcription.linkages import PhaseProblem, linkages_of
 from .phase_guess import guess_phases
 from .phase_transcription import PhaseEnds, PhaseTranscription, TranscribedPhase, transcribe_phase
@@ -143,13 +146,27 @@ def solve_phases(
         )
     given = _check_phases(phases, guess)
     between = _check_links(links, given), _check_constraints(boundary_constraints, len(given))
-    task = _Task(*between, horizon, options)
-    solution = task.settled(guess_phases(given, task.links))
+    trajectory = LinkedTrajectory(*between, horizon, options)
+    solution = trajectory.settled(guess_phases(given, trajectory.links))
     return solution.require_success() if throw else solution
 
 
-class _Task:
-    """The links between phases."""
+class _PosedPhases(NamedTuple):
+    """Phases as equations, and the coupling of their ends."""
+
+    parts: list[TranscribedPhase]
+    problem: LinkedPhases
+    owns: list[PhaseProblem]
+    sizes: dict[str, int]  # of the equations between the ends of all phases, by their names
+    seconds: float  # to trace
+
+
+_Found = tuple[list[DiscreteExtremals], np.ndarray, tuple[float, float]]  # with multipliers of links, and seconds
+
+
+@final
+class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, PhasedSolution]):
+    """Phases as one trajectory: equations of all phases, and links and boundary constraints between their ends."""
 
     def __init__(self, links: list[Any], constraints: dict[str, Any], horizon: float | None, options: Options) -> None:
         self.links, self.constraints, self.horizon, self.options = links, constraints, horizon, options
@@ -176,8 +193,7 @@ class _Task:
         if self.horizon is not None or self.constraints or solution.statistics.stopped:
             return solution
         free = (k for k, phase in enumerate(phases) if is_free(phase.duration))
-        pairs = [(k, self.made.vanishing(phases[k]), solution.phases[k]) for k in free]
-        lost = [k for k, vanishes, own in pairs if vanishes(own, self.options.tolerance)]
+        lost = [k for k in free if self.made.vanishes(phases[k], solution.phases[k])]
         if not lost:
             return solution
         return status.fail_at_zero(solution, f"The duration of {_named(lost)}", solution.phases[lost[0]].horizon)
@@ -185,7 +201,7 @@ class _Task:
     def _in_own_units(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, found again from itself where durations are far from their guesses, in whose units it was
         judged."""
-        solution, given = self.solved(phases), phases
+        solution, given = self._solved(phases), phases
         for _ in range(AGAIN):
             if not (solution.success and _find_strayed(phases, solution, RESTART)) or _find_strayed(
                 given, solution, FARTHEST
@@ -194,19 +210,23 @@ class _Task:
             if solution.statistics.stopped:
                 return status.stop(solution)
             phases = [_with_near_guess(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
-            solution = self.solved(phases)
+            solution = self._solved(phases)
         lost = _find_strayed(phases, solution, RESTART if solution.success else TOO_FAR) or _find_strayed(
             given, solution, FARTHEST
         )
         return status.fail_of_durations(solution, _named(lost)) if lost else solution
 
-    def solved(self, phases: Sequence[Phase]) -> PhasedSolution:
+    def _solved(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal from guesses of all phases."""
+        return self.solve(phases, self._search)
+
+    def apply(self, data: Sequence[Phase]) -> _PosedPhases:
+        """The phases as equations, each from its guess."""
         began = time.perf_counter()
-        begins = np.cumsum([0.0, *(float(guess_of(phase.duration)) for phase in phases)])
+        begins = np.cumsum([0.0, *(float(guess_of(phase.duration)) for phase in data)])
         parts = [
-            transcribe_phase(k, phase, float(begin), self.made, self._is_repeated(k, phases))
-            for k, (phase, begin) in enumerate(zip(phases, begins, strict=False))
+            transcribe_phase(k, phase, float(begin), self.made, self._is_repeated(k, data))
+            for k, (phase, begin) in enumerate(zip(data, begins, strict=False))
         ]
         owns = [PhaseProblem(part.inner.problem, part.own.known.parameters) for part in parts]
         sizes = dict[str, int]()
@@ -214,20 +234,30 @@ class _Task:
             owns, self.made.evaluator, self._links(parts), lambda *at: self._equations(parts, sizes, *at)
         )
         problem = LinkedPhases(tuple(part.transcribed.conditions for part in parts), coupling)
-        guess = tuple(part.transcribed.guess for part in parts)
-        names = [*equation_words(owns), *(f"{name}[{i}]" for name, size in sizes.items() for i in range(size))]
-        tracing = time.perf_counter() - began
+        return _PosedPhases(parts, problem, owns, sizes, time.perf_counter() - began)
+
+    def guess(self, data: Sequence[Phase], posed: _PosedPhases) -> tuple[Iterate, ...]:
+        """The guess of each phase."""
+        return tuple(part.transcribed.guess for part in posed.parts)
+
+    def _search(self, posed: _PosedPhases, guess: tuple[Iterate, ...]) -> _Found:
+        """The extremals of all phases together."""
+        boundary = [f"{name}[{i}]" for name, size in posed.sizes.items() for i in range(size)]
+        names = [*equation_words(posed.owns), *boundary]
         with np.errstate(all="ignore"), Stopwatch() as watch:  # what is not finite is judged
-            found, multipliers = find_phases(problem, guess, owns, names, self.options)
-            compiling, running = watch.seconds()
-            seconds = tracing + compiling, running
-            solutions = [part.recorded(own, seconds) for part, own in zip(parts, found, strict=True)]
-            free = any(is_free(phase.duration) for phase in phases)
-            solutions = [part.checked(solution, free) for part, solution in zip(parts, solutions, strict=True)]
-            solutions = [add_compile_time(solution, watch.seconds()[0] - compiling) for solution in solutions]
-        rows = multipliers[0, sum(sum(own.sizes.values()) for own in owns) : coupling.count]
-        cuts = np.cumsum([0, *sizes.values()])
-        named = {name: rows[a:b] for name, a, b in zip(sizes, cuts[:-1], cuts[1:], strict=True)}
+            return *find_phases(posed.problem, guess, posed.owns, names, self.options), watch.seconds()
+
+    def recover(self, posed: _PosedPhases, found: _Found) -> PhasedSolution:
+        """The solutions of the phases, and the multipliers of the boundary constraints between them."""
+        extremals, multipliers, (compiling, running) = found
+        with np.errstate(all="ignore"), Stopwatch() as watch:
+            pairs, seconds = zip(posed.parts, extremals, strict=True), (posed.seconds + compiling, running)
+            free = any(is_free(part.inputs.given.horizon) for part in posed.parts)
+            solutions = [part.recover(own, seconds, free) for part, own in pairs]
+            solutions = [add_compile_time(solution, watch.seconds()[0]) for solution in solutions]
+        first = sum(sum(own.sizes.values()) for own in posed.owns)
+        cuts = first + np.cumsum([0, *posed.sizes.values()])
+        named = {name: multipliers[0, a:b] for name, a, b in zip(posed.sizes, cuts[:-1], cuts[1:], strict=True)}
         return PhasedSolution.of(solutions, named, *status.phases_status(solutions))
 
     def _is_repeated(self, k: int, phases: Sequence[Phase]) -> bool:
@@ -256,7 +286,7 @@ class _Task:
             values[HORIZON_NAME] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
         passed: Any = 0.0
         for k, (part, own) in enumerate(zip(parts, each, strict=True)):
-            if k and part.problem.time_dependent:
+            if k and part.solver.problem.time_dependent:
                 values[_start_words(k)] = jnp.reshape(part.time(ends[2 * k]) - passed, 1)
             passed = passed + own.duration
         sizes.update({name: value.shape[0] for name, value in values.items()})
@@ -276,7 +306,7 @@ def _start_words(k: int) -> str:
 def _link(before: int, after: int, link: Any, parts: list[TranscribedPhase]) -> Link:
     """The link from the end of a phase to the start of another."""
     one, other = parts[before], parts[after]
-    name, manifold = f"links[{before}]", other.problem.manifold
+    name, manifold = f"links[{before}]", other.solver.problem.manifold
     turn = (lambda q: q) if link is True else link
     return Link(
         manifold, 2 * before + 1, 2 * after, lambda y, _: linkage(name, turn, manifold, one.state(y)), other.state

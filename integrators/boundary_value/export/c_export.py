@@ -101,9 +101,7 @@ def _require_name(name: Any) -> None:
 
 def _found(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
     """The solver that has found a solution, its own solution, and the reformulation that it solves, or None."""
-    formulation, found = None, solution
-    if isinstance(solution, Solution) and solution in solver._reformulation._found:
-        formulation, solver, found = solver._reformulation._found[solution]
+    formulation, solver, found = solver._reformulation.origin(solution) or (None, solver, solution)
     if not isinstance(solution, Solution) or found not in solver._kept or not solution.success:
         raise InvalidInputError(
             "export_c takes a successful solution of a regular problem that this solver found, got "

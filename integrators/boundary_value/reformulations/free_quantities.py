@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, final
+from weakref import WeakKeyDictionary
 
 import jax
 import jax.numpy as jnp
@@ -15,27 +16,26 @@ from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.product import factor_name
 from ....retractions import Addition, CollocationMethod, DiscretizationMap, ProductRetraction, Retraction, Theta
 from ...problem.boundary_conditions import BoundaryConditions
-from ...problem.free_quantities import Free, guess_inside, is_free
+from ...problem.free_quantities import Free, guess_inside, guess_of, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER, Inequalities
 from ..guess import Guess
-from ..inputs.arguments import Method
+from ..inputs.arguments import BoundaryData, Method
+from ..inputs.inputs import InputReader, Inputs
 from ..inputs.reformulation_kind import ReformulationKind, entry_rows
 from ..solution.diagnostics import Checks
-from ..solution.interpolation import Interpolant
 from ..solution.record import Solution
 from ..solution.sensitivity import Derivative, Sensitivity
+from .reformulation import Reformulation
 
-BOUND_MARGIN, MULTIPLIER_MARGIN = (
-    1e-2,
-    1e-8,
-)  # of a bound's size: a guess is no nearer to it; the same where its multiplier is known
+# Of a bound's size: a guess is no nearer to it; the same where its multiplier is known.
+BOUND_MARGIN, MULTIPLIER_MARGIN = 1e-2, 1e-8
 BOUND_NAMES = {HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER}
 OWN_FACTOR = f"{factor_name(0)}, "  # how the names of the factors of Q begin in the product with the added states
 
 
 @final
-class Reformulation:
+class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
     """The problem on ``Q x R^j x R`` with states ``(q, c, tau)`` that a problem with free quantities or a time is.
 
     The constants ``c`` are the entries of the free parameters ``theta`` and ``c_0 + s``, ``s = log(T / T_0)``, ``T_0``
@@ -51,39 +51,65 @@ class Reformulation:
     changes by with the time.
     """
 
-    def __init__(
-        self, problem: OptimalControlProblem, method: Method, kind: ReformulationKind, at_guess: float = 1.0
-    ) -> None:
-        self.own, self.kind, self.at_guess = problem, kind, at_guess
+    def __init__(self, reader: InputReader, kind: ReformulationKind, at_guess: float = 1.0) -> None:
+        self.own, self.kind, self.at_guess = reader.problem, kind, at_guess
+        self._interpolant, problem = reader.mesh.interpolant, reader.problem
+        self.recovered: WeakKeyDictionary[Solution, Solution] = WeakKeyDictionary()  # from which extremal of this
         self.constants = kind.entries + kind.horizon
         added = [Euclidean(self.constants)] if self.constants else []
         added += [Euclidean(1)] if problem.time_dependent else []
         beside = [Addition(manifold) for manifold in added]
         self.takes = len(kind.shapes) > len(kind.free) or any(kind.horizon_bounds) or bool(kind.below or kind.above)
-        self.method = extend_method(method, beside)
-        functions = {"dynamics": (self._velocity, 2), "running_cost": (self._rate, 2)}
-        functions |= {"terminal_cost": (self._final, 1), "initial_cost": (self._first, 1)}
-        changes: Any = {name: self._of_state(*f) for name, f in functions.items() if getattr(problem, name) is not None}
+        self.method = extend_method(reader.method, beside)
+        changes: Any = {
+            "dynamics": self._of_state(self._velocity, 2),
+            "running_cost": self._of_state(self._rate, 2),
+            "terminal_cost": self._of_node(lambda own, q: own.final_cost(q)),
+            "initial_cost": self._of_node(lambda own, q: own.first_cost(q)),
+        }
+        changes = {name: function for name, function in changes.items() if getattr(problem, name) is not None}
         changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
         self.problem = problem._replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
 
-    def start(self, start: Any, constants: np.ndarray, begins: float | None = None) -> tuple:
-        """The start with the guesses of the constants, and the clock at zero, or free and guessed."""
-        clock = np.zeros(1) if begins is None else Free(np.full(1, begins))
-        return start, *([Free(constants)] if self.constants else []), *([clock] if self.own.time_dependent else [])
+    def apply(self, data: Inputs, begin: float | None = None) -> BoundaryData:
+        """The data in more states; of a batch with one more axis.
 
-    def end(self, end: Any, times: np.ndarray) -> tuple:
-        """The end with free constants and time, guessed as these."""
-        return end, *([None] if self.constants else []), *([Free(times)] if self.own.time_dependent else [])
+        The clock starts at zero, or is free at the start and guessed to ``begin`` there.
+        """
+        each = [(own, data.guess_of(k)) for k, own in enumerate(data.each)]
+        constants, horizon = np.stack([self._guesses(*own) for own in each]), data.horizons
+        times, every = horizon[:, None] + (begin or 0.0), [self.parameters(own) for own, _ in each]
+        if data.axes:
+            parameters = vec.stacked(every) if self.takes else None
+        else:
+            constants, times, horizon, parameters = constants[0], times[0], float(horizon[0]), every[0]
+        clock = np.zeros(1) if begin is None else Free(np.full(1, begin))
+        first = [Free(constants)] if self.constants else [], [clock] if self.own.time_dependent else []
+        last = [None] if self.constants else [], [Free(times)] if self.own.time_dependent else []
+        start, end = (data.given.start, *first[0], *first[1]), (data.given.end, *last[0], *last[1])
+        return BoundaryData(start, end, horizon, parameters)
 
-    def guesses(self, horizon: Any, parameters: Any, guess: Guess | None = None) -> np.ndarray:
+    def guess(self, data: Inputs, posed: BoundaryData) -> Any:
+        """The guess in more states; of a batch a list."""
+        if data.guesses is None:
+            return None
+        constants = np.reshape(posed.start[1].guess if self.constants else np.zeros(0), (len(data), self.constants))
+        begin, known = guess_of(posed.start[-1]) if self.own.time_dependent else 0.0, self._known_covectors(data)
+        found = list[Guess]()
+        for k, row in enumerate(constants):
+            nodes, stages = data.reader.mesh.times(float(data.horizons[k]))
+            found.append(self._in_more_states(data.guess_of(k), row, (begin + nodes, begin + stages), known))
+        return found if data.axes else found[0]
+
+    def _guesses(self, given: BoundaryData, guess: Guess | None) -> np.ndarray:
         """The constants that are guessed, strictly inside their bounds; by little where a guess knows multipliers of
         these."""
-        leaves, share = jax.tree.leaves(parameters, is_leaf=is_free), BOUND_MARGIN
+        leaves, share = jax.tree.leaves(given.parameters, is_leaf=is_free), BOUND_MARGIN
         if guess is not None and not BOUND_NAMES.isdisjoint(guess.multipliers or {}):
             share = MULTIPLIER_MARGIN
         first, lower, upper = (
-            np.append(entry_rows(leaves, name), self._in_log(horizon, name)) for name in ("guess", "lower", "upper")
+            np.append(entry_rows(leaves, name), self._in_log(given.horizon, name))
+            for name in ("guess", "lower", "upper")
         )
         return guess_inside(first, lower, upper, share)
 
@@ -94,68 +120,72 @@ class Reformulation:
         own = -np.inf if none else np.log(getattr(horizon, name) / horizon.guess) if free else 0.0
         return np.full(int(free), self.at_guess + own)
 
-    def parameters(self, horizon: Any, parameters: Any) -> Any:
+    def parameters(self, given: BoundaryData) -> Any:
         """The parameters of the reformulation, fixed parameters and bounds, or None without any."""
         if not self.takes:
             return None
-        leaves = jax.tree.leaves(parameters, is_leaf=is_free)
+        leaves = jax.tree.leaves(given.parameters, is_leaf=is_free)
         sides = ("lower", self.kind.below), ("upper", self.kind.above)
         below, above = (entry_rows(leaves, name)[list(entries)] for name, entries in sides)
         both = zip(self.kind.horizon_bounds, ("lower", "upper"), strict=True)
-        bounds = np.concatenate([*(self._in_log(horizon, name) for bounded, name in both if bounded), below, above])
+        bounds = np.concatenate(
+            [*(self._in_log(given.horizon, name) for bounded, name in both if bounded), below, above]
+        )
         return [leaf for leaf in leaves if not is_free(leaf)], ([bounds] if bounds.size else [])
 
-    def guess(self, guess: Guess, constants: np.ndarray, times: tuple[np.ndarray, np.ndarray]) -> Guess:
+    def _known_covectors(self, data: Inputs) -> dict[str, tuple]:
+        """The covectors of the constants and of the clock, if the guess is a solution that was recovered from such."""
+        known = self.recovered.get(data.guess) if isinstance(data.guess, Solution) else None
+        if known is None:
+            return {}
+        own = known._guess_on(data.reader.mesh._replace(interpolant=known.interpolant))
+        # The clock runs to another time.
+        rates = [1.0] * bool(self.constants) + [known.horizon / data.horizons[0]] * self.own.time_dependent
+        added = {name: getattr(own, name)[1:] for name in ("costates", "stage_costates")}
+        return {name: tuple(rate * p for rate, p in zip(rates, parts, strict=True)) for name, parts in added.items()}
+
+    def _in_more_states(
+        self, guess: Any, constants: np.ndarray, times: tuple[np.ndarray, np.ndarray], known: dict[str, tuple]
+    ) -> Guess:
         """A guess with the constants, and the times of the nodes and of the stages; covectors of what is added are
-        zero."""
-
-        def with_states(given: Any, times: np.ndarray) -> Any:
-            added = [np.broadcast_to(constants, (len(times), self.constants))] if self.constants else []
-            return given, *added, *([times[:, None]] if self.own.time_dependent else [])
-
-        def with_covectors(given: Any, times: np.ndarray) -> Any:
-            _, *added = with_states(given, times)
-            return given, *(np.zeros(np.shape(a)) for a in added)
-
-        at_nodes, at_stages = times
-        make = {
-            "states": (with_states, at_stages),
-            "costates": (with_covectors, at_nodes),
-            "nodes": (with_states, at_nodes),
-            "stage_costates": (with_covectors, at_stages),
-        }
-        given = {name: getattr(guess, name) for name in make}
-        known, horizon = guess.multipliers or {}, at_nodes[-1] - at_nodes[0]
-        bounds = {name: horizon * rows for name, rows in known.items() if name in (HORIZON_LOWER, HORIZON_UPPER)}
-        return guess._replace(
-            multipliers={**known, **bounds},
-            **{name: add(given[name], at) for name, (add, at) in make.items() if given[name] is not None},
-        )
+        known, or zero."""
+        at, changes = {"n": times[0], "s": times[1]}, dict[str, Any]()
+        for name, where in (("states", "s"), ("costates", "n"), ("nodes", "n"), ("stage_costates", "s")):
+            constant = [np.broadcast_to(constants, (len(at[where]), self.constants))] if self.constants else []
+            added: Any = *constant, *([at[where][:, None]] if self.own.time_dependent else [])
+            if "costates" in name:
+                added = known.get(name, tuple(np.zeros(np.shape(a)) for a in added))
+            if getattr(guess, name) is not None:
+                changes[name] = getattr(guess, name), *added
+        own, horizon = guess.multipliers or {}, times[0][-1] - times[0][0]
+        bounds = {name: horizon * rows for name, rows in own.items() if name in (HORIZON_LOWER, HORIZON_UPPER)}
+        return guess._replace(multipliers={**own, **bounds}, **changes)
 
     @np.errstate(all="ignore")  # a horizon that vanished, or has no bound, is said in the result
-    def solution(self, found: Solution, parameters: Any, interpolant: Interpolant) -> Solution:
+    def recover(self, posed: BoundaryData, found: Solution) -> Solution:
         """The solution of the problem itself."""
         constants = found.states[1][0] if self.constants else np.zeros(0)
         rate = np.exp(constants[-1] - self.at_guess) if self.kind.horizon else np.float64(1.0)
         clock = found.stage_costates[-1][:, 0] / rate if self.own.time_dependent else 0.0
-        fixed = [np.array(leaf) for leaf in jax.tree.leaves(parameters, is_leaf=is_free) if not is_free(leaf)]
         states: Any = {
             name: getattr(found, name)[0] for name in ("states", "costates", "stage_states", "stage_costates")
         }
         named: Any = {name: _names(getattr(found, name)) for name in ("momenta", "body_costates", "spatial_costates")}
-        return replace(
+        solution = replace(
             found,
             times=rate * found.times,
             stage_times=rate * found.stage_times,
             hamiltonians=found.hamiltonians / rate - clock,
             checks=self._checks(found.checks, rate),
-            parameters=self.kind.parameters(constants, fixed),
+            parameters=self.kind.parameters(constants, found.parameters[0] if self.takes else ()),
             multipliers=self._multipliers(found, rate),
-            interpolant=interpolant,
+            interpolant=self._interpolant,
             quantities=self.own.quantities,
             **states,
             **named,
         )
+        self.recovered[solution] = found
+        return solution
 
     def _multipliers(self, found: Solution, rate: float) -> dict[str, np.ndarray]:
         """The multipliers in the time of the problem, with the bounds of ``s`` as bounds of ``T``."""
@@ -173,7 +203,7 @@ class Reformulation:
         violations = {name.removeprefix(f"{factor_name(0)}: "): value for name, value in checks.violations.items()}
         return replace(checks, violations=violations, **own, **named)
 
-    def sensitivity(self, found: Sensitivity) -> Sensitivity:
+    def recover_sensitivity(self, found: Sensitivity) -> Sensitivity:
         """The derivatives of a solution of the problem; by what is free there are none."""
         n = self.own.manifold.dimension
 
@@ -213,19 +243,11 @@ class Reformulation:
         q, bound, rate = self._at(y, given)
         return rate * bound.cost_rate(q, u)
 
-    def _final(self, y: tuple, given: Any) -> Array:
-        q, bound, _ = self._at(y, given)
-        return bound.final_cost(q)
-
-    def _first(self, y: tuple, given: Any) -> Array:
-        q, bound, _ = self._at(y, given)
-        return bound.first_cost(q)
-
     def _boundary(self) -> BoundaryConditions:
         """The conditions of both ends."""
         own = self.own._boundary
         functions = tuple(self._of_state(self._between(place), 2) for place in range(len(own.names)))
-        turn = None if own.turn is None else self._of_state(self._turned, 1)
+        turn = None if own.turn is None else self._of_node(lambda bound, q: bound._periodic_end(q))
         return BoundaryConditions(own.names, functions, turn, factor=True, closed=own.closed)
 
     def _between(self, place: int) -> Callable[[tuple, tuple, Any], Any]:
@@ -234,10 +256,6 @@ class Reformulation:
             return bound._boundary.functions[place](q, end)
 
         return between
-
-    def _turned(self, y: tuple, given: Any) -> Ambient:
-        q, bound, _ = self._at(y, given)
-        return bound._periodic_end(q)
 
     def _limits(self) -> Inequalities:
         """The inequalities of the problem, and the bounds of the horizon and of the parameters at the first point."""
@@ -254,17 +272,12 @@ class Reformulation:
                 names.append(name)
                 functions.append(self._of_state(self._bound(list(entries), begin, sign), 2))
                 begin += len(entries)
-        at_nodes = tuple(self._of_state(self._node_limit(place), 1) for place in range(len(own.node_names)))
+        at_nodes = tuple(
+            self._of_node(lambda bound, q, k=k: bound._limits.node_functions[k](q)) for k in range(len(own.node_names))
+        )
         held = (*own.names, *names), tuple(functions), own.at_first | frozenset(names)
         clock = not kind.horizon if self.own.time_dependent else None
         return Inequalities(own.lower, own.upper, *held, own.node_names, at_nodes, clock)
-
-    def _node_limit(self, place: int) -> Callable[[tuple, Any], Any]:
-        def limit(y: tuple, given: Any) -> Any:
-            q, bound, _ = self._at(y, given)
-            return bound._limits.node_functions[place](q)
-
-        return limit
 
     def _limit(self, place: int) -> Callable[[tuple, Ambient, Any], Any]:
         def limit(y: tuple, u: Ambient, given: Any) -> Any:
@@ -279,6 +292,15 @@ class Reformulation:
             return sign * (bounds[begin : begin + len(entries)] - y[1][np.array(entries)])
 
         return bound
+
+    def _of_node(self, value: Callable[[OptimalControlProblem, Ambient], Any]) -> Callable[..., Any]:
+        """A function of a state ``y``, from one of the problem at the time and of its own state."""
+
+        def at(y: tuple, given: Any) -> Any:
+            q, bound, _ = self._at(y, given)
+            return value(bound, q)
+
+        return self._of_state(at, 1)
 
     def _of_state(self, function: Callable[..., Any], count: int) -> Callable[..., Any]:
         """A function with parameters, or without if there are none."""

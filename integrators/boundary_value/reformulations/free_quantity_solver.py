@@ -9,19 +9,16 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from ....compute.at_points import evaluate_at_each
-from ....manifolds.numerics import ambient as vec
 from ...problem.free_quantities import Free, guess_of, guesses_of, is_free, with_scaled_guess
 from ...problem_checks.requirements import require_values
 from ..audit import status
-from ..guess import Guess
 from ..inputs.arguments import BoundaryData
 from ..inputs.inputs import InputReader, Inputs
 from ..inputs.reformulation_kind import ReformulationKind
 from ..solution.batch import Solutions
 from ..solution.diagnostics import Statistics
 from ..solution.record import Solution
-from ..solution.sensitivity import Sensitivity
-from .free_quantities import Reformulation
+from .free_quantities import FreeQuantities
 from .vanishing_horizons import VanishingHorizon
 
 SINGULAR_WORDS = (
@@ -30,44 +27,44 @@ SINGULAR_WORDS = (
     "the controls; a running cost that is constant with a free horizon is minimum time, and needs control_bounds or "
     "constraints"
 )
-HORIZON_AT_BOUND, UNMET = (
-    1.01,
-    1e-3,
-)  # times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero
+# Times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero.
+HORIZON_AT_BOUND, UNMET = 1.01, 1e-3
 LOST_HORIZON = 1e3  # times the guess, or a share of it: a horizon that is found without success, and named
-RESTART, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
-MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8  # times the guess: horizons from which it is tried again
+# From the guess: a horizon that is found again, and how often: test_a_horizon_is_found_whatever_its_guess.
+RESTART, AGAIN = 10.0, 3
+# Times the guess: horizons from which it is tried again: test_durations_of_phases_are_found_whatever_their_guesses.
+MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8
 
 
 @final
-class ReformulationSolver:
+class FreeQuantitySolver:
     """Solvers of the reformulations of a problem, one for each kind of free quantities, made when they are asked for.
 
     ``at_guess``: the constant that stands for a free horizon, at its guess.
     """
 
-    def __init__(self, reader: InputReader, make: Callable[[Reformulation], Any], at_guess: float = 1.0) -> None:
+    def __init__(self, reader: InputReader, make: Callable[[FreeQuantities], Any], at_guess: float = 1.0) -> None:
         self.reader, self._make, self.at_guess = reader, make, at_guess
-        self._made: dict[ReformulationKind, tuple[Reformulation, Any]] = {}
+        self._made: dict[ReformulationKind, tuple[FreeQuantities, Any]] = {}
         self._vanishing = dict[ReformulationKind, VanishingHorizon]()
-        self._found: WeakKeyDictionary[Solution, tuple[Reformulation, Any, Solution]] = WeakKeyDictionary()
+        self._found: WeakKeyDictionary[Solution, tuple[FreeQuantities, Any]] = WeakKeyDictionary()
 
-    def on(self, reader: InputReader, make: Callable[[Reformulation], Any], steps: Any) -> "ReformulationSolver":
+    def on(self, reader: InputReader, make: Callable[[FreeQuantities], Any], steps: Any) -> "FreeQuantitySolver":
         """The same on another mesh."""
-        other = ReformulationSolver(reader, make, self.at_guess)
+        other = FreeQuantitySolver(reader, make, self.at_guess)
         other._made = {
             kind: (formulation, solver.with_steps(steps)) for kind, (formulation, solver) in self._made.items()
         }
         other._found = self._found
         return other
 
-    def of(self, horizon: Any, parameters: Any) -> tuple[Reformulation, Any]:
+    def of(self, horizon: Any, parameters: Any) -> tuple[FreeQuantities, Any]:
         """The reformulation for a horizon and parameters, and its solver."""
         kind = ReformulationKind.of(horizon, parameters)
         if kind not in self._made:
             example = self.reader.problem.with_parameters(guesses_of(parameters)).at_time(0.0)
             require_values(example)
-            formulation = Reformulation(self.reader.problem, self.reader.method, kind, self.at_guess)
+            formulation = FreeQuantities(self.reader, kind, self.at_guess)
             self._made[kind] = formulation, self._make(formulation)
         return self._made[kind]
 
@@ -123,12 +120,16 @@ class ReformulationSolver:
         solution = self._in_own_units(inputs, solution)
         if not is_free(horizon) or solution.statistics.stopped:
             return solution
+        if not self.vanishes(horizon, parameters, solution, inputs.options.tolerance):
+            return solution
+        return self._as_before(status.fail_at_zero(solution, "The horizon", solution.horizon), solution)
+
+    def vanishes(self, horizon: Any, parameters: Any, solution: Solution, tolerance: float) -> bool:
+        """Whether the free horizon of a solution tends to zero."""
         kind = ReformulationKind.of(horizon, parameters)
         if kind not in self._vanishing:
             self._vanishing[kind] = VanishingHorizon(self.reader.problem, guesses_of(parameters))
-        if not self._vanishing[kind](solution, inputs.options.tolerance):
-            return solution
-        return self._as_before(status.fail_at_zero(solution, "The horizon", solution.horizon), solution)
+        return self._vanishing[kind](solution, tolerance)
 
     def _in_own_units(self, inputs: Inputs, solution: Solution) -> Solution:
         """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
@@ -166,41 +167,23 @@ class ReformulationSolver:
         return self._as_before(status.fail_with_hamiltonian(solution, solution.hamiltonians[0] / size), solution)
 
     def _solved(self, inputs: Inputs) -> Solution:
-        formulation, solver, own = self.reformulate(inputs)
-        return self._kept(formulation, solver, solver._found(own), inputs.given.parameters)
+        formulation, solver = self.of(inputs.given.horizon, inputs.given.parameters)
 
-    def reformulate(self, inputs: Inputs, begins: float | None = None) -> tuple[Reformulation, Any, Inputs]:
-        """The reformulation of a single trajectory, its solver, and what is asked of that.
+        def search(posed: BoundaryData, guess: Any) -> Solution:
+            return solver._found(inputs.again(solver._reader, posed, guess))
 
-        The time starts at zero, or is free at the start and guessed to begin there.
-        """
-        given, horizon = inputs.given, float(inputs.horizons[0])
-        formulation, solver = self.of(given.horizon, given.parameters)
-        own = inputs.guess_of(0)
-        constants, times = formulation.guesses(given.horizon, given.parameters, own), inputs.horizons + (begins or 0.0)
-        start, end = formulation.start(given.start, constants, begins), formulation.end(given.end, times)
-        guess = self._guess(formulation, inputs, 0, constants, begins or 0.0)
-        if isinstance(inputs.guess, Solution) and guess is not None:
-            guess = self._with_covectors(formulation, guess, inputs.guess, horizon)
-        own = BoundaryData(start, end, horizon, formulation.parameters(given.horizon, given.parameters))
-        return formulation, solver, inputs.again(solver._reader, own, guess)
+        solution = formulation.solve(inputs, search)
+        self._found[solution] = formulation, solver
+        return solution
 
     def solve_many(self, inputs: Inputs) -> Solutions:
         """The extremals of a batch."""
-        members = [inputs.member(k) for k in range(len(inputs))]
-        each = [(member.given.horizon, member.given.parameters) for member in members]
-        formulation, solver = self.of(*each[0])
-        constants = np.stack([formulation.guesses(*own, inputs.guess_of(k)) for k, own in enumerate(each)])
-        parameters = [formulation.parameters(*own) for own in each]
-        stacked = vec.stacked(parameters) if formulation.takes else None
-        guesses = [self._guess(formulation, inputs, k, c) for k, c in enumerate(constants)]
-        start = formulation.start(inputs.given.start, constants)
-        end = formulation.end(inputs.given.end, inputs.horizons[:, None])
-        own = BoundaryData(start, end, inputs.horizons, stacked)
-        found = solver._all_found(inputs.again(solver._reader, own, None if inputs.guesses is None else guesses))
-        solutions, stopped = list[Solution](), False
-        for member, one in zip(members, found, strict=True):
-            solution = self._kept(formulation, solver, one, member.given.parameters)
+        formulation, solver = self.of(inputs.each[0].horizon, inputs.each[0].parameters)
+        posed, solutions, stopped = formulation.apply(inputs), list[Solution](), False
+        found = solver._all_found(inputs.again(solver._reader, posed, formulation.guess(inputs, posed)))
+        for k, one in enumerate(found):
+            solution, member = formulation.recover(posed, one), inputs.member(k)
+            self._found[solution] = formulation, solver
             if stopped:  # in a search of a member before
                 solution = self._with_effort(solution, replace(solution.statistics, stopped=True))
             solution = self._from_elsewhere(member, self._settled(member, solution))
@@ -208,38 +191,12 @@ class ReformulationSolver:
             solutions.append(solution)
         return Solutions.of(solutions)
 
-    def sensitivity(self, solution: Solution) -> Sensitivity | None:
-        """Derivatives of a solution that was found here; None for any other."""
+    def origin(self, solution: Any) -> tuple[FreeQuantities, Any, Solution] | None:
+        """The reformulation of a solution that was found here, its solver, and its extremal; None for any other."""
         if not isinstance(solution, Solution) or solution not in self._found:
             return None
-        formulation, solver, found = self._found[solution]
-        return formulation.sensitivity(solver.sensitivity(found))
-
-    def _guess(
-        self, formulation: Reformulation, inputs: Inputs, k: int, constants: np.ndarray, begins: float = 0.0
-    ) -> Guess | None:
-        guess, (nodes, stages) = inputs.guess_of(k), self.reader.mesh.times(float(inputs.horizons[k]))
-        return None if guess is None else formulation.guess(guess, constants, (begins + nodes, begins + stages))
-
-    def _with_covectors(self, formulation: Reformulation, guess: Guess, solution: Solution, horizon: float) -> Guess:
-        """A guess that is a solution of this reformulation, with its covectors of the constants and of the clock."""
-        kept, _, found = self._found.get(solution, (None, None, None))
-        if kept is not formulation or found is None:
-            return guess
-        mesh = self.reader.mesh._replace(interpolant=found.interpolant)
-        own, rates = found._guess_on(mesh), [1.0] * bool(formulation.constants)
-        rates += [found.horizon / horizon] * self.reader.problem.time_dependent  # the clock runs to another time
-
-        def completed(given: Any, known: Any) -> tuple:
-            return given[0], *(rate * p for rate, p in zip(rates, known[1:], strict=True))
-
-        pairs = {name: (getattr(guess, name), getattr(own, name)) for name in ("costates", "stage_costates")}
-        return guess._replace(**{name: completed(*pair) for name, pair in pairs.items()})
-
-    def _kept(self, formulation: Reformulation, solver: Any, found: Solution, parameters: Any) -> Solution:
-        solution = formulation.solution(found, parameters, self.reader.mesh.interpolant)
-        self._found[solution] = formulation, solver, found
-        return solution
+        formulation, solver = self._found[solution]
+        return formulation, solver, formulation.recovered[solution]
 
     def _with_effort(self, solution: Solution, effort: Statistics) -> Solution:
         """The solution with this effort."""
@@ -253,7 +210,8 @@ class ReformulationSolver:
     def keep(self, changed: Solution, solution: Solution) -> None:
         """Keep what belongs to a solution for another record of it."""
         if solution in self._found:
-            self._found[changed] = self._found[solution]
+            formulation, _ = self._found[changed] = self._found[solution]
+            formulation.recovered[changed] = formulation.recovered[solution]
 
 
 def _sum(one: Statistics, other: Statistics) -> Statistics:

@@ -16,10 +16,11 @@ from ...problem.free_quantities import Free, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import LOWER, PARAMETERS_LOWER, PARAMETERS_UPPER, UPPER, Inequalities
 from ...problem.point_layout import PointLayout, parameter_layout
-from ..guess import Guess
-from ..inputs.arguments import structure_of
+from ..guess import Guess, Mesh
+from ..inputs.arguments import BoundaryData, structure_of
 from ..solution.record import Solution
 from ..transcription.chart import lagrange
+from .reformulation import Reformulation
 
 REFINED_ARC = 4  # for each stage: where the signs of switching functions are looked at
 OWN_PARAMETERS, DURATIONS, LAST = "own", "durations", "duration of the last arc"
@@ -35,8 +36,18 @@ class _Arc(NamedTuple):
     values: Array
 
 
+class ArcData(NamedTuple):
+    """Boundary data, and a solution as a guess, with the times of its switches between both ends, and the mesh over
+    ``[0, K]``."""
+
+    given: BoundaryData
+    guess: Solution
+    times: np.ndarray  # (K + 1,)
+    mesh: Mesh
+
+
 @final
-class SwitchingArcs:
+class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
     """A problem whose controls are at known bounds along K arcs, as a problem over ``[0, K]`` in which each arc lasts
     1.
 
@@ -75,12 +86,14 @@ class SwitchingArcs:
         changes |= {name: cost for name, cost in costs if getattr(problem, name) is not None}
         self.problem = problem._replaced(boundary_constraints=self._boundary(), **changes)
 
-    def parameters(self, durations: np.ndarray, own: Any) -> Any:
-        """The parameters of the problem in arcs: guessed durations, and the parameters of the problem itself."""
-        return {
+    def apply(self, data: ArcData) -> BoundaryData:
+        """The data over ``[0, K]``, with guessed durations among the parameters."""
+        durations, own = np.diff(data.times), data.given.near(data.guess).parameters
+        parameters = {
             DURATIONS: Free(durations if is_free(self.horizon) else durations[:-1], lower=0.0),
             OWN_PARAMETERS: () if own is None else own,
         }
+        return BoundaryData(data.given.start, data.given.end, float(self.count), parameters)
 
     def durations(self, found: Any) -> Any:
         """The durations of all arcs from the free durations."""
@@ -90,11 +103,12 @@ class SwitchingArcs:
             else jnp.concatenate([found, jnp.reshape(self.horizon - jnp.sum(found), (1,))])
         )
 
-    def guess(self, solution: Solution, ends: np.ndarray, nodes: np.ndarray, stages: np.ndarray) -> Guess:
-        """A solution of the problem as a guess at times of nodes and stages in ``[0, K]``, for arcs with some ends."""
+    def guess(self, data: ArcData, posed: BoundaryData) -> Guess:
+        """The solution at the nodes and stages of the mesh."""
+        solution, (nodes, stages) = data.guess, data.mesh.times(1.0)
 
         def time(tau: np.ndarray) -> np.ndarray:
-            return np.clip(np.interp(tau, np.arange(self.count + 1), ends), *solution.times[[0, -1]])
+            return np.clip(np.interp(tau, np.arange(self.count + 1), data.times), *solution.times[[0, -1]])
 
         at_stages, at_nodes = solution(time(stages)), solution(time(nodes))
         arc = self.arc(stages)
@@ -106,23 +120,27 @@ class SwitchingArcs:
         """The arc to which a time belongs."""
         return np.clip(np.floor(tau).astype(int), 0, self.count - 1)
 
-    def solution(self, found: Solution) -> Solution:
+    def recover(self, posed: BoundaryData, found: Solution) -> Solution:
         """The solution of the problem, with the multipliers of bounds that switching functions ``d(<p, X> - F)/du``
-        are."""
+        are.
+
+        A failure is returned as it is.
+        """
+        if not found.success:
+            return found
         durations = np.asarray(self.durations(found.parameters[DURATIONS]))
         ends = np.concatenate([[0.0], np.cumsum(durations)])
         arc, rates = self.arc(found.stage_times), durations[self.arc(found.stage_times)]
         flat = np.where(self.fixed[arc] > 0, self.values[arc], np.asarray(found.controls).reshape(len(arc), -1))
         checks: Any = found.checks
         hamiltonians, multipliers = found.hamiltonians / rates, self._multipliers(found, durations, rates)
-        own = found.parameters[OWN_PARAMETERS] if self.own.takes_parameters else None
         solution = replace(
             found,
             times=np.interp(found.times, np.arange(self.count + 1), ends),
             stage_times=np.interp(found.stage_times, np.arange(self.count + 1), ends),
             controls=flat.reshape(np.shape(found.controls)),
             hamiltonians=hamiltonians,
-            parameters=own,
+            parameters=found.parameters[OWN_PARAMETERS] if self.own.takes_parameters else None,
             checks=replace(
                 checks,
                 hamiltonian=float(hamiltonians[0]),
@@ -130,18 +148,24 @@ class SwitchingArcs:
                 hamiltonian_size=checks.hamiltonian_size / np.max(durations),
             ),
         )
+        return self._with_switching_functions(solution, multipliers, self.sides[arc])
+
+    def _with_switching_functions(
+        self, solution: Solution, multipliers: dict[str, np.ndarray], sides: np.ndarray
+    ) -> Solution:
+        """The solution with these multipliers, and with switching functions in their place at bounds that fix a
+        control, on the ``sides`` of the stages."""
+        checks: Any = solution.checks
         along = solution.stage_states, solution.stage_costates, solution.controls, solution.stage_times
-        slopes = self._slopes(along, multipliers, own)
-        active = {
-            name: count for name, count in checks.active.items() if name in {**multipliers, **found.node_multipliers}
-        }
+        slopes = self._slopes(along, multipliers, solution.parameters)
+        names = {*multipliers, *solution.node_multipliers}
+        active = {name: count for name, count in checks.active.items() if name in names}
         for name, sign in ((LOWER, -1), (UPPER, 1)):
             if name in multipliers:
                 held = np.maximum(sign * slopes, 0.0)
-                at = self.sides[arc]
-                multipliers[name] = np.where(at == sign, held, np.where(at == 0, multipliers[name], 0.0))
-                active[name] = int(np.sum(np.any(at == sign, axis=1)))
-        return replace(solution, multipliers=multipliers, checks=replace(solution.checks, active=active))
+                multipliers[name] = np.where(sides == sign, held, np.where(sides == 0, multipliers[name], 0.0))
+                active[name] = int(np.sum(np.any(sides == sign, axis=1)))
+        return replace(solution, multipliers=multipliers, checks=replace(checks, active=active))
 
     def _multipliers(self, found: Solution, durations: np.ndarray, rates: np.ndarray) -> dict[str, np.ndarray]:
         """The multipliers of the problem per unit of time; of bounded controls where the arcs leave them free."""
