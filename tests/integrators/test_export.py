@@ -16,7 +16,7 @@ from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 
 from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, SPHERE, half_square, rotation, spacecraft
-from tests.support.exported import ARITHMETIC, STATUSES, WARNINGS, Flown, needs, objects_of_core, ran
+from tests.support.exported import ARITHMETIC, STATUSES, WARNINGS, Flown, needs, ran
 
 PLANE = Euclidean(2)
 NORTH, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -103,15 +103,6 @@ def _searches_of_the_core(monkeypatch):
     """Searches with the instruction set of the program: rounding of products and sums moves the
     costates of least time, which the tolerance hardly determines, by 1e-6."""
     monkeypatch.setattr(transcription, "best_instruction_set", lambda: 0)
-
-
-@pytest.fixture(scope="module")
-def core(tmp_path_factory):
-    """The objects of the core."""
-    line, folder = Euclidean(1), tmp_path_factory.mktemp("core")
-    solver = Solver(OptimalControlProblem(line, lambda q, u: u, half_square, 1), Midpoint(Addition(line)), 2)
-    solver.export_c(folder / "line", "line", solver.solve(0.0, 1.0, 1.0))
-    return objects_of_core(folder / "line", folder / "objects", "-O2", "-fPIC")
 
 
 def flat(points: Any) -> np.ndarray:

@@ -75,12 +75,21 @@ def export_c(
     """
     from .problem_source import files  # what compiles tapes is imported where it is needed
 
-    where, options = Path(folder), Options.of(tolerance, max_iterations, None, False)
-    _require_name(name)
-    require_treated(self.problem, "export_c", *ALONG)
-    if where.exists() and (not where.is_dir() or any(where.iterdir())):
-        raise InvalidInputError(f"folder = {where} exists and is not an empty folder; try a new one, or remove it")
-    texts, core = files(_pose(self, _found(self, solution), solution, options), name), where / "core"
+    where, options = require_new(Path(folder)), Options.of(tolerance, max_iterations, None, False)
+    require_name(name)
+    return write_folder(where, files(pose(self, found_by(self, solution), solution, options), name))
+
+
+def require_new(folder: Path) -> Path:
+    """The folder; raises if it has files."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InvalidInputError(f"folder = {folder} exists and is not an empty folder; try a new one, or remove it")
+    return folder
+
+
+def write_folder(where: Path, texts: dict[str, str]) -> Path:
+    """Write files by their names, and the core; returns the folder."""
+    core = where / "core"
     core.mkdir(parents=True)
     for file, text in texts.items():
         (where / file).write_text(text, encoding="utf-8")
@@ -89,7 +98,7 @@ def export_c(
     return where
 
 
-def _require_name(name: Any) -> None:
+def require_name(name: Any) -> None:
     """Raise unless this is an identifier of C that the program does not use itself."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise InvalidInputError(
@@ -99,8 +108,9 @@ def _require_name(name: Any) -> None:
         raise InvalidInputError(f"name = {name!r} has another meaning in the C program; try another name, as 'slew'")
 
 
-def _found(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
+def found_by(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
     """The solver that has found a solution, its own solution, and the reformulation that it solves, or None."""
+    require_treated(solver.problem, "export_c", *ALONG)
     formulation, found = None, solution
     if isinstance(solution, Solution) and solution in solver._reformulation._found:
         formulation, solver, found = solver._reformulation._found[solution]
@@ -112,7 +122,7 @@ def _found(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
     return solver, found, formulation
 
 
-def _pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options: Options) -> Any:
+def pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options: Options) -> Any:
     """The problem of a solution.
 
     ``found``: the solver that has found the solution, its own solution, both others for a reformulation, and the

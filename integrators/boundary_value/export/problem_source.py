@@ -23,6 +23,14 @@ FIELDS = {
     "multipliers": ("LIMIT_MULTIPLIERS", ("MULTIPLIERS",), "of the inequalities; all zero where none is known"),
 }
 OF_COLLOCATION = "velocities", "point_costates"
+LOOP = """\
+add_executable(loop loop.c)
+target_link_libraries(loop PRIVATE {0})
+add_test(NAME loop COMMAND loop)"""
+CONTROLLER_ROW = """\
+| `{0}_controller.h`, `{0}_controller.c` | the receding horizon controller: `{0}_begin`, `{0}_step` |
+| `loop.c` | an example of its loop, which a test runs too |
+"""
 METHODS = {
     False: "Controls, and the states that are called centres, stand inside the steps, one in each.",
     True: "Controls stand at the collocation points, @NAME@_POINTS in each step.",
@@ -62,9 +70,12 @@ def templates(posed: PosedProblem, name: str) -> dict[str, str]:
     }
 
 
-def files(posed: PosedProblem, name: str) -> dict[str, str]:
-    """The texts of the files of the problem, by their names."""
+def files(posed: PosedProblem, name: str, loops: tuple[str, ...] = ()) -> dict[str, str]:
+    """The texts of the files of the problem, by their names; ``loops``: the program of a controller, if there is
+    one."""
     values = templates(posed, name)
+    values |= {"controller": f"{name}_controller.c" if loops else "", "loop": LOOP.format(name) if loops else ""}
+    values["controller_row"] = CONTROLLER_ROW.format(name) if loops else ""
     own = {f"{name}{ending}": f"problem{ending}" for ending in (".h", ".c", "_functions.h", "_functions.c")}
     own |= {other: other for other in ("CMakeLists.txt", "README.md", "main.c")}
     return {file: filled(template, values) for file, template in own.items()}

@@ -65,10 +65,23 @@ static void write_problem(head *own) {
 /* Bytes of something, such that what stands behind it is aligned. */
 static size_t aligned(size_t bytes) { return (bytes + ALIGNMENT - 1) & ~(ALIGNMENT - 1); }
 
+/* Iterations that a solve may make, and evaluations that it has made. */
+typedef struct {
+    int most, evaluations;
+} budget;
+
+/* Whether a solve has spent its budget; the first evaluation is that of the guess. */
+static bool is_spent(void *context, const retrax_iteration *iteration) {
+    budget *const own = context;
+    (void)iteration;
+    return own->evaluations++ >= own->most;
+}
+
 /* Makes a search in a workspace; returns NULL if that is too small. */
-static retrax_search *make_search(@name@_workspace *workspace, head **found) {
+static retrax_search *make_search(@name@_workspace *workspace, budget *limit, head **found) {
     const retrax_options options = {
-        .tolerance = tolerance, .max_iterations = @NAME@_MAX_ITERATIONS, .width = 1.0, .firm = 1.0, .looks = true};
+        .tolerance = tolerance, .max_iterations = @NAME@_MAX_ITERATIONS, .width = 1.0, .firm = 1.0, .looks = true,
+        .report = limit->most > 0 ? is_spent : NULL, .context = limit};
     unsigned char *const base = (unsigned char *)workspace->numbers;
     size_t used = (ALIGNMENT - (size_t)((uintptr_t)base % ALIGNMENT)) % ALIGNMENT;
     memset(base, 0, sizeof(*workspace));
@@ -163,12 +176,18 @@ static void read_output(const head *own, const retrax_search *search, const @nam
 }
 
 @name@_status @name@_solve(const @name@_input *input, @name@_output *output, @name@_workspace *workspace) {
+    return @name@_solve_within(input, 0, output, workspace);
+}
+
+@name@_status @name@_solve_within(const @name@_input *input, int iterations, @name@_output *output,
+                                  @name@_workspace *workspace) {
     head *own = NULL;
+    budget limit = {iterations, 0};
     memset(output, 0, sizeof(*output));
     if (!is_valid(input)) {
         return output->status = @NAME@_BAD_INPUT;
     }
-    retrax_search *const search = make_search(workspace, &own);
+    retrax_search *const search = make_search(workspace, &limit, &own);
     if (search == NULL) {
         return output->status = @NAME@_BAD_WORKSPACE;
     }
@@ -188,6 +207,7 @@ static void read_output(const head *own, const retrax_search *search, const @nam
             output->status = @NAME@_ELSEWHERE;
             break;
         case RETRAX_ITERATION_LIMIT:
+        case RETRAX_STOPPED:
             output->status = @NAME@_ITERATION_LIMIT;
             break;
         default:
