@@ -1,9 +1,7 @@
 """Exported solvers find what Python finds, compile without warnings, allocate nothing, and refuse bad input."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -16,7 +14,7 @@ from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 
 from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, SPHERE, half_square, rotation, spacecraft
-from tests.support.exported import ARITHMETIC, STATUSES, WARNINGS, Flown, needs, ran
+from tests.support.exported import ARITHMETIC, STATUSES, WARNINGS, Flown, loop_of_the_page, needs, ran
 
 PLANE = Euclidean(2)
 NORTH, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -190,11 +188,7 @@ def test_a_folder_builds_and_passes_its_test_without_warnings(compiler, tmp_path
 
 
 def test_the_control_loop_of_the_page_compiles(tmp_path, slew):
-    page = (Path(__file__).parents[2] / "docs" / "flight.md").read_text()
-    (loop,) = [
-        block for block in re.findall(r"^```c\n(.*?)^```", page, re.DOTALL | re.MULTILINE) if "#include" in block
-    ]
-    (tmp_path / "loop.c").write_text(loop)
+    (tmp_path / "loop.c").write_text(loop_of_the_page("slew.h"))
     ran("gcc", *WARNINGS, f"-I{slew[2]}", "-c", "loop.c", folder=tmp_path)
 
 

@@ -16,7 +16,7 @@ from retrax.manifolds import InvalidInputError
 from scipy.spatial.transform import Rotation
 
 from tests.integrators import satellite
-from tests.support.exported import STATUSES, WARNINGS, FlownController, needs, ran
+from tests.support.exported import STATUSES, WARNINGS, FlownController, loop_of_the_page, needs, ran
 
 S2, BODY = rx.Sphere(2), rx.SO(3) * rx.Euclidean(3)
 NORTH, EAST, REST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), np.zeros(3)
@@ -128,12 +128,12 @@ def test_the_compiled_controller_flies_the_loop_of_python(name, tmp_path, core):
 def pointing(tmp_path_factory, core):
     """The loop of a moving target, and the folder of its controller."""
     loop = loops()["a fixed end on a sphere, by the midpoint rule"]()
-    return loop, loop.controller.export_c(tmp_path_factory.mktemp("own") / "own", "own", loop.start)
+    return loop, loop.controller.export_c(tmp_path_factory.mktemp("own") / "own", "pilot", loop.start)
 
 
 def test_a_failure_is_said_and_the_control_of_the_plan_stays(pointing, core):
     loop, folder = pointing
-    flown = FlownController(folder, "own", core, "-O1")
+    flown = FlownController(folder, "pilot", core, "-O1")
     lost = flown(np.full(3, np.nan), 0.0)
     assert flown.sources == ["none"]
     assert not lost.any()
@@ -149,6 +149,13 @@ def test_a_failure_is_said_and_the_control_of_the_plan_stays(pointing, core):
     assert flown.sources[-1] == "solve"
     flown(loop.start, 2.5)  # nothing is left of the plan: the guess of the export
     assert flown.sources[-1] == "solve"
+
+
+def test_the_control_loop_of_the_page_compiles(tmp_path, pointing):
+    (tmp_path / "loop.c").write_text(
+        loop_of_the_page("pilot_controller.h").replace("pilot", "own").replace("PILOT", "OWN")
+    )
+    ran("gcc", *WARNINGS, f"-I{pointing[1]}", "-c", "loop.c", folder=tmp_path)
 
 
 @pytest.mark.slow

@@ -38,6 +38,14 @@ def objects_of_core(folder: Path, to: Path, *options: str, compiler: str = "gcc"
     return sorted(to.glob("*.o"))
 
 
+def loop_of_the_page(header: str) -> str:
+    """The loop in C of the page on flight code that includes a header."""
+    page = (Path(__file__).parents[2] / "docs" / "flight.md").read_text()
+    blocks = re.findall(r"^```c\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    (found,) = [block for block in blocks if f'#include "{header}"' in block]
+    return found
+
+
 class Flown:
     """An exported solver, called as flight code would."""
 
