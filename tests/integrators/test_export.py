@@ -192,6 +192,43 @@ def test_the_control_loop_of_the_page_compiles(tmp_path, slew):
     ran("gcc", *WARNINGS, f"-I{slew[2]}", "-c", "loop.c", folder=tmp_path)
 
 
+def unlimited() -> OptimalControlProblem:
+    """A slew to a free end with a cost."""
+    return OptimalControlProblem(
+        RIGID,
+        spacecraft,
+        half_square,
+        3,
+        terminal_cost=lambda q: 50.0 * jnp.sum((q[0] - SLEW_END) ** 2) + 1e6 * q[1] @ q[1],
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "end", "most"),
+    [(unlimited, None, 1e-8), (lambda: SLEW, (SLEW_END, REST), 1e-6), (limited, (SLEW_END, REST), 1e-3)],
+    ids=["free end", "fixed end", "torque limits"],
+)
+def test_gains_are_those_of_the_feedback_in_python(make, end, most, tmp_path, core):
+    """At the nodes from which the controls can correct everything; limits hold as far as the barrier lets them."""
+    solver = Solver(make(), Gauss(2, Cayley(RIGID)), 8)
+    solution = solver.solve((IDENTITY, REST), end, 60.0)
+    law = solver.feedback(solution)
+    flown = Flown(solver.export_c(tmp_path / "own", "own", solution, gains=True), "own", core, "-O1")
+    found = flown.solve(flown.default)
+    agrees(found, solution)
+    frames = np.stack([frame_at(own, w) for own, w in zip(*solution.states, strict=True)])[:-1]
+    gains = np.einsum("ksie,kae->ksia", found["gains"], frames)
+    expected = law.gains.reshape(gains.shape)
+    before = solution.times[:-1] <= law.until
+    assert before.sum() >= 5
+    assert np.abs(gains - expected)[before].max() <= most * np.abs(expected[before]).max()
+
+
+def frame_at(attitude: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """The basis of the manifold at a state, a flat vector in each row."""
+    return flat(tuple(np.asarray(part) for part in RIGID.basis((attitude, rate))))
+
+
 LIBRARY = (
     "acos acosh asin asinh atan atan2 atanh copysign cos cosh erf exp expm1 fabs floor ceil fma fmax fmin fmod hypot "
     "log log1p pow sin sinh sqrt tan tanh memcpy memset memmove __stack_chk_fail"

@@ -65,7 +65,9 @@ class Flown:
         rows = [("times", "f8", (nodes,)), ("states", "f8", (nodes, numbers)), ("costates", "f8", (nodes, numbers))]
         counts, sums = [("status", "i4"), ("iterations", "i4")], [("cost", "f8"), ("horizon", "f8")]
         residuals = [(residual, "f8") for residual in RESIDUALS]
-        fields = [*counts, *sums, *rows, ("solution", guess), *residuals, ("strict_minimum", "?")]
+        shape = tuple(self.sizes[own] for own in ("STEPS", "POINTS", "CONTROL_DIMENSION", "STATE_NUMBERS"))
+        gains = [("gains", "f8", shape)] if "double gains" in header else []
+        fields = [*counts, *sums, *rows, ("solution", guess), *residuals, *gains, ("strict_minimum", "?")]
         self.output = np.dtype(fields, align=True)
         default = (ctypes.c_char * self.input.itemsize).in_dll(self.library, f"{name}_default_input")
         self.default = np.frombuffer(bytes(default), self.input).copy()[0]

@@ -37,7 +37,7 @@ TAKEN = re.compile(
 
 def export_c(
     self: Any, folder: str | Path, name: str, solution: Solution, tolerance: float | None = None,
-    max_iterations: int = 100,
+    max_iterations: int = 100, gains: bool = False,
 ) -> Path:  # fmt: skip
     """A folder of C source that solves the problem on a computer without Python, such as a flight computer.
 
@@ -54,6 +54,8 @@ def export_c(
         The tolerance of the residuals in the C program; by default that of ``solve``.
     max_iterations : int
         The largest number of iterations in the C program.
+    gains : bool
+        Whether an output has the feedback gains of the controls at each step, from one elimination for each node.
 
     Returns
     -------
@@ -70,14 +72,14 @@ def export_c(
     -----
     The folder holds C99 source, a ``CMakeLists.txt``, an example that compares with the solution in Python, and a test
     that runs the example. ``name_solve(input, output, workspace)`` allocates no memory. The size of the workspace is a
-    constant. All numbers are in double precision. Feedback gains and phases are not exported. The C program does not
+    constant. All numbers are in double precision. Phases are not exported. The C program does not
     make the checks of a solution that Python makes after a solve: read the status and the residuals of its output.
     """
     from .problem_source import files  # what compiles tapes is imported where it is needed
 
     where, options = require_new(Path(folder)), Options.of(tolerance, max_iterations, None, False)
     require_name(name)
-    return write_folder(where, files(pose(self, found_by(self, solution), solution, options), name))
+    return write_folder(where, files(pose(self, found_by(self, solution), solution, options, gains), name))
 
 
 def require_new(folder: Path) -> Path:
@@ -122,7 +124,7 @@ def found_by(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
     return solver, found, formulation
 
 
-def pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options: Options) -> Any:
+def pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options: Options, gains: bool = False) -> Any:
     """The problem of a solution.
 
     ``found``: the solver that has found the solution, its own solution, both others for a reformulation, and the
@@ -159,6 +161,7 @@ def pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options: 
         duration=float(solution.times[-1] - solution.times[0]),
         tolerance=float(options.tolerance),
         max_iterations=options.max_iterations,
+        gains=gains,
         columns=_columns(solver, kept, formulation),
         words=_words(inner, kept, formulation, solution),
     )

@@ -18,6 +18,11 @@
 
 /* Bytes that arrays are aligned to. */
 #define ALIGNMENT ((size_t)64)
+/* Bytes of the arrays of the gains, and with their elimination. */
+#define GAINS_BYTES ((size_t)@gains_bytes@)
+#define ROOM_BYTES ((size_t)@room_bytes@)
+/* The least pivot, relative, of a linear system that is not singular: eps^0.6. */
+#define SMALLEST_PIVOT 4e-10
 
 /* A function of the problem with room for the numbers of a point, the context of `evaluate`. */
 typedef struct {
@@ -33,6 +38,7 @@ typedef struct {
     retrax_multiphase phases; /* one, whose ends are not coupled */
     call calls[RETRAX_FUNCTIONS];
     double in[@NAME@_MOST_INPUTS], out[@NAME@_MOST_OUTPUTS];
+    double *room; /* of the gains, behind the search */
 } head;
 
 /* Evaluates a function at some points. */
@@ -100,9 +106,10 @@ static retrax_search *make_search(@name@_workspace *workspace, budget *limit, he
     own->layouts[0] = &own->layout;
     own->phases = (retrax_multiphase){.phases = 1, .layouts = own->layouts};
     const size_t of_search = retrax_search_memory(&own->phases, @NAME@_MAX_ITERATIONS);
-    if (of_search == 0 || sizeof(*workspace) < used + of_search) {
+    if (of_search == 0 || sizeof(*workspace) < used + aligned(of_search) + ROOM_BYTES) {
         return NULL;
     }
+    own->room = (void *)(base + used + aligned(of_search));
     return retrax_search_make(&own->phases, &options, RETRAX_PORTABLE, base + used);
 }
 
@@ -153,6 +160,8 @@ static void read_costates(const head *own, const double *trajectory, @name@_outp
     }
 }
 
+@gains@
+
 /* Writes the result of a search. */
 static void read_output(const head *own, const retrax_search *search, const @name@_input *input,
                         @name@_output *output) {
@@ -173,6 +182,7 @@ static void read_output(const head *own, const retrax_search *search, const @nam
     output->violation = fmax(residuals[RETRAX_VIOLATION], residuals[RETRAX_EXCESS]);
     output->complementarity = residuals[RETRAX_COMPLEMENTARITY];
     output->strict_minimum = @strict@;
+@read_gains@
 }
 
 @name@_status @name@_solve(const @name@_input *input, @name@_output *output, @name@_workspace *workspace) {
