@@ -10,7 +10,7 @@ without a budget. The compiled controller flies the loop. A horizon of 12 s has 
 - ``compiled``: ``RecedingHorizon.export_c``, compiled with ``-O2 -march=native``; ``python``: the same controller in
   Python. By collocation of order 4, with two controls in a step.
 - ``fatrop``: multiple shooting by the Runge-Kutta method of order 4 with quaternions, one control in a step, the same
-  cost, and soft constraints in the middle of the steps: fewer unknowns. Of some ``mu_init`` the fastest in a run before.
+  cost, and soft constraints in the middle of the steps: fewer unknowns. The fastest of some ``mu_init``.
 
 One JSON line a side: milliseconds, median and worst after the first sample, iterations, ratios to FATROP, failures.
 """

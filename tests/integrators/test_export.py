@@ -205,7 +205,7 @@ def unlimited() -> OptimalControlProblem:
 
 @pytest.mark.parametrize(
     ("make", "end", "most"),
-    [(unlimited, None, 1e-8), (lambda: SLEW, (SLEW_END, REST), 1e-6), (limited, (SLEW_END, REST), 1e-3)],
+    [(unlimited, None, 1e-10), (lambda: SLEW, (SLEW_END, REST), 1e-10), (limited, (SLEW_END, REST), 1e-7)],
     ids=["free end", "fixed end", "torque limits"],
 )
 def test_gains_are_those_of_the_feedback_in_python(make, end, most, tmp_path, core):

@@ -200,14 +200,13 @@ class Flight(NamedTuple):
     flown: FlownController
     statuses: Counter[str]
     discrepancies: list[float]  # of plans that are solutions, from the equations of motion
-    costs: list[float]  # relative differences from solves in Python
     controls: np.ndarray
     rates: np.ndarray  # of the plant
     cones: np.ndarray
     settled: list[float]  # angles to the targets just before the next one
 
 
-TARGET, CHECKED, SUBSTEPS = 400, 500, 8  # samples with a target; between solves in Python; in a step
+TARGET, SUBSTEPS = 400, 8  # samples with one target; of a judge in a step
 
 
 def discrepancy(found: Any) -> float:
@@ -244,12 +243,10 @@ def hats(w: np.ndarray) -> np.ndarray:
     return np.cross(w[:, None], np.eye(3)).mT
 
 
-def flight(count: int, flown: FlownController, controller: rx.RecedingHorizon) -> Flight:
+def flight(count: int, flown: FlownController) -> Flight:
     """A closed loop of so many samples, with another target after each ``TARGET`` of them."""
-    rng, done = (
-        np.random.default_rng(3),
-        Flight(flown, Counter(), [], [], *(np.zeros((count, n)) for n in (4, 3, 1)), []),
-    )
+    arrays = (np.zeros((count, n)) for n in (4, 3, 1))
+    rng, done = np.random.default_rng(3), Flight(flown, Counter(), [], *arrays, [])
     own, q = Plant(satellite.plant()), satellite.START
     target = satellite.TARGET
     for k in range(count):
@@ -263,8 +260,6 @@ def flight(count: int, flown: FlownController, controller: rx.RecedingHorizon) -
         done.statuses[STATUSES[flown.found["status"]]] += 1
         if flown.sources[-1] == "solve":
             done.discrepancies.append(discrepancy(flown.found))
-            if k % CHECKED == CHECKED - 1:
-                done.costs.append(judged(controller, flown.found, seen, target))
         q = own.advance(q, Signal.constant(u), 0.0, satellite.SAMPLE, satellite.ripple(t, rng))
         done.controls[k], done.rates[k], done.cones[k] = u, q[1], np.arccos(q[0] @ satellite.CAMERA @ satellite.SUN)
     done.settled.append(angle(target, q[0]))
@@ -285,28 +280,15 @@ def angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(Rotation.from_matrix(a.T @ b).magnitude())
 
 
-def judged(controller: rx.RecedingHorizon, found: Any, seen: Any, target: np.ndarray) -> float:
-    """The relative difference from the cost of the solution that the solver in Python finds from this one."""
-
-    def points(rows: np.ndarray) -> tuple[np.ndarray, ...]:
-        return tuple(rows[:, part].reshape(len(rows), *shape) for part, shape in STATE)
-
-    centres = np.repeat(found["solution"]["centres"], 2, axis=0)
-    guess = rx.Guess(points(centres), found["solution"]["controls"].reshape(24, -1))
-    solution = controller.solver.solve(seen, None, 12.0, guess, parameters=target)
-    return abs(solution.cost - found["cost"]) / solution.cost
-
-
 @pytest.mark.slow
 def test_a_long_loop_of_a_satellite_never_fails_silently(tmp_path, core):
     """Each solve has success, or says that it has none; all controls keep their bounds."""
     controller = satellite.controller(max_iterations=20)
     flown = FlownController(controller.export_c(tmp_path / "own", "own", satellite.START), "own", core, "-O2")
-    done = flight(800, flown, controller)
+    done = flight(800, flown)
     assert done.statuses["SOLVED"] == flown.sources.count("solve")
     assert done.statuses["SOLVED"] >= 0.99 * 800
     assert max(done.discrepancies) <= 1e-3
-    assert max(done.costs) <= 1e-5
     assert np.abs(done.controls).max() <= satellite.TORQUE
     assert np.linalg.norm(done.rates, axis=1).max() <= 1.03 * satellite.RATE
     assert max(flown.iterations[1:]) <= 20

@@ -26,7 +26,7 @@ LIMITS_KEPT = "    memcpy(to->multipliers, output->solution.multipliers, sizeof(
 @final
 @dataclass(frozen=True, eq=False)
 class PosedController:
-    """What a controller has beside its solver.
+    """The parts of a controller beside its solver.
 
     ``interpolant``, ``places``: of the method, with the places of its points in a step; ``at_points``: the function of
     the states at these; ``groups``: ends of the columns of inequalities of one name; ``bounds`` of the controls that

@@ -82,8 +82,10 @@ def templates(posed: PosedProblem, name: str) -> dict[str, str]:
 
 
 def files(posed: PosedProblem, name: str, loops: tuple[str, ...] = ()) -> dict[str, str]:
-    """The texts of the files of the problem, by their names; ``loops``: the program of a controller, if there is
-    one."""
+    """The texts of the files of the problem, by their names.
+
+    ``loops``: the program of a controller, if there is one.
+    """
     values = templates(posed, name)
     values |= {"controller": f"{name}_controller.c" if loops else "", "loop": LOOP.format(name) if loops else ""}
     values["controller_row"] = CONTROLLER_ROW.format(name) if loops else ""
