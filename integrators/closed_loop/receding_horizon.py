@@ -12,6 +12,7 @@ from ..boundary_value.solution.record import Solution
 from ..boundary_value.solver import Solver
 from ..problem.argument_errors import require_known_options
 from ..reporting.text import brief
+from .controller_export import export_c
 from .plan import Budget, Plan
 from .plant import Plant, SentControls, Signal, clipped, idle_control
 from .soft_constraints import soften
@@ -114,8 +115,12 @@ class RecedingHorizon:
         self.solver = Solver(soften(self.problem, soft), solver.method, solver.fractions) if soft else solver
         self._end, self._parameters, self._tolerance, self.acceptable = end, parameters, tolerance, acceptable
         self._budget, self.hold, self.delay = (max_iterations, milliseconds), hold, float(delay)
-        self._plant = Plant(self.problem)
-        self._sent = SentControls(idle_control(self.problem, idle, delay))
+        self._plant, self._idle = Plant(self.problem), idle_control(self.problem, idle, delay)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Forget all samples."""
+        self._sent = SentControls(self._idle)
         self._plan: Plan | None = None  # the last solution or acceptable iterate
         self._iterate: Plan | None = None  # from which the next solve starts
         self._feedback: Feedback | None = None  # along a solution that was the plan when a solve failed
@@ -195,6 +200,8 @@ class RecedingHorizon:
         spent = 1000 * (time.perf_counter() - began)
         self._samples.append((float(t), solution.statistics.iterations, spent, source))
         return control
+
+    export_c = require_known_options(export_c)
 
     def _solved(self, q: Any, end: Any, begin: float, horizon: float, parameters: Any) -> Solution:
         """The solution from a state, or the best iterate within the budget."""

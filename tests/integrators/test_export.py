@@ -1,9 +1,7 @@
 """Exported solvers find what Python finds, compile without warnings, allocate nothing, and refuse bad input."""
 
-import re
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
@@ -16,7 +14,7 @@ from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 
 from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, SPHERE, half_square, rotation, spacecraft
-from tests.support.exported import ARITHMETIC, STATUSES, WARNINGS, Flown, needs, objects_of_core, ran
+from tests.support.exported import ARITHMETIC, STATUSES, WARNINGS, Flown, loop_of_the_page, needs, ran
 
 PLANE = Euclidean(2)
 NORTH, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -105,15 +103,6 @@ def _searches_of_the_core(monkeypatch):
     monkeypatch.setattr(transcription, "best_instruction_set", lambda: 0)
 
 
-@pytest.fixture(scope="module")
-def core(tmp_path_factory):
-    """The objects of the core."""
-    line, folder = Euclidean(1), tmp_path_factory.mktemp("core")
-    solver = Solver(OptimalControlProblem(line, lambda q, u: u, half_square, 1), Midpoint(Addition(line)), 2)
-    solver.export_c(folder / "line", "line", solver.solve(0.0, 1.0, 1.0))
-    return objects_of_core(folder / "line", folder / "objects", "-O2", "-fPIC")
-
-
 def flat(points: Any) -> np.ndarray:
     """Arrays of points, as the columns of the C program."""
     leaves = points if isinstance(points, tuple) else (points,)
@@ -199,12 +188,45 @@ def test_a_folder_builds_and_passes_its_test_without_warnings(compiler, tmp_path
 
 
 def test_the_control_loop_of_the_page_compiles(tmp_path, slew):
-    page = (Path(__file__).parents[2] / "docs" / "flight.md").read_text()
-    (loop,) = [
-        block for block in re.findall(r"^```c\n(.*?)^```", page, re.DOTALL | re.MULTILINE) if "#include" in block
-    ]
-    (tmp_path / "loop.c").write_text(loop)
+    (tmp_path / "loop.c").write_text(loop_of_the_page("slew.h"))
     ran("gcc", *WARNINGS, f"-I{slew[2]}", "-c", "loop.c", folder=tmp_path)
+
+
+def unlimited() -> OptimalControlProblem:
+    """A slew to a free end with a cost."""
+    return OptimalControlProblem(
+        RIGID,
+        spacecraft,
+        half_square,
+        3,
+        terminal_cost=lambda q: 50.0 * jnp.sum((q[0] - SLEW_END) ** 2) + 1e6 * q[1] @ q[1],
+    )
+
+
+@pytest.mark.parametrize(
+    ("make", "end", "most"),
+    [(unlimited, None, 1e-10), (lambda: SLEW, (SLEW_END, REST), 1e-10), (limited, (SLEW_END, REST), 1e-7)],
+    ids=["free end", "fixed end", "torque limits"],
+)
+def test_gains_are_those_of_the_feedback_in_python(make, end, most, tmp_path, core):
+    """At the nodes from which the controls can correct everything; limits hold as far as the barrier lets them."""
+    solver = Solver(make(), Gauss(2, Cayley(RIGID)), 8)
+    solution = solver.solve((IDENTITY, REST), end, 60.0)
+    law = solver.feedback(solution)
+    flown = Flown(solver.export_c(tmp_path / "own", "own", solution, gains=True), "own", core, "-O1")
+    found = flown.solve(flown.default)
+    agrees(found, solution)
+    frames = np.stack([frame_at(own, w) for own, w in zip(*solution.states, strict=True)])[:-1]
+    gains = np.einsum("ksie,kae->ksia", found["gains"], frames)
+    expected = law.gains.reshape(gains.shape)
+    before = solution.times[:-1] <= law.until
+    assert before.sum() >= 5
+    assert np.abs(gains - expected)[before].max() <= most * np.abs(expected[before]).max()
+
+
+def frame_at(attitude: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """The basis of the manifold at a state, a flat vector in each row."""
+    return flat(tuple(np.asarray(part) for part in RIGID.basis((attitude, rate))))
 
 
 LIBRARY = (

@@ -28,7 +28,7 @@ MOST_REFINED_STEPS, MOST_STAGES = 5000, 6
 FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most
 SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
-# The most iterations of a mesh that follows, whose guess is near: times those of the first mesh, or of so few.
+# The most iterations of a solution in arcs, whose guess is near: times those of the first mesh, or of so few.
 MOST_ITERATIONS, FEWEST_ITERATIONS = 2, 10
 SLOW_REFINEMENT, REFINEMENT_PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
@@ -80,7 +80,7 @@ class MeshRefinement:
             options = options._replace(callback=self._told)
             self.inputs = replace(self.inputs, options=options)
         looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
-        self._options = options._replace(tolerance=max(options.tolerance, looser))
+        self._options = self._arc_options = options._replace(tolerance=max(options.tolerance, looser))
 
     def _told(self, iteration: Iteration) -> bool:
         """Whether the callback stops the iteration, which then holds for all later meshes."""
@@ -100,9 +100,8 @@ class MeshRefinement:
                 "the problem is singular, and only the mesh of a regular problem is refined; give a method and steps, "
                 "such as method=Midpoint(retraction), steps=50, and no accuracy"
             )
-        most = MOST_ITERATIONS * max(self._effort[0], FEWEST_ITERATIONS)
-        most = min(self._options.max_iterations, most)
-        self._options = self._options._replace(max_iterations=most, restarts=False)
+        most = min(self._options.max_iterations, MOST_ITERATIONS * max(self._effort[0], FEWEST_ITERATIONS))
+        self._arc_options = self._options._replace(max_iterations=most, restarts=False)
         try:
             best = self._judged(solution)
         except KeyboardInterrupt:
@@ -159,7 +158,8 @@ class MeshRefinement:
             solver = self._solvers[key].with_steps(steps)
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
-        inputs = replace(self.inputs, options=self._options)
+        arcs = problem is not self.problem
+        inputs = replace(self.inputs, options=self._arc_options if arcs else self._options)
         return self._counted(solver, inputs.again(solver._reader, given, guess))
 
     def _counted(self, solver: Solver, inputs: Inputs) -> Solution:

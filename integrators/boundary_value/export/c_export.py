@@ -37,7 +37,7 @@ TAKEN = re.compile(
 
 def export_c(
     self: Any, folder: str | Path, name: str, solution: Solution, tolerance: float | None = None,
-    max_iterations: int = 100,
+    max_iterations: int = 100, gains: bool = False,
 ) -> Path:  # fmt: skip
     """A folder of C source that solves the problem on a computer without Python, such as a flight computer.
 
@@ -54,6 +54,8 @@ def export_c(
         The tolerance of the residuals in the C program; by default that of ``solve``.
     max_iterations : int
         The largest number of iterations in the C program.
+    gains : bool
+        Whether an output has the feedback gains of the controls at each step, from one elimination for each node.
 
     Returns
     -------
@@ -70,17 +72,26 @@ def export_c(
     -----
     The folder holds C99 source, a ``CMakeLists.txt``, an example that compares with the solution in Python, and a test
     that runs the example. ``name_solve(input, output, workspace)`` allocates no memory. The size of the workspace is a
-    constant. All numbers are in double precision. Feedback gains and phases are not exported. The C program does not
+    constant. All numbers are in double precision. Phases are not exported. The C program does not
     make the checks of a solution that Python makes after a solve: read the status and the residuals of its output.
     """
     from .problem_source import files  # what compiles tapes is imported where it is needed
 
-    where, options = Path(folder), Options.of(tolerance, max_iterations, None, False)
-    _require_name(name)
-    require_treated(self.problem, "export_c", *ALONG)
-    if where.exists() and (not where.is_dir() or any(where.iterdir())):
-        raise InvalidInputError(f"folder = {where} exists and is not an empty folder; try a new one, or remove it")
-    texts, core = files(_pose(self, _found(self, solution), solution, options), name), where / "core"
+    where, options = require_new(Path(folder)), Options.of(tolerance, max_iterations, None, False)
+    require_name(name)
+    return write_folder(where, files(pose(self, found_by(self, solution), solution, options, gains), name))
+
+
+def require_new(folder: Path) -> Path:
+    """The folder; raises if it has files."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InvalidInputError(f"folder = {folder} exists and is not an empty folder; try a new one, or remove it")
+    return folder
+
+
+def write_folder(where: Path, texts: dict[str, str]) -> Path:
+    """Write files by their names, and the core; returns the folder."""
+    core = where / "core"
     core.mkdir(parents=True)
     for file, text in texts.items():
         (where / file).write_text(text, encoding="utf-8")
@@ -89,7 +100,7 @@ def export_c(
     return where
 
 
-def _require_name(name: Any) -> None:
+def require_name(name: Any) -> None:
     """Raise unless this is an identifier of C that the program does not use itself."""
     if not isinstance(name, str) or not NAME.fullmatch(name):
         raise InvalidInputError(
@@ -99,8 +110,9 @@ def _require_name(name: Any) -> None:
         raise InvalidInputError(f"name = {name!r} has another meaning in the C program; try another name, as 'slew'")
 
 
-def _found(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
+def found_by(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
     """The solver that has found a solution, its own solution, and the reformulation that it solves, or None."""
+    require_treated(solver.problem, "export_c", *ALONG)
     formulation, solver, found = solver._reformulation.origin(solution) or (None, solver, solution)
     if not isinstance(solution, Solution) or found not in solver._kept or not solution.success:
         raise InvalidInputError(
@@ -110,7 +122,7 @@ def _found(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
     return solver, found, formulation
 
 
-def _pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options: Options) -> Any:
+def pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options: Options, gains: bool = False) -> Any:
     """The problem of a solution.
 
     ``found``: the solver that has found the solution, its own solution, both others for a reformulation, and the
@@ -147,6 +159,7 @@ def _pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options:
         duration=float(solution.times[-1] - solution.times[0]),
         tolerance=float(options.tolerance),
         max_iterations=options.max_iterations,
+        gains=gains,
         columns=_columns(solver, kept, formulation),
         words=_words(inner, kept, formulation, solution),
     )

@@ -16,7 +16,8 @@ class PosedProblem:
     ``given``: a trajectory with the data and the guess; ``given_numbers``: numbers of a state of the user, without what
     a reformulation adds; ``shares``, ``limit_steps``: weights of the inequalities relative to their steps, and these
     steps; ``horizon_entry``: the entry of the states that is the logarithm of the free horizon over its guess, plus
-    ``at_guess``, or None; ``columns``: names of entries; ``words``: texts of the header.
+    ``at_guess``, or None; ``gains``: whether outputs have gains; ``columns``: names of entries; ``words``: texts of the
+    header.
     """
 
     transcription: Transcription
@@ -33,5 +34,6 @@ class PosedProblem:
     duration: float
     tolerance: float
     max_iterations: int
+    gains: bool
     columns: dict[str, list[str]]
     words: dict[str, str]

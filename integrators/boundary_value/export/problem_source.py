@@ -5,6 +5,7 @@ from textwrap import indent
 
 import numpy as np
 
+from ....compute.binding.block_elimination import block_workspace
 from ....compute.binding.search import search_memory, wave_amplitudes
 from ....compute.binding.structs import LayoutStruct, MultiphaseStruct, ProblemStruct
 from .c_text import braces, constant, filled, number
@@ -23,6 +24,19 @@ FIELDS = {
     "multipliers": ("LIMIT_MULTIPLIERS", ("MULTIPLIERS",), "of the inequalities; all zero where none is known"),
 }
 OF_COLLOCATION = "velocities", "point_costates"
+LOOP = """\
+add_executable(loop loop.c)
+target_link_libraries(loop PRIVATE {0})
+add_test(NAME loop COMMAND loop)"""
+CONTROLLER_ROW = """\
+| `{0}_controller.h`, `{0}_controller.c` | the receding horizon controller: `{0}_begin`, `{0}_step` |
+| `loop.c` | an example of its loop, which a test runs too |
+"""
+GAINS_FIELD = """\
+    /* Derivatives of the controls at the points of a step by the state at its first node: u + gains (q - state) is optimal
+     * to first order, while the same limits hold. Rows belong to the basis of the controls. */
+    double gains[@NAME@_STEPS][@NAME@_POINTS][@NAME@_CONTROL_DIMENSION][@NAME@_STATE_NUMBERS];
+"""  # noqa: E501
 METHODS = {
     False: "Controls, and the states that are called centres, stand inside the steps, one in each.",
     True: "Controls stand at the collocation points, @NAME@_POINTS in each step.",
@@ -53,6 +67,11 @@ def templates(posed: PosedProblem, name: str) -> dict[str, str]:
         "read_output": _reading_text(posed),
         "duration": _duration_text(posed),
         "strict": "found.strict",
+        "gains": filled("gains.c", {"name": name, "NAME": upper}) if posed.gains else "",
+        "read_gains": "    read_gains(own, &found, output);" if posed.gains else "",
+        "gains_field": GAINS_FIELD.replace("@NAME@", upper) if posed.gains else "",
+        "gains_bytes": str(_room(posed)[0]),
+        "room_bytes": str(sum(_room(posed))),
         "function_count": str(len(table_text(programs).split("\n"))),
         "most_inputs": str(inputs),
         "most_outputs": str(outputs),
@@ -62,9 +81,14 @@ def templates(posed: PosedProblem, name: str) -> dict[str, str]:
     }
 
 
-def files(posed: PosedProblem, name: str) -> dict[str, str]:
-    """The texts of the files of the problem, by their names."""
+def files(posed: PosedProblem, name: str, loops: tuple[str, ...] = ()) -> dict[str, str]:
+    """The texts of the files of the problem, by their names.
+
+    ``loops``: the program of a controller, if there is one.
+    """
     values = templates(posed, name)
+    values |= {"controller": f"{name}_controller.c" if loops else "", "loop": LOOP.format(name) if loops else ""}
+    values["controller_row"] = CONTROLLER_ROW.format(name) if loops else ""
     own = {f"{name}{ending}": f"problem{ending}" for ending in (".h", ".c", "_functions.h", "_functions.c")}
     own |= {other: other for other in ("CMakeLists.txt", "README.md", "main.c")}
     return {file: filled(template, values) for file, template in own.items()}
@@ -101,8 +125,18 @@ def _workspace_bytes(posed: PosedProblem) -> int:
     structs = sizeof(ProblemStruct) + sizeof(LayoutStruct) + sizeof(MultiphaseStruct) + POINTER
     layout, search = posed.transcription.layout_memory, search_memory(posed.transcription, posed.max_iterations)
     functions = len(table_text(posed.transcription.programs).split("\n"))
-    head = structs + functions * 3 * POINTER + 8 * sum(most_numbers(posed.transcription.programs))
-    return sum(-(-part // ALIGNMENT) * ALIGNMENT for part in (head, layout, search, ALIGNMENT))
+    head = structs + POINTER + functions * 3 * POINTER + 8 * sum(most_numbers(posed.transcription.programs))
+    return sum(-(-part // ALIGNMENT) * ALIGNMENT for part in (head, layout, search, sum(_room(posed)), ALIGNMENT))
+
+
+def _room(posed: PosedProblem) -> tuple[int, int]:
+    """Bytes of the arrays of the gains, and of their elimination."""
+    if not posed.gains:
+        return 0, 0
+    own = posed.transcription.sizes
+    n, z = own.state_size, own.state_size + own.points * own.control_size
+    numbers = 2 * own.steps * z * n + 2 * (own.steps + 1) * n * n + 2 * z + 2 * n
+    return -(-8 * numbers // ALIGNMENT) * ALIGNMENT, block_workspace(own.steps, n, z, n)
 
 
 def _sizes(posed: PosedProblem) -> dict[str, tuple[int, str]]:
@@ -115,6 +149,7 @@ def _sizes(posed: PosedProblem) -> dict[str, tuple[int, str]]:
         "STATE_NUMBERS": (own.state_numbers, "the same, with what the solver adds to a state"),
         "DIMENSION": (own.state_size, "of the manifold of states, with what the solver adds"),
         "CONTROL_NUMBERS": (own.control_numbers, "numbers of a control"),
+        "CONTROL_DIMENSION": (own.control_size, "of the manifold of controls"),
         "PARAMETERS": (own.parameters, "numbers of the parameters"),
         "MULTIPLIERS": (_limits(posed), "multipliers of the inequalities"),
         "MAX_ITERATIONS": (posed.max_iterations, "the largest number of iterations"),

@@ -271,6 +271,11 @@ class Interpolant:
                     found[which, place] = np.einsum("j,kjn->kn", shares, momenta[which, kept])
         return found
 
+    @property
+    def functions(self) -> dict[str, PointwiseFunction]:
+        """The functions of the interpolation by their names, for programs that are exported."""
+        return {**self.chart.functions, "control_offset": self._offset, "control_moved": self._steered}
+
     def apart(self, bases: np.ndarray, states: np.ndarray) -> np.ndarray:
         """The tangent vectors at points ``bases`` whose retractions are the states, all flat, shape (K, E)."""
         return self._apart.at(1, bases, states)[0]

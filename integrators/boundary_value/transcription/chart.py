@@ -73,6 +73,11 @@ class Chart:
         through = np.concatenate([[0.0], places[inner], [1.0]])
         return Polynomials(through, centres, self.coordinates(centres[..., None, :], points))
 
+    @property
+    def functions(self) -> dict[str, PointwiseFunction]:
+        """The functions of one point by their names, for programs that are exported."""
+        return {"chart_coordinates": self._coordinates, "chart_at": self._at, "chart_uneven": self._uneven}
+
     def coordinates(self, centres: np.ndarray, points: np.ndarray) -> np.ndarray:
         """Coordinates of points, shape ``(..., n)``."""
         return _each(self._coordinates, centres, points)[0]

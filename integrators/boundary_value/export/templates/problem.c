@@ -18,6 +18,11 @@
 
 /* Bytes that arrays are aligned to. */
 #define ALIGNMENT ((size_t)64)
+/* Bytes of the arrays of the gains, and with their elimination. */
+#define GAINS_BYTES ((size_t)@gains_bytes@)
+#define ROOM_BYTES ((size_t)@room_bytes@)
+/* The least pivot, relative, of a linear system that is not singular: eps^0.6. */
+#define SMALLEST_PIVOT 4e-10
 
 /* A function of the problem with room for the numbers of a point, the context of `evaluate`. */
 typedef struct {
@@ -33,6 +38,7 @@ typedef struct {
     retrax_multiphase phases; /* one, whose ends are not coupled */
     call calls[RETRAX_FUNCTIONS];
     double in[@NAME@_MOST_INPUTS], out[@NAME@_MOST_OUTPUTS];
+    double *room; /* of the gains, behind the search */
 } head;
 
 /* Evaluates a function at some points. */
@@ -65,10 +71,23 @@ static void write_problem(head *own) {
 /* Bytes of something, such that what stands behind it is aligned. */
 static size_t aligned(size_t bytes) { return (bytes + ALIGNMENT - 1) & ~(ALIGNMENT - 1); }
 
+/* Iterations that a solve may make, and evaluations that it has made. */
+typedef struct {
+    int most, evaluations;
+} budget;
+
+/* Whether a solve has spent its budget; the first evaluation is that of the guess. */
+static bool is_spent(void *context, const retrax_iteration *iteration) {
+    budget *const own = context;
+    (void)iteration;
+    return own->evaluations++ >= own->most;
+}
+
 /* Makes a search in a workspace; returns NULL if that is too small. */
-static retrax_search *make_search(@name@_workspace *workspace, head **found) {
+static retrax_search *make_search(@name@_workspace *workspace, budget *limit, head **found) {
     const retrax_options options = {
-        .tolerance = tolerance, .max_iterations = @NAME@_MAX_ITERATIONS, .width = 1.0, .firm = 1.0, .looks = true};
+        .tolerance = tolerance, .max_iterations = @NAME@_MAX_ITERATIONS, .width = 1.0, .firm = 1.0, .looks = true,
+        .report = limit->most > 0 ? is_spent : NULL, .context = limit};
     unsigned char *const base = (unsigned char *)workspace->numbers;
     size_t used = (ALIGNMENT - (size_t)((uintptr_t)base % ALIGNMENT)) % ALIGNMENT;
     memset(base, 0, sizeof(*workspace));
@@ -87,9 +106,10 @@ static retrax_search *make_search(@name@_workspace *workspace, head **found) {
     own->layouts[0] = &own->layout;
     own->phases = (retrax_multiphase){.phases = 1, .layouts = own->layouts};
     const size_t of_search = retrax_search_memory(&own->phases, @NAME@_MAX_ITERATIONS);
-    if (of_search == 0 || sizeof(*workspace) < used + of_search) {
+    if (of_search == 0 || sizeof(*workspace) < used + aligned(of_search) + ROOM_BYTES) {
         return NULL;
     }
+    own->room = (void *)(base + used + aligned(of_search));
     return retrax_search_make(&own->phases, &options, RETRAX_PORTABLE, base + used);
 }
 
@@ -140,6 +160,8 @@ static void read_costates(const head *own, const double *trajectory, @name@_outp
     }
 }
 
+@gains@
+
 /* Writes the result of a search. */
 static void read_output(const head *own, const retrax_search *search, const @name@_input *input,
                         @name@_output *output) {
@@ -160,15 +182,22 @@ static void read_output(const head *own, const retrax_search *search, const @nam
     output->violation = fmax(residuals[RETRAX_VIOLATION], residuals[RETRAX_EXCESS]);
     output->complementarity = residuals[RETRAX_COMPLEMENTARITY];
     output->strict_minimum = @strict@;
+@read_gains@
 }
 
 @name@_status @name@_solve(const @name@_input *input, @name@_output *output, @name@_workspace *workspace) {
+    return @name@_solve_within(input, 0, output, workspace);
+}
+
+@name@_status @name@_solve_within(const @name@_input *input, int iterations, @name@_output *output,
+                                  @name@_workspace *workspace) {
     head *own = NULL;
+    budget limit = {iterations, 0};
     memset(output, 0, sizeof(*output));
     if (!is_valid(input)) {
         return output->status = @NAME@_BAD_INPUT;
     }
-    retrax_search *const search = make_search(workspace, &own);
+    retrax_search *const search = make_search(workspace, &limit, &own);
     if (search == NULL) {
         return output->status = @NAME@_BAD_WORKSPACE;
     }
@@ -188,6 +217,7 @@ static void read_output(const head *own, const retrax_search *search, const @nam
             output->status = @NAME@_ELSEWHERE;
             break;
         case RETRAX_ITERATION_LIMIT:
+        case RETRAX_STOPPED:
             output->status = @NAME@_ITERATION_LIMIT;
             break;
         default:

@@ -43,7 +43,7 @@ typedef struct {
 /* How a solve has ended. */
 typedef enum {
     @NAME@_SOLVED,           /* the first-order conditions hold to the tolerance */
-    @NAME@_ITERATION_LIMIT,  /* after @NAME@_MAX_ITERATIONS iterations they do not hold yet */
+    @NAME@_ITERATION_LIMIT,  /* after the iterations that it may make they do not hold yet */
     @NAME@_SINGULAR,         /* the linear system of a step has no usable solution; another guess may do */
     @NAME@_INFEASIBLE,       /* constraints contradict each other, or the ends, near the guess */
     @NAME@_ELSEWHERE,        /* the iteration stands where a state is not at its end; try another guess */
@@ -65,7 +65,7 @@ typedef struct {
     /* Residuals, relative to the size of their parts: of the dynamics, of the derivatives of the Lagrangian, of the
      * inequalities, and of multipliers times slacks. */
     double defect, stationarity, violation, complementarity;
-    bool strict_minimum; /* whether the second-order conditions hold too; false where there are inequalities */
+@gains_field@    bool strict_minimum; /* whether the second-order conditions hold too; false where there are inequalities */
 } @name@_output;
 
 /* Memory that a solve works in, of any content; it may be static. */
@@ -79,6 +79,10 @@ extern const @name@_input @name@_default_input;
 
 /* Solves the problem; returns the status, as the output has it. */
 @name@_status @name@_solve(const @name@_input *input, @name@_output *output, @name@_workspace *workspace);
+
+/* The same with at most so many iterations, for a control loop; 0: @NAME@_MAX_ITERATIONS. */
+@name@_status @name@_solve_within(const @name@_input *input, int iterations, @name@_output *output,
+                                  @name@_workspace *workspace);
 
 #ifdef __cplusplus
 }

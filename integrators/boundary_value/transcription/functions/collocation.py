@@ -53,7 +53,7 @@ class CollocationFunctions:
             FunctionName.MOVE: evaluator.values(self._centre_moved, e, n),
             FunctionName.MOVE_CONTROLS: evaluator.values(self._control_moved, u, m),
         }
-        self._state = evaluator.values(self._state_at, e, n, e)
+        self.state_at_point = evaluator.values(self._state_at, e, n, e)
         self._velocity = evaluator.values(self._velocity_at, e, e, u, k)
         self._middle = evaluator.values(self._middle_of, e, e)
         self._chart = Chart(method.retraction, evaluator)
@@ -107,7 +107,7 @@ class CollocationFunctions:
         """States, controls and costates at the points, (B, N s, ...)."""
         del costates, slacks
         xi = np.einsum("bk,ij,bkja->bkia", data.steps, self.tableau.matrix, unknowns.velocities)
-        states, covectors = self._state.at(3, unknowns.centres[:, :, None], xi, unknowns.costates)
+        states, covectors = self.state_at_point.at(3, unknowns.centres[:, :, None], xi, unknowns.costates)
         states, controls, covectors = (
             a.reshape(len(a), a.shape[1] * self.stages, a.shape[-1]) for a in (states, unknowns.controls, covectors)
         )

@@ -42,6 +42,11 @@ class BlockResult(NamedTuple):
     size: float
 
 
+def block_workspace(stages: int, node_size: int, stage_size: int, columns: int) -> int:
+    """The bytes of workspace of an elimination."""
+    return int(library().retrax_block_workspace(stages, node_size, stage_size, columns))
+
+
 def solve_blocks(
     arrays: BlockArrays, cost_scale: float = 1.0, regularisation: float = 0.0, instruction_set: int | None = None
 ) -> BlockResult:
