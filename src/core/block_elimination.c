@@ -203,18 +203,13 @@ static void carry(elimination *own, retrax_index k, const retrax_pivots *found) 
 static void scale_front(elimination *own, retrax_index pivots, double *scales) {
     const retrax_index z = own->z, width = own->width;
     double *const of_unknowns = own->column_sizes, *const of_equations = own->column_sizes + width;
-    memset(of_unknowns, 0, sizeof(double) * (size_t)(2 * width));
-    for (retrax_index i = 0; i < pivots; i++) {
-        own->kernels->raise(width, i < z ? of_unknowns : of_equations, 1.0, row_of(own, i));
-    }
+    own->kernels->largest(z, width, of_unknowns, NULL, row_of(own, 0));
+    own->kernels->largest(pivots - z, width, of_equations, NULL, row_of(own, z));
     for (retrax_index j = 0; j < z; j++) {
         const double most = of_unknowns[j] > of_equations[j] ? of_unknowns[j] : of_equations[j];
         scales[j] = most > 0.0 ? 1.0 / sqrt(most) : 1.0;
     }
-    memset(of_unknowns, 0, sizeof(double) * (size_t)width);
-    for (retrax_index i = 0; i < z; i++) {
-        own->kernels->raise(width, of_unknowns, scales[i], row_of(own, i));
-    }
+    own->kernels->largest(z, width, of_unknowns, scales, row_of(own, 0));
     for (retrax_index j = z; j < pivots; j++) {
         const double root = sqrt(of_equations[j]), most = of_unknowns[j] > root ? of_unknowns[j] : root;
         const bool left = j >= z + own->n && j < own->front.rows - own->n;
@@ -223,9 +218,7 @@ static void scale_front(elimination *own, retrax_index pivots, double *scales) {
     for (retrax_index j = pivots; j < width; j++) {
         scales[j] = 1.0;
     }
-    for (retrax_index i = 0; i < own->front.rows; i++) {
-        own->kernels->scale_by(width, row_of(own, i), scales[i], scales);
-    }
+    own->kernels->scale_both(own->front.rows, width, row_of(own, 0), scales, scales);
 }
 
 /* Factors of stage k. */

@@ -48,20 +48,28 @@ TARGET static void KERNEL(combine)(retrax_index columns, double *y, double a, co
     }
 }
 
-TARGET static void KERNEL(scale_by)(retrax_index columns, double *y, double a, const double *x) {
+TARGET static void KERNEL(scale_both)(retrax_index rows, retrax_index columns, double *y, const double *a,
+                                      const double *x) {
     const retrax_index count = WHOLE(columns);
-    RETRAX_INDEPENDENT
-    for (retrax_index j = 0; j < count; j++) {
-        y[j] *= a * x[j];
+    for (retrax_index i = 0; i < rows; i++) {
+        double *const row = y + i * columns;
+        RETRAX_INDEPENDENT
+        for (retrax_index j = 0; j < count; j++) {
+            row[j] *= a[i] * x[j];
+        }
     }
 }
 
-TARGET static void KERNEL(raise)(retrax_index columns, double *y, double a, const double *x) {
+TARGET static void KERNEL(largest)(retrax_index rows, retrax_index columns, double *y, const double *a, const double *x) {
     const retrax_index count = WHOLE(columns);
-    RETRAX_INDEPENDENT
-    for (retrax_index j = 0; j < count; j++) {
-        const double size = a * fabs(x[j]);
-        y[j] = LARGER(size, y[j]);
+    memset(y, 0, sizeof(double) * (size_t)columns);
+    for (retrax_index i = 0; i < rows; i++) {
+        const double *const from = x + i * columns, factor = a == NULL ? 1.0 : a[i];
+        RETRAX_INDEPENDENT
+        for (retrax_index j = 0; j < count; j++) {
+            const double size = factor * fabs(from[j]);
+            y[j] = LARGER(size, y[j]);
+        }
     }
 }
 
@@ -84,7 +92,7 @@ TARGET static double KERNEL(masked_sizes)(retrax_index columns, double *sizes, c
 }
 
 static const retrax_kernels KERNEL(kernels) = {
-    KERNEL(subtract_products), KERNEL(scale), KERNEL(combine), KERNEL(scale_by), KERNEL(raise), KERNEL(masked_sizes),
+    KERNEL(subtract_products), KERNEL(scale), KERNEL(combine), KERNEL(scale_both), KERNEL(largest), KERNEL(masked_sizes),
 };
 
 #undef WHOLE
