@@ -1,7 +1,7 @@
 """The records of what an iteration found."""
 
 from collections.abc import Callable
-from functools import cache, cached_property, partial
+from functools import cached_property, partial
 from typing import Any, final
 
 import jax
@@ -71,13 +71,13 @@ class ExtremalRecords:
         self._multipliers = _multipliers(transcribed, found)
         # A record holds this until its figures are read, and nothing else of the search.
         find = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters)
-        self._diagnostics = cache(partial(_diagnostics, find, self._active if builder.constrained else []))
+        self._later = _LaterDiagnostics(find, self._active if builder.constrained else [])
 
     def member(self, k: int) -> Solution:
         """The record of a member."""
         status, residuals = self._statuses[k], self.found.residuals
         checks = RegularChecks.later(
-            partial(_figures, self._diagnostics, k),
+            partial(_figures, self._later, k),
             defect=residuals.defect[k].item(),
             stationarity=residuals.stationarity[k].item(),
             strict_minimum=bool(self.found.strict_minimum[k] and status.success),
@@ -158,24 +158,31 @@ class ExtremalRecords:
         } | {field: {name: rows[k] for name, rows in own.items()} for field, own in named.items()}
 
 
-def _figures(find: Callable[[], Diagnostics], k: int) -> dict[str, Any]:
-    """The figures of a member that are computed when one is read."""
-    return figures(vec.taken(find(), k))
-
-
-def _diagnostics(find: Callable[[], Diagnostics], active: list[dict[str, int]]) -> Diagnostics:
-    """The diagnostics of all members.
+@final
+class _LaterDiagnostics:
+    """The diagnostics of all members, found when they are first read.
 
     Momenta may change where constraints hold a trajectory: they may break symmetries. ``active``: at how many places
     constraints and bounds hold each; empty without constraints of points.
     """
-    with np.errstate(all="ignore"):
-        found = find()
-    if not active:
-        return found
-    held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in active]
-    free = np.where(held, np.inf, 0.0)[:, None]
-    return found._replace(brackets={name: rates + free for name, rates in found.brackets.items()})
+
+    def __init__(self, find: Callable[[], Diagnostics], active: list[dict[str, int]]) -> None:
+        self._find, self._active = find, active
+
+    @cached_property
+    def found(self) -> Diagnostics:
+        with np.errstate(all="ignore"):
+            found = self._find()
+        if not self._active:
+            return found
+        held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in self._active]
+        free = np.where(held, np.inf, 0.0)[:, None]
+        return found._replace(brackets={name: rates + free for name, rates in found.brackets.items()})
+
+
+def _figures(later: _LaterDiagnostics, k: int) -> dict[str, Any]:
+    """The figures of a member that are computed when one is read."""
+    return figures(vec.taken(later.found, k))
 
 
 def _times(steps: np.ndarray, stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -103,7 +103,7 @@ class PointLayout:
                 leaves.append(join(part[..., :half].reshape(shape), part[..., half:].reshape(shape)))
             else:
                 leaves.append(part.reshape(shape))
-        return jax.tree.unflatten(self._structure, leaves)
+        return self._structure.unflatten(leaves)
 
 
 def _columns(shape: tuple[int, ...], is_complex: bool) -> np.ndarray:

@@ -111,10 +111,25 @@ static void open_front(elimination *own) {
     }
 }
 
-/* Writes the rows of d_k, with those of c_k and c_{k+1} in their columns. */
+/* Writes the rows of c_k and c_{k+1} in the columns of d_k, and the same numbers in the rows of d_k. */
+static void write_ends(elimination *own, retrax_index k) {
+    const retrax_block_system *const s = own->system;
+    const retrax_index n = own->n, z = own->z, last = z + n + own->left[k];
+    for (retrax_index a = 0; a < n; a++) {
+        const double *const left = s->left + (k * n + a) * z, *const right = s->right + (k * n + a) * z;
+        const double near = equation_scale(own, k, a), far = -equation_scale(own, k + 1, a);
+        double *const before = row_of(own, z + a), *const after = row_of(own, last + a);
+        for (retrax_index i = 0; i < z; i++) {
+            before[i] = row_of(own, i)[z + a] = left[i] * (near * s->stage_scale[i]);
+            after[i] = row_of(own, i)[last + a] = right[i] * (far * s->stage_scale[i]);
+        }
+    }
+}
+
+/* Writes the rows of d_k. */
 static void write_stage(elimination *own, retrax_index k) {
     const retrax_block_system *const s = own->system;
-    const retrax_index n = own->n, z = own->z, columns = s->columns, last = z + n + own->left[k];
+    const retrax_index z = own->z, columns = s->columns;
     for (retrax_index i = 0; i < z; i++) {
         double *const row = row_of(own, i);
         const double *const hessian = s->hessian + (k * z + i) * z, factor = s->stage_scale[i] / s->cost_scale;
@@ -122,12 +137,6 @@ static void write_stage(elimination *own, retrax_index k) {
             row[j] = hessian[j] * (factor * s->stage_scale[j]);
         }
         row[i] += s->regularisation * s->regularised[i];
-        for (retrax_index a = 0; a < n; a++) {
-            const double left = s->left[(k * n + a) * z + i] * (equation_scale(own, k, a) * s->stage_scale[i]);
-            const double right = s->right[(k * n + a) * z + i] * (-equation_scale(own, k + 1, a) * s->stage_scale[i]);
-            row[z + a] = row_of(own, z + a)[i] = left;
-            row[last + a] = row_of(own, last + a)[i] = right;
-        }
         for (retrax_index j = 0; j < columns; j++) {
             row[own->front.rows + j] = -s->slope[(k * z + i) * columns + j] * (s->stage_scale[i] / s->cost_scale);
         }
@@ -166,6 +175,7 @@ static void write_front(elimination *own, retrax_index k) {
     own->front.rows = own->z + 2 * own->n + own->left[k];
     memset(own->front.matrix, 0, sizeof(double) * (size_t)(own->front.rows * own->width));
     write_stage(own, k);
+    write_ends(own, k);
     write_carried(own, k);
     if (k == own->system->stages - 1) {
         close_front(own);
@@ -193,18 +203,13 @@ static void carry(elimination *own, retrax_index k, const retrax_pivots *found) 
 static void scale_front(elimination *own, retrax_index pivots, double *scales) {
     const retrax_index z = own->z, width = own->width;
     double *const of_unknowns = own->column_sizes, *const of_equations = own->column_sizes + width;
-    memset(of_unknowns, 0, sizeof(double) * (size_t)(2 * width));
-    for (retrax_index i = 0; i < pivots; i++) {
-        own->kernels->raise(width, i < z ? of_unknowns : of_equations, 1.0, row_of(own, i));
-    }
+    own->kernels->largest(z, width, of_unknowns, NULL, row_of(own, 0));
+    own->kernels->largest(pivots - z, width, of_equations, NULL, row_of(own, z));
     for (retrax_index j = 0; j < z; j++) {
         const double most = of_unknowns[j] > of_equations[j] ? of_unknowns[j] : of_equations[j];
         scales[j] = most > 0.0 ? 1.0 / sqrt(most) : 1.0;
     }
-    memset(of_unknowns, 0, sizeof(double) * (size_t)width);
-    for (retrax_index i = 0; i < z; i++) {
-        own->kernels->raise(width, of_unknowns, scales[i], row_of(own, i));
-    }
+    own->kernels->largest(z, width, of_unknowns, scales, row_of(own, 0));
     for (retrax_index j = z; j < pivots; j++) {
         const double root = sqrt(of_equations[j]), most = of_unknowns[j] > root ? of_unknowns[j] : root;
         const bool left = j >= z + own->n && j < own->front.rows - own->n;
@@ -213,9 +218,7 @@ static void scale_front(elimination *own, retrax_index pivots, double *scales) {
     for (retrax_index j = pivots; j < width; j++) {
         scales[j] = 1.0;
     }
-    for (retrax_index i = 0; i < own->front.rows; i++) {
-        own->kernels->scale_by(width, row_of(own, i), scales[i], scales);
-    }
+    own->kernels->scale_both(own->front.rows, width, row_of(own, 0), scales, scales);
 }
 
 /* Factors of stage k. */

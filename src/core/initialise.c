@@ -110,7 +110,7 @@ void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double 
     }
     memcpy(phase->values + n, phase->sizes + n, sizeof(double) * (size_t)controls);
     const retrax_scale_data data = {phase->sizes, phase->values, phase->room, curved};
-    retrax_measure_scale(layout, trajectory, &data, search->workspace, &phase->fresh);
+    retrax_measure_scale(layout, trajectory, &data, search->workspace, search->set, &phase->fresh);
 }
 
 void retrax_find_scales(retrax_search *search, double *iterate) {
@@ -249,8 +249,10 @@ void retrax_begin(retrax_search *search) {
         phase->knows = knows_multipliers(phase->layout, search->at + phase->place);
         known = known || phase->knows;
     }
-    retrax_copy(search->trial, search->at, search->numbers); /* both have the same data */
     retrax_keep_guess(search);
+    retrax_swap(search);
+    retrax_return_to_guess(search); /* both have the same data */
+    retrax_swap(search);
     measure_guess(search);
     if (!search->limited) {
         return;

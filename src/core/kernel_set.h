@@ -8,30 +8,24 @@
 /* The larger of two numbers, y where x is not a number. */
 #define LARGER(x, y) ((x) > (y) ? (x) : (y))
 
-/* Four terms at a time, so that y is read and written once for four. */
+/* A vector of y at a time, which stays in registers until all terms are subtracted. */
 TARGET static void KERNEL(subtract_products)(retrax_index rows, retrax_index columns, retrax_index terms, double *y,
                                              retrax_index y_width, const double *f, retrax_index f_width,
                                              const double *x, retrax_index x_width) {
-    const retrax_index count = WHOLE(columns);
     for (retrax_index i = 0; i < rows; i++) {
-        double *const to = y + i * y_width;
-        retrax_index s = 0;
-        for (; s + 4 <= terms; s += 4) {
-            const double *const x0 = x + s * x_width, *const x1 = x0 + x_width, *const x2 = x1 + x_width,
-                                *const x3 = x2 + x_width;
-            const double f0 = -f[s * f_width + i], f1 = -f[(s + 1) * f_width + i];
-            const double f2 = -f[(s + 2) * f_width + i], f3 = -f[(s + 3) * f_width + i];
-            RETRAX_INDEPENDENT
-            for (retrax_index j = 0; j < count; j++) {
-                to[j] = FUSED(f3, x3[j], FUSED(f2, x2[j], FUSED(f1, x1[j], FUSED(f0, x0[j], to[j]))));
+        for (retrax_index first = 0; first < columns; first += RETRAX_VECTOR) {
+            double *const to = y + i * y_width + first, found[RETRAX_VECTOR];
+            for (retrax_index j = 0; j < RETRAX_VECTOR; j++) {
+                found[j] = to[j];
             }
-        }
-        for (; s < terms; s++) {
-            const double *const from = x + s * x_width;
-            const double factor = -f[s * f_width + i];
-            RETRAX_INDEPENDENT
-            for (retrax_index j = 0; j < count; j++) {
-                to[j] = FUSED(factor, from[j], to[j]);
+            for (retrax_index s = 0; s < terms; s++) {
+                const double *const from = x + s * x_width + first, factor = -f[s * f_width + i];
+                for (retrax_index j = 0; j < RETRAX_VECTOR; j++) {
+                    found[j] = FUSED(factor, from[j], found[j]);
+                }
+            }
+            for (retrax_index j = 0; j < RETRAX_VECTOR; j++) {
+                to[j] = found[j];
             }
         }
     }
@@ -54,20 +48,28 @@ TARGET static void KERNEL(combine)(retrax_index columns, double *y, double a, co
     }
 }
 
-TARGET static void KERNEL(scale_by)(retrax_index columns, double *y, double a, const double *x) {
+TARGET static void KERNEL(scale_both)(retrax_index rows, retrax_index columns, double *y, const double *a,
+                                      const double *x) {
     const retrax_index count = WHOLE(columns);
-    RETRAX_INDEPENDENT
-    for (retrax_index j = 0; j < count; j++) {
-        y[j] *= a * x[j];
+    for (retrax_index i = 0; i < rows; i++) {
+        double *const row = y + i * columns;
+        RETRAX_INDEPENDENT
+        for (retrax_index j = 0; j < count; j++) {
+            row[j] *= a[i] * x[j];
+        }
     }
 }
 
-TARGET static void KERNEL(raise)(retrax_index columns, double *y, double a, const double *x) {
+TARGET static void KERNEL(largest)(retrax_index rows, retrax_index columns, double *y, const double *a, const double *x) {
     const retrax_index count = WHOLE(columns);
-    RETRAX_INDEPENDENT
-    for (retrax_index j = 0; j < count; j++) {
-        const double size = a * fabs(x[j]);
-        y[j] = LARGER(size, y[j]);
+    memset(y, 0, sizeof(double) * (size_t)columns);
+    for (retrax_index i = 0; i < rows; i++) {
+        const double *const from = x + i * columns, factor = a == NULL ? 1.0 : a[i];
+        RETRAX_INDEPENDENT
+        for (retrax_index j = 0; j < count; j++) {
+            const double size = factor * fabs(from[j]);
+            y[j] = LARGER(size, y[j]);
+        }
     }
 }
 
@@ -90,7 +92,7 @@ TARGET static double KERNEL(masked_sizes)(retrax_index columns, double *sizes, c
 }
 
 static const retrax_kernels KERNEL(kernels) = {
-    KERNEL(subtract_products), KERNEL(scale), KERNEL(combine), KERNEL(scale_by), KERNEL(raise), KERNEL(masked_sizes),
+    KERNEL(subtract_products), KERNEL(scale), KERNEL(combine), KERNEL(scale_both), KERNEL(largest), KERNEL(masked_sizes),
 };
 
 #undef WHOLE

@@ -3,6 +3,8 @@
 
 #include "instruction_sets.h"
 
+#include <string.h>
+
 #define FUSED RETRAX_PORTABLE_FUSED
 #define KERNEL(name) portable_##name
 #define TARGET

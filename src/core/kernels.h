@@ -18,10 +18,11 @@ typedef struct {
     void (*scale)(retrax_index columns, double *y, double a, const double *x);
     /* y[j] = a x[j] + b z[j] */
     void (*combine)(retrax_index columns, double *y, double a, const double *x, double b, const double *z);
-    /* y[j] *= a x[j] */
-    void (*scale_by)(retrax_index columns, double *y, double a, const double *x);
-    /* y[j] = max(y[j], a |x[j]|), where a x[j] that is not a number counts as nothing */
-    void (*raise)(retrax_index columns, double *y, double a, const double *x);
+    /* y[i][j] *= a[i] x[j] for i < rows, which are `columns` numbers apart */
+    void (*scale_both)(retrax_index rows, retrax_index columns, double *y, const double *a, const double *x);
+    /* y[j] = max_i a[i] |x[i][j]| for i < rows, which are `columns` numbers apart, where what is not a number counts as
+     * nothing; without a: max_i |x[i][j]| */
+    void (*largest)(retrax_index rows, retrax_index columns, double *y, const double *a, const double *x);
     /* sizes[j] = mask[j] |x[j]|, mask being 1 or 0; returns the largest of them that is a number */
     double (*masked_sizes)(retrax_index columns, double *sizes, const double *mask, const double *x);
 } retrax_kernels;

@@ -286,7 +286,7 @@ static void find_ways(const retrax_search *search, retrax_phase *phase, double *
     const retrax_scale_data data = {phase->sizes, phase->values, phase->room, true};
     retrax_copy(gradients, ARRAY(GRADIENTS), layout->count[RETRAX_ARRAY_GRADIENTS]);
     memset(ARRAY(GRADIENTS), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_GRADIENTS]);
-    retrax_measure_scale(layout, trajectory, &data, search->workspace, &phase->fresh);
+    retrax_measure_scale(layout, trajectory, &data, search->workspace, search->set, &phase->fresh);
     retrax_copy(ARRAY(GRADIENTS), gradients, layout->count[RETRAX_ARRAY_GRADIENTS]);
     for (retrax_index a = 0; a < n; a++) {
         least[a] = phase->fresh.nodes[a] > DBL_MIN ? phase->fresh.nodes[a] : 0.0;

@@ -656,7 +656,8 @@ typedef struct {
 
 /* Writes the natural sizes of an assembled trajectory. */
 RETRAX_API void retrax_measure_scale(const retrax_layout *layout, const double *trajectory,
-                                     const retrax_scale_data *data, void *workspace, retrax_scale *scale);
+                                     const retrax_scale_data *data, void *workspace,
+                                     retrax_instruction_set set, retrax_scale *scale);
 
 /* Writes what each coordinate of the nodes of a surveyed trajectory moves by, 0 where that is rounding, and its size.
  * moved and sizes: [n]; work: [2 E]. Beside the size of its column a motion may be rounding, as the tilt of an attitude

@@ -1,8 +1,8 @@
 /*
  * Scaling: natural sizes of a trajectory from what its controls reach.
  */
-#include "layout.h"
 #include "dense.h"
+#include "layout.h"
 #include "workspace.h"
 
 #include <math.h>
@@ -18,14 +18,18 @@ typedef struct {
     const retrax_layout *layout;
     const double *trajectory;
     const retrax_scale_data *data;
+    const retrax_kernels *kernels;
+    retrax_instruction_set set;
     retrax_index N, n, z, width; /* width = retrax_width(n) */
     double *near;       /* [n][n] the states' part of the near ends of a step, then its LU factors */
-    double *inverse;    /* [n][width] */
     double *weights;    /* [n] */
     retrax_index *swaps; /* [n] */
-    double *terms[2];   /* [z][n]: A', then B', of a step; and the sizes of the terms of these sums */
-    double *gramian[2]; /* [n][n] of the linearised steps, and of the sizes of their terms */
-    double *image;      /* [n][n] */
+    double *inverse[2]; /* [n][width] minus the inverse of that; minus the sizes of its entries */
+    double *pushed;     /* [n][z - n] minus the sizes of the controls' part of the near ends */
+    double *far[2];     /* [z][width] the far ends of a step, transposed; the sizes of their entries */
+    double *terms[2];   /* [z][width]: A', then B', of a step; and the sizes of the terms of these sums */
+    double *gramian[2]; /* [n][width] of the linearised steps, and of the sizes of their terms */
+    double *image;      /* [z][width] */
     double *drift;      /* [n] of a trajectory that lacks what the nodes lack */
     double *drifted;    /* [n] */
     double *farthest;   /* [n] the most that it has drifted by */
@@ -43,14 +47,16 @@ static void lay_out(scaling *own, retrax_block *block, retrax_index N, retrax_in
     own->z = z;
     own->width = retrax_width(n);
     own->near = retrax_take(block, n, n, sizeof(double));
-    own->inverse = retrax_take(block, n, own->width, sizeof(double));
     own->weights = retrax_take(block, n, 1, sizeof(double));
     own->swaps = retrax_take(block, n, 1, sizeof(retrax_index));
+    own->pushed = retrax_take(block, n, z, sizeof(double));
     for (int t = 0; t < 2; t++) {
-        own->terms[t] = retrax_take(block, z, n, sizeof(double));
-        own->gramian[t] = retrax_take(block, n, n, sizeof(double));
+        own->inverse[t] = retrax_take(block, n, own->width, sizeof(double));
+        own->far[t] = retrax_take(block, z, own->width, sizeof(double));
+        own->terms[t] = retrax_take(block, z, own->width, sizeof(double));
+        own->gramian[t] = retrax_take(block, n, own->width, sizeof(double));
     }
-    own->image = retrax_take(block, n, n, sizeof(double));
+    own->image = retrax_take(block, z, own->width, sizeof(double));
     own->drift = retrax_take(block, n, 1, sizeof(double));
     own->drifted = retrax_take(block, n, 1, sizeof(double));
     own->farthest = retrax_take(block, n, 1, sizeof(double));
@@ -75,72 +81,57 @@ static double or_one(double size) { return size > 0.0 && isfinite(size) ? size :
 
 /* ------------------------------------------------------------------------------------------------- linearised steps */
 
-/* Writes the inverse of the states' part of the near ends of a step, `near` [n][z]. */
+/* to[i][j] = - sum_s f[s][i] x[s][j] for i < rows, s < terms; rows of f are f_width numbers apart, the others width. */
+static void multiply(const scaling *own, retrax_index rows, retrax_index terms, double *to, const double *f,
+                     retrax_index f_width, const double *x) {
+    memset(to, 0, sizeof(double) * (size_t)(rows * own->width));
+    own->kernels->subtract_products(rows, own->width, terms, to, own->width, f, f_width, x, own->width);
+}
+
+/* Writes minus the inverse of the states' part of the near ends of a step, `near` [n][z], and minus the sizes. */
 static void invert(scaling *own, const double *near) {
-    const retrax_index n = own->n, z = own->z;
-    memset(own->inverse, 0, sizeof(double) * (size_t)(n * own->width));
+    const retrax_index n = own->n, m = own->z - n, width = own->width;
+    memset(own->inverse[0], 0, sizeof(double) * (size_t)(n * width));
     for (retrax_index a = 0; a < n; a++) {
-        memcpy(own->near + a * n, near + a * z, sizeof(double) * (size_t)n);
-        own->inverse[a * own->width + a] = 1.0;
+        memcpy(own->near + a * n, near + a * own->z, sizeof(double) * (size_t)n);
+        own->inverse[0][a * width + a] = -1.0;
+        for (retrax_index i = 0; i < m; i++) {
+            own->pushed[a * m + i] = -fabs(near[a * own->z + n + i]);
+        }
     }
     retrax_lu_factorise(n, own->near, own->swaps, own->weights);
-    retrax_lu_solve(n, own->near, own->swaps, own->width, own->inverse, RETRAX_PORTABLE);
+    retrax_lu_solve(n, own->near, own->swaps, width, own->inverse[0], own->set);
+    for (retrax_index i = 0; i < n * width; i++) {
+        own->inverse[1][i] = -fabs(own->inverse[0][i]);
+    }
 }
 
 /* Writes A' = (far_x near_x^-1)' and B' = (far_u - A near_u)' of a step, and the sizes of the terms of these sums. */
 static void write_terms(scaling *own, const double *near, const double *far) {
-    const retrax_index n = own->n, z = own->z;
-    double *const terms = own->terms[0], *const sizes = own->terms[1];
-    for (retrax_index c = 0; c < n; c++) {
-        for (retrax_index j = 0; j < n; j++) {
-            double sum = 0.0, size = 0.0;
-            for (retrax_index b = 0; b < n; b++) {
-                const double f = own->inverse[b * own->width + c], x = far[j * z + b];
-                sum += f * x;
-                size += fabs(f) * fabs(x);
-            }
-            terms[c * n + j] = sum;
-            sizes[c * n + j] = size;
+    const retrax_index n = own->n, z = own->z, m = z - n, width = own->width;
+    for (retrax_index j = 0; j < n; j++) {
+        for (retrax_index i = 0; i < z; i++) {
+            own->far[0][i * width + j] = far[j * z + i];
+            own->far[1][i * width + j] = fabs(far[j * z + i]);
         }
     }
-    for (retrax_index i = n; i < z; i++) {
-        for (retrax_index j = 0; j < n; j++) {
-            double sum = far[j * z + i], size = fabs(sum);
-            for (retrax_index c = 0; c < n; c++) {
-                const double f = near[c * z + i];
-                sum -= f * terms[c * n + j];
-                size += fabs(f) * sizes[c * n + j];
-            }
-            terms[i * n + j] = sum;
-            sizes[i * n + j] = size;
-        }
+    for (int t = 0; t < 2; t++) {
+        double *const of_controls = own->terms[t] + n * width;
+        multiply(own, n, n, own->terms[t], own->inverse[t], width, own->far[t]);
+        memcpy(of_controls, own->far[t] + n * width, sizeof(double) * (size_t)(m * width));
+        own->kernels->subtract_products(m, width, n, of_controls, width, t == 0 ? near + n : own->pushed, t == 0 ? z : m,
+                                        own->terms[t], width);
     }
 }
 
-/* g = A g A' + B W B' in place. */
+/* g = A g A' + B W B' in place; terms: A', then B'. */
 static void advance_gramian(const scaling *own, const double *terms, double *g) {
-    const retrax_index n = own->n;
-    for (retrax_index i = 0; i < n; i++) {
-        for (retrax_index j = 0; j < n; j++) {
-            double sum = 0.0;
-            for (retrax_index k = 0; k < n; k++) {
-                sum += terms[k * n + i] * g[k * n + j];
-            }
-            own->image[i * n + j] = sum;
-        }
+    const retrax_index n = own->n, width = own->width;
+    multiply(own, n, n, own->image, g, width, terms); /* g is symmetric */
+    for (retrax_index i = n; i < own->z; i++) {
+        own->kernels->scale(width, own->image + i * width, -own->variance[i - n], terms + i * width);
     }
-    for (retrax_index i = 0; i < n; i++) {
-        for (retrax_index j = 0; j < n; j++) {
-            double sum = 0.0;
-            for (retrax_index k = 0; k < n; k++) {
-                sum += own->image[i * n + k] * terms[k * n + j];
-            }
-            for (retrax_index k = n; k < own->z; k++) {
-                sum += terms[k * n + i] * own->variance[k - n] * terms[k * n + j];
-            }
-            g[i * n + j] = sum;
-        }
-    }
+    multiply(own, n, own->z, g, own->image, width, terms);
 }
 
 /* Advances what a trajectory has drifted by to the next node, where it lacks sign * gap. */
@@ -149,7 +140,7 @@ static void advance_drift(scaling *own, const double *gap, double sign) {
     for (retrax_index a = 0; a < n; a++) {
         own->drifted[a] = sign * gap[a];
         for (retrax_index c = 0; c < n; c++) {
-            own->drifted[a] += own->terms[0][c * n + a] * own->drift[c];
+            own->drifted[a] += own->terms[0][c * own->width + a] * own->drift[c];
         }
     }
     for (retrax_index a = 0; a < n; a++) {
@@ -181,8 +172,8 @@ static double walk(scaling *own, bool from_end) {
     const double sign = from_end ? 1.0 : -1.0, *const first = ARRAY(NEWTON_DEFECTS) + (from_end ? N * n : 0);
     const double *const near_fixed = from_end ? fixed + N * n : fixed, *const far_fixed = from_end ? fixed : fixed + N * n;
     double *const diagonals = own->gramians + (from_end ? 2 * N * n : 0);
-    memset(own->gramian[0], 0, sizeof(double) * (size_t)(n * n));
-    memset(own->gramian[1], 0, sizeof(double) * (size_t)(n * n));
+    memset(own->gramian[0], 0, sizeof(double) * (size_t)(n * own->width));
+    memset(own->gramian[1], 0, sizeof(double) * (size_t)(n * own->width));
     for (retrax_index a = 0; a < n; a++) {
         own->drift[a] = sign * first[a] * near_fixed[a];
         own->farthest[a] = 0.0;
@@ -196,13 +187,13 @@ static double walk(scaling *own, bool from_end) {
         advance_drift(own, ARRAY(NEWTON_DEFECTS) + node * n, sign);
         for (retrax_index a = 0; a < n && !from_end; a++) {
             for (retrax_index c = 0; c < n; c++) {
-                own->gains[a * n + c] = fmin(own->gains[a * n + c], fabs(own->terms[0][c * n + a]));
+                own->gains[a * n + c] = fmin(own->gains[a * n + c], fabs(own->terms[0][c * own->width + a]));
             }
         }
         for (int t = 0; t < 2; t++) {
             advance_gramian(own, own->terms[t], own->gramian[t]);
             for (retrax_index a = 0; a < n; a++) {
-                diagonals[(t * N + k) * n + a] = own->gramian[t][a * n + a];
+                diagonals[(t * N + k) * n + a] = own->gramian[t][a * own->width + a];
             }
         }
     }
@@ -374,11 +365,15 @@ static void balance(const scaling *own, double *nodes) {
 }
 
 void retrax_measure_scale(const retrax_layout *layout, const double *trajectory, const retrax_scale_data *data,
-                          void *workspace, retrax_scale *scale) {
-    scaling own = {.layout = layout, .trajectory = trajectory, .data = data};
+                          void *workspace, retrax_instruction_set set, retrax_scale *scale) {
+    scaling own = {.layout = layout, .trajectory = trajectory, .data = data, .set = set};
     retrax_block block = {workspace, 0};
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
     lay_out(&own, &block, layout->problem->steps, n, z);
+    own.kernels = retrax_kernels_for(set);
+    for (int t = 0; t < 2; t++) { /* columns behind the last one stay zero */
+        memset(own.far[t], 0, sizeof(double) * (size_t)(z * own.width));
+    }
     sum_costs(&own);
     bool convex = data->curved;
     for (retrax_index i = n; i < z; i++) {

@@ -10,7 +10,7 @@
  * choose an instruction, and registers of all lanes that fit the near caches. */
 #define LEAST_LANES 64
 #define MOST_LANES 256
-#define CACHED_NUMBERS 131072
+#define CACHED_NUMBERS 16384
 
 /* Largest whole number such that all whole numbers below are exact. */
 #define LARGEST_WHOLE 9007199254740992.0

@@ -116,7 +116,7 @@ def test_lanes_change_nothing():
 @pytest.mark.parametrize("registers", [1, 10, 600, 5000])
 def test_lanes_are_vectors_that_fit_the_points_and_the_near_caches(registers):
     program = replace(random_program(np.random.default_rng(6)), size=registers + 40)
-    own, most = checked(program), max(64, min(256, 2**17 // (registers + 40)))
+    own, most = checked(program), max(64, min(256, 2**14 // (registers + 40)))
     for points in [*range(1, 70), 100, 255, 256, 257, 1000, 4001]:
         lanes, blocks = own.lanes(points), -(-points // most)
         assert lanes % 8 == 0

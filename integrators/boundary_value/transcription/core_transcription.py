@@ -104,8 +104,7 @@ def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np
 
 def put(to: Trajectory, conditions: DiscretePhase, iterate: Iterate, k: int) -> None:
     """Write the data of a member and the unknowns of its iterate."""
-    for name, array in _known(conditions, iterate, k).items():
-        to[name] = array.ravel()
+    to.take(_known(conditions, iterate, k))
 
 
 def numbers_of(conditions: DiscretePhase, iterate: Iterate, k: int) -> IterateNumbers:

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import TYPE_CHECKING, Any, Self, final
 
 import numpy as np
@@ -18,6 +19,7 @@ from .working_memory import LINE, aligned
 if TYPE_CHECKING:
     from ..tape import Tape
 
+SHAPE = attrgetter("shape")
 MOST_TAPES = 256
 MOST_OPERATIONS = 2_500_000  # of a graph, expected: a tape of more takes half a minute to make, and XLA a tenth of it
 PLANS = 8  # of a tape, for as many shapes of its arrays
@@ -142,7 +144,7 @@ class _TapeFunction(PointwiseFunction):
         self._plans: dict[Any, tuple[_Plan, _SmallTape | None]] = {}
 
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
-        key = axes, *[a.shape for a in arguments]
+        key = axes, *map(SHAPE, arguments)
         plan, small = self._plans.get(key) or self._planned(key)
         if small is not None:
             return small.at(arguments)
@@ -209,7 +211,7 @@ class _SmallTape:
         write(written)
         _rooms.append(room)
         structure = np.ndarray((), self._structure, written)
-        return tuple([structure[name] for name in self._fields])
+        return tuple(map(structure.__getitem__, self._fields))
 
     def _in(self, room: _Memory) -> tuple[list[np.ndarray], TapeCall]:
         """Where arrays are copied to in a room, and the call of the core with registers there."""

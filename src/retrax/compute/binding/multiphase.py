@@ -30,11 +30,9 @@ class Multiphase:
 
     def __init__(self, transcriptions: Sequence[Any], coupled: CoupledEnds | None = None) -> None:
         self.transcriptions, self._coupled, count = tuple(transcriptions), coupled, len(transcriptions)
-        pointers = (POINTER(LayoutStruct) * count)(*(pointer(own.layout) for own in transcriptions))
-        self._struct, self._kept = (
-            MultiphaseStruct(count, pointers, 0, 0, None, FunctionStruct()),
-            list[object]([pointers]),
-        )
+        pointers = (POINTER(LayoutStruct) * count)(*[pointer(own.layout) for own in transcriptions])
+        self._struct = MultiphaseStruct(count, pointers, 0, 0, None, FunctionStruct())
+        self._kept = list[object]([pointers])
         self.multipliers = self.equations = 0
         if coupled is not None:
             self._couple(coupled)

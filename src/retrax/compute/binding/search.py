@@ -1,8 +1,7 @@
 """Searches of the compiled core: Newton's method on the conditions of trajectories."""
 
 import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from ctypes import byref
 from enum import IntEnum
 from functools import partial
@@ -157,31 +156,26 @@ class Search:
         return Feasibility(*(getattr(found, name) for name in Feasibility._fields))
 
     def _watched(self, function: Callable[..., Any], *arguments: Any) -> Any:
-        """The result of a function of the core that reports its trials."""
-        self._interrupted = False
-        with self._interrupts():
+        """The result of a function of the core that reports its trials.
+
+        An interrupt asks the search to stop: where C calls Python, nobody could catch it.
+        """
+        usual, self._interrupted = signal.default_int_handler, False
+        noted = current_thread() is main_thread() and signal.getsignal(signal.SIGINT) is usual
+        if noted:
+            signal.signal(signal.SIGINT, self._note_interrupt)
+        try:
             found = function(self._search, *arguments)
+        finally:
+            if noted:
+                signal.signal(signal.SIGINT, usual)
         self._check()
         if self._interrupted:
             raise KeyboardInterrupt
         return found
 
-    @contextmanager
-    def _interrupts(self) -> Iterator[None]:
-        """A time in which an interrupt asks the search to stop: where C calls Python, nobody could catch it."""
-        usual = signal.default_int_handler
-        if current_thread() is not main_thread() or signal.getsignal(signal.SIGINT) is not usual:
-            yield
-            return
-
-        def note(*_: Any) -> None:
-            self._interrupted = True
-
-        signal.signal(signal.SIGINT, note)
-        try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, usual)
+    def _note_interrupt(self, *_: Any) -> None:
+        self._interrupted = True
 
     def _reports(self, iteration: IterationStruct) -> bool:
         """Whether the report, an error of that or of a function, or an interrupt asks to stop."""

@@ -228,6 +228,11 @@ class Trajectory:
     def __setitem__(self, name: str, entries: np.ndarray) -> None:
         self._numbers[self._of.parts[name]] = entries
 
+    def take(self, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take entries of arrays by their names, of any shapes."""
+        for name, array in arrays.items():
+            self._numbers[self._of.parts[name]] = array.ravel()
+
     @property
     def iterate(self) -> IterateNumbers:
         """A copy of all that is given and of the unknowns, which come first."""
