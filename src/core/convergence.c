@@ -57,6 +57,34 @@ static void survey_steps(const retrax_layout *layout, double *trajectory) {
     }
 }
 
+/* The sum of the sizes of what the slope of the Lagrangian by an unknown of a collocation point is made of. */
+static double point_parts(const retrax_layout *layout, const double *trajectory, retrax_index point, retrax_index i) {
+    const retrax_index n = layout->problem->state_size, q = retrax_point_unknowns(layout->problem);
+    double found = fabs(ARRAY(POINT_GRADIENTS)[point * q + i]);
+    for (retrax_index c = point * n; c < (point + 1) * n; c++) {
+        found += fabs(ARRAY(POINT_MULTIPLIERS)[c] * ARRAY(POINT_JACOBIANS)[c * q + i]);
+    }
+    return found;
+}
+
+/* The same by coordinate a of the velocity of a point: through the far end of its step, through all points of the step,
+ * which matter most where a step is stiff, and by itself. */
+static double velocity_parts(const retrax_layout *layout, const double *trajectory, retrax_index point, retrax_index a) {
+    const retrax_problem *const problem = layout->problem;
+    const retrax_index s = problem->points, n = problem->state_size, k = point / s, i = point % s;
+    const double *const left = ARRAY(END_LEFT) + k * 2 * n * n, *const right = ARRAY(END_RIGHT) + k * 2 * n * n;
+    double end = 0.0, within = 0.0;
+    for (retrax_index c = 0; c < n; c++) {
+        end += fabs(left[c * 2 * n + n + a] * ARRAY(MULTIPLIERS)[k * n + c]);
+        end += fabs(right[c * 2 * n + n + a] * ARRAY(MULTIPLIERS)[(k + 1) * n + c]);
+    }
+    for (retrax_index j = 0; j < s; j++) {
+        within += fabs(problem->matrix[j * s + i]) * point_parts(layout, trajectory, k * s + j, n + a);
+    }
+    const double by_place = fabs(ARRAY(STEP_SIZE)[k]) * (fabs(problem->weights[i]) * end + within);
+    return by_place + point_parts(layout, trajectory, point, 2 * n + a);
+}
+
 /* Surveys what the points of collocation steps lack. */
 static void survey_points(const retrax_layout *layout, double *trajectory) {
     const retrax_index s = layout->problem->points, n = layout->problem->state_size;
@@ -66,10 +94,11 @@ static void survey_points(const retrax_layout *layout, double *trajectory) {
             double total = 0.0;
             for (retrax_index i = k * s; i < (k + 1) * s; i++) {
                 const double defect = ARRAY(POINT_DEFECTS)[i * n + a], multiplier = ARRAY(POINT_MULTIPLIERS)[i * n + a];
-                const double slope = fabs(ARRAY(SLOPES_BY_VELOCITIES)[i * n + a]) / ARRAY(POINT_WEIGHTS)[i];
+                const double weight = ARRAY(POINT_WEIGHTS)[i], slope = fabs(ARRAY(SLOPES_BY_VELOCITIES)[i * n + a]) / weight;
+                const double parts = velocity_parts(layout, trajectory, i, a) / weight;
                 total += fabs(defect);
                 found[RETRAX_POINTS_OF_POINT * n + a] = retrax_larger(found[RETRAX_POINTS_OF_POINT * n + a], fabs(defect));
-                found[RETRAX_POINTS_MULTIPLIER * n + a] = retrax_larger(found[RETRAX_POINTS_MULTIPLIER * n + a], fabs(multiplier));
+                found[RETRAX_POINTS_PARTS * n + a] = retrax_larger(found[RETRAX_POINTS_PARTS * n + a], parts);
                 found[RETRAX_POINTS_SLOPE * n + a] = retrax_larger(found[RETRAX_POINTS_SLOPE * n + a], slope);
                 ARRAY(TOTALS)[1] += multiplier * defect;
             }
@@ -303,7 +332,7 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
     }
     for (retrax_index a = 0; a < n; a++) {
         const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
-        const double size = retrax_or_one(retrax_larger(unit * points[RETRAX_POINTS_MULTIPLIER * n + a], RETRAX_SHARE * parts));
+        const double size = retrax_or_one(retrax_larger(unit * points[RETRAX_POINTS_PARTS * n + a], RETRAX_SHARE * parts));
         defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / retrax_or_one(ARRAY(ALONG)[a]));
         stationarity = retrax_larger(stationarity, unit * points[RETRAX_POINTS_SLOPE * n + a] / size);
         found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / scale->nodes[a];

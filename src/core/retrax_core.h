@@ -581,13 +581,13 @@ RETRAX_API void retrax_move_inequalities(const retrax_layout *layout, const doub
  * 8. Convergence: how far a trajectory is from satisfying its conditions
  * ------------------------------------------------------------------------------------------------------ */
 
-/* Rows of POINT_SURVEY, each [n]: of the defects of collocation points, of their multipliers, and of the slopes of the
- * Lagrangian by their velocities. */
+/* Rows of POINT_SURVEY, each [n]: of the defects of collocation points, and of the slopes of the Lagrangian by their
+ * velocities. */
 enum {
     RETRAX_POINTS_OF_STEP,    /* the largest sum of the sizes of the defects of a step */
     RETRAX_POINTS_TOTAL,      /* the sum of all */
     RETRAX_POINTS_OF_POINT,   /* the largest one */
-    RETRAX_POINTS_MULTIPLIER, /* the largest multiplier */
+    RETRAX_POINTS_PARTS,      /* the largest sum of the sizes of the parts that cancel in a slope, over the same weight */
     RETRAX_POINTS_SLOPE,      /* the largest slope over the weight of its point */
     RETRAX_POINTS_ROWS        /* their number */
 };

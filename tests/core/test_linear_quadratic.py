@@ -13,6 +13,7 @@ from retrax.integrators import OptimalControlProblem, Solver
 from retrax.manifolds import Euclidean, Product
 from retrax.retractions import Exponential, Gauss
 
+from ..integrators import test_hard_to_reach
 from ..integrators.test_hard_to_reach import KINDS, STEPS, least
 
 COUPLINGS = 10.0 ** np.arange(-10, 3, 4)
@@ -161,6 +162,19 @@ def test_a_success_is_right_where_controls_reach_farther_than_any_solution(kind,
                 if solution.success:
                     assert solution.cost == pytest.approx(least(*system, start, 1.0, weight), rel=1e-8)
     assert solved >= 6
+
+
+@pytest.mark.parametrize("stiffness", 10.0 ** np.arange(0, 5))
+def test_slopes_are_measured_by_their_parts_where_steps_are_stiff(stiffness):
+    """Through time constants far below a step; a slope is no more than the parts that cancel in it."""
+    a, b = KINDS["rod"](2, stiffness)
+    own, of = test_hard_to_reach.solver(2), {"a": a, "b": b, "weight": 0.0}
+    for start in (np.ones(2), np.eye(2)[1]):
+        told = []
+        solution = own.solve(start, None, 1.0, parameters=of, throw=False, callback=told.append)
+        assert solution.success
+        assert solution.cost == pytest.approx(least(a, b, start, 1.0), rel=1e-8)
+        assert max(one.stationarity[0] for one in told) <= 1 + 1e-9
 
 
 @pytest.mark.usual("4-lags", "4-springs")
