@@ -8,7 +8,8 @@
 /* The larger of two numbers, y where x is not a number. */
 #define LARGER(x, y) ((x) > (y) ? (x) : (y))
 
-/* A vector of y at a time, which stays in registers until all terms are subtracted. */
+/* A vector of y at a time, which stays in registers until all terms are subtracted. The sign belongs to the factor: with
+ * it inside of the inner loop gcc makes no vectors. */
 TARGET static void KERNEL(subtract_products)(retrax_index rows, retrax_index columns, retrax_index terms, double *y,
                                              retrax_index y_width, const double *f, retrax_index f_width,
                                              const double *x, retrax_index x_width) {
