@@ -30,9 +30,8 @@ SINGULAR_WORDS = (
 # Times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero.
 HORIZON_AT_BOUND, UNMET = 1.01, 1e-3
 LOST_HORIZON = 1e3  # times the guess, or a share of it: a horizon that is found without success, and named
-# From the guess: a horizon that is found again, and how often: test_a_horizon_is_found_whatever_its_guess.
-RESTART, AGAIN = 10.0, 3
-# Times the guess: horizons from which it is tried again: test_durations_of_phases_are_found_whatever_their_guesses.
+RESTART, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
+# Times the guess: horizons from which it is tried again: test_a_horizon_is_found_whatever_its_guess.
 MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8
 
 
