@@ -30,7 +30,8 @@ class Result(eqx.Enumeration):
     stationary = (
         "The equations are solved to the tolerance asked for, and this is not shown to be a strict local minimum: a "
         "curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a "
-        "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs."
+        "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs, "
+        "or leave an end free that controls move by less than its rounding."
     )
     concave = (
         "The derivatives of the cost vanish, but the cost is concave in a control, so this is no minimum: it may be a "
@@ -58,7 +59,7 @@ class Result(eqx.Enumeration):
     singular = (
         "The system of optimality conditions stays singular: to first order the boundary conditions cannot be reached "
         "from this trajectory, or the cost does not determine the controls; check that the end point is reachable and "
-        f"that the running cost is strictly convex in every control, or give {BETTER}."
+        f"that the running cost is strictly convex in every control, or give more steps, or {BETTER}."
     )
     infeasible = (
         "The inequalities contradict each other or the ends at the points of these steps, or a better guess is needed: "

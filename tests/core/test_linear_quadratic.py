@@ -164,6 +164,18 @@ def test_a_success_is_right_where_controls_reach_farther_than_any_solution(kind,
     assert solved >= 6
 
 
+@pytest.mark.parametrize("steps", [40, 80])
+def test_more_steps_solve_what_controls_move_too_far_in_one(steps):
+    """Through the coupling beyond which no step of ten resolves the cost of its controls beside what they move."""
+    own = test_hard_to_reach.solver(6)
+    finer = Solver(own.problem, own.method, steps)
+    for coupling in (200.0, 500.0, 1000.0):
+        a, b = KINDS["lags"](6, coupling)
+        for start in starts(6):
+            solution = finer.solve(start, None, 1.0, parameters={"a": a, "b": b, "weight": 0.0})
+            assert solution.cost == pytest.approx(least(a, b, start, 1.0, 0.0, steps), rel=1e-8)
+
+
 @pytest.mark.parametrize("stiffness", 10.0 ** np.arange(0, 5))
 def test_slopes_are_measured_by_their_parts_where_steps_are_stiff(stiffness):
     """Through time constants far below a step; a slope is no more than the parts that cancel in it."""
