@@ -22,6 +22,7 @@ SLOW = (
     "constraints.md",
     "conventions.md",
     "dirac.md",
+    "estimation.md",
     "feedback.md",
     "from_casadi.md",
     "from_geometry.md",

@@ -11,6 +11,7 @@ from .drivers.phase_transcription import PhaseEnds
 from .drivers.phases import Phase, solve_phases
 from .guess import Guess, default_guess
 from .solution.batch import Solutions, load_solutions
+from .solution.covariance import Covariance
 from .solution.diagnostics import Checks, RegularChecks, SingularArc, SingularChecks, Statistics
 from .solution.differentiable_solution import DifferentiableSolution
 from .solution.feedback import Feedback
@@ -24,6 +25,7 @@ __all__ = [
     "Checks",
     "ClassifiedArc",
     "Continuation",
+    "Covariance",
     "Derivative",
     "DifferentiableSolution",
     "DiscretizationError",

@@ -70,7 +70,9 @@ class ExtremalRecords:
         self._active = _active(transcribed, self._held)
         self._multipliers = _multipliers(transcribed, found)
         # A record holds this until its figures are read, and nothing else of the search.
-        find = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters)
+        find: Any = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters)
+        if builder.problem.node_cost is not None:
+            find = partial(_between_nodes, find)
         self._later = _LaterDiagnostics(find, self._active if builder.constrained else [])
 
     def member(self, k: int) -> Solution:
@@ -183,6 +185,20 @@ class _LaterDiagnostics:
 def _figures(later: _LaterDiagnostics, k: int) -> dict[str, Any]:
     """The figures of a member that are computed when one is read."""
     return figures(vec.taken(later.found, k))
+
+
+def _between_nodes(find: Callable[[], Diagnostics]) -> Diagnostics:
+    """The diagnostics of a problem whose costates jump at node costs.
+
+    The Hamiltonian is constant in each step alone, and no momentum is conserved.
+    """
+    found = find()
+    size, nodes = found.hamiltonians.shape, next(iter(found.momenta.values())).shape[1]
+    steps = found.hamiltonians.reshape(size[0], nodes - 1, -1)
+    return found._replace(
+        hamiltonians=(steps - steps[:, :, :1] + steps[:, :1, :1]).reshape(size),
+        brackets={name: rates + np.inf for name, rates in found.brackets.items()},
+    )
 
 
 def _times(steps: np.ndarray, stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -1,8 +1,9 @@
 """The boundary-value problem in one call."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
+from ...errors import InvalidInputError
 from ...former_order import accept_former_order
 from ...retractions import Gauss, default_retraction
 from ...tracing import reads_once
@@ -11,8 +12,10 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.user_functions import require_concrete
 from ..singular import Classification, SingularIntegrator
 from .drivers.mesh_refinement import MeshRefinement
+from .drivers.phases import solve_phases
+from .drivers.waypoints import joined, phases_through
 from .guess import Guess
-from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem
+from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem, require_refinable
 from .inputs.inputs import Inputs
 from .iteration import Iteration
 from .solution.differentiable_solution import INSTEAD
@@ -46,6 +49,8 @@ def solve(
     integrator: SingularIntegrator | None = None,
     callback: Callable[[Iteration], Any] | None = None,
     verbose: bool = False,
+    start_time: float = 0.0,
+    through: Mapping[float, Any] | None = None,
 ) -> Solution:
     """Solve an optimal control problem between two boundary conditions.
 
@@ -85,6 +90,11 @@ def solve(
         A function of an ``Iteration``, called in every iteration; it stops the iteration by returning ``True``.
     verbose : bool
         Whether to print a line for each iteration.
+    start_time : float
+        The time at which the trajectory begins, for a problem with ``time_dependent=True``; the horizon is a duration.
+    through : mapping of float to point, optional
+        Waypoints by their times: points that the trajectory passes, with ``None`` for free factors as in ``end``. Each
+        time is the time of a node, so ``steps`` must be given. The costates jump at the waypoints.
 
     Returns
     -------
@@ -114,12 +124,21 @@ def solve(
     require_concrete("solve", start, end, horizon, problem, guess, parameters, instead=INSTEAD)
     if accuracy is not None:
         check_accuracy(accuracy)
+    if steps is None or accuracy is not None:
+        require_refinable(problem)
     if steps is None:
         steps, accuracy = DEFAULT_STEPS, DEFAULT_ACCURACY if accuracy is None else accuracy
-    solver, given = (
-        Solver(problem, _default_method(problem) if method is None else method, steps),
-        BoundaryData(start, end, horizon, parameters),
+    method, given = (
+        _default_method(problem) if method is None else method,
+        BoundaryData(start, end, horizon, parameters, start_time),
     )
+    if through:
+        _require_fixed_mesh(accuracy, classification, integrator)
+        phases = phases_through(problem, method, steps, given, through, guess)
+        options = {"callback": callback, "verbose": verbose, "throw": False}
+        found = joined(solve_phases(phases, tolerance=tolerance, max_iterations=max_iterations, **options))
+        return found.require_success() if throw else found
+    solver = Solver(problem, method, steps)
     options = Options.of(tolerance, max_iterations, callback, verbose)
     inputs = Inputs.of(solver._reader, given, guess, options, 0, classification, integrator)
     found = (
@@ -128,6 +147,17 @@ def solve(
         else MeshRefinement(solver, inputs, accuracy, tolerance is None).solve()
     )
     return found.require_success() if throw else found
+
+
+def _require_fixed_mesh(accuracy: Any, classification: Any, integrator: Any) -> None:
+    """Raise if a trajectory through waypoints has a mesh that is refined, or is of a singular problem."""
+    if accuracy is not None:
+        raise InvalidInputError(
+            "through fixes the nodes at the waypoints, and the mesh is to be refined; expected steps and no accuracy; "
+            "try steps=40, where the times of the waypoints are nodes"
+        )
+    if classification is not None or integrator is not None:
+        raise InvalidInputError("through is for regular problems, got a classification or an integrator")
 
 
 def _default_method(problem: OptimalControlProblem) -> Method:

@@ -36,6 +36,7 @@ from .regular_extremals import find_extremals
 from .regularity import Regularity
 from .shooting import solve_on_final_manifold
 from .solution.batch import Solutions
+from .solution.covariance import Covariance, covariance_of, require_estimate
 from .solution.diagnostics import add_compile_time
 from .solution.differentiable_solution import INSTEAD, DifferentiableSolution, differentiable_extremal
 from .solution.feedback import feedback
@@ -94,7 +95,7 @@ class Solver:
         self.problem, self.method, self.fractions = problem, method, step_fractions(steps)
         self._evaluator = choose_evaluator(evaluator)
         self._transcription = Transcription(problem, method, self.fractions, self._evaluator)
-        interpolant = Interpolant(method.retraction, problem.controls)
+        interpolant = Interpolant(method.retraction, problem.controls, problem.node_cost is not None)
         mesh = Mesh(self.fractions, self._transcription.stages, interpolant)
         self._reader = InputReader(problem, method, mesh, self._evaluator)
         self._builder = SolutionBuilder(problem, self._transcription.stages, interpolant)
@@ -198,6 +199,7 @@ class Solver:
         throw: bool = True,
         classification: Classification | None = None,
         integrator: SingularIntegrator | None = None,
+        start_time: float = 0.0,
     ) -> Solution:
         """The extremal between two boundary conditions over ``[0, horizon]``, or the best iterate after an interrupt.
 
@@ -205,12 +207,12 @@ class Solver:
         ----------
         start, end, horizon, guess, parameters, tolerance, max_iterations, callback, verbose
             As in ``retrax.solve``, with the same errors.
-        throw, classification, integrator
+        throw, classification, integrator, start_time
             As in ``retrax.solve``.
         """
         require_concrete("solve", start, end, horizon, guess, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
-        given = BoundaryData(start, end, horizon, parameters)
+        given = BoundaryData(start, end, horizon, parameters, start_time)
         inputs = Inputs.of(self._reader, given, guess, options, 0, classification, integrator)
         with self._required(inputs.parameters_of(0)):
             solution = self._solve(inputs)
@@ -331,6 +333,25 @@ class Solver:
         require_isolated(columns, solution)
         layouts = self._transcription.state, self._transcription.control
         return Sensitivity.of(columns, layouts, self.problem.manifold.dimension, kept.parameters)
+
+    def covariance(self, solution: Solution) -> Covariance:
+        """The covariance of estimated states and free parameters, from the factors of the KKT system.
+
+        Parameters
+        ----------
+        solution : Solution
+            A minimum of a regular problem that this solver found; ``InvalidInputError`` for others, and
+            ``ConvergenceError`` if the costs do not determine the states and parameters.
+        """
+        require_treated(self.problem, "covariance", *ALONG)
+        origin = self._reformulation.origin(solution)
+        if origin is not None:
+            formulation, solver, found = origin
+            return formulation.recover_covariance(solver.covariance(found))
+        kept = self._kept.get(solution) if isinstance(solution, Solution) else None
+        require_estimate(kept, solution)
+        with self._required(solution.parameters), np.errstate(all="ignore"):
+            return covariance_of(kept.found.system(kept.place), solution)
 
     @require_known_options
     def extremal(

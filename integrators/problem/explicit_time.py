@@ -7,13 +7,14 @@ from typing import Any
 
 from .argument_errors import takes_more
 
-# The arguments of functions of a state, of a state and its time, of a state and its control, of both ends.
-ARGUMENTS = ("q",), ("q", "t"), ("q", "u", "t"), ("q_0", "q_T", "t")
+# The arguments of functions of a state, of a state and its time, of a state and its control, of both ends, of a node.
+ARGUMENTS = ("q",), ("q", "t"), ("q", "u", "t"), ("q_0", "q_T", "t"), ("q", "k")
+TIMELESS = 0, 4  # kinds without a time
 
 
 def with_time(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
     """A function without explicit time, with a time that it ignores."""
-    if kind == 0:
+    if kind in TIMELESS:
         return function
     count = len(ARGUMENTS[kind]) - 1
     return _signed(
@@ -29,7 +30,7 @@ def begun_later(takes_parameters: bool) -> Callable[[Callable[..., Any], int], C
 
         def later(*given: Any) -> Any:
             own, begin = given[-1] if takes_parameters else (None, given[-1])
-            points = given[:-1] if kind == 0 else (*given[:-2], begin + given[-2])
+            points = given[:-1] if kind in TIMELESS else (*given[:-2], begin + given[-2])
             return function(*points, *([own] if takes else []))
 
         return _signed(function, kind, True, later)

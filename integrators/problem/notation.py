@@ -17,7 +17,8 @@ def problem_notation(problem: ProblemStatement) -> str:
     rate = "" if problem.abnormal else f"int_0^T {_name(problem.running_cost)}(q, u{t}{p}) dt"
     ends = ("q(0)", problem.initial_cost, ""), ("q(T)", problem.terminal_cost, ", T" if t else "")
     first, last = (f"{_name(cost)}({q}{time}{p})" if cost is not None else "" for q, cost, time in ends)
-    terms = " + ".join(term for term in (first, rate, last) if term)
+    nodes = "" if problem.node_cost is None else f"sum_k {_name(problem.node_cost)}(q_k, k{p})"
+    terms = " + ".join(term for term in (first, rate, last, nodes) if term)
     lines = [
         f"minimise    {terms or '0, an abnormal problem'}",
         f"subject to  q' = {_name(problem.dynamics)}(q, u{t}{p}),  q in {problem.manifold},  u in {problem.controls}",

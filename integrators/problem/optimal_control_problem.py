@@ -17,6 +17,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...retractions import default_retraction
 from .argument_errors import arguments_of, require_arguments, require_known_options, takes_more
 from .boundary_conditions import PERIODIC, BoundaryConditions, BoundaryConstraint, boundary_words, identity, linkage
+from .explicit_time import TIMELESS
 from .notation import problem_notation
 from .path_constraints import Constraint, Inequalities, constraint_words, node_words
 from .problem_statement import Dynamics, ProblemStatement, RunningCost, TerminalCost
@@ -61,10 +62,12 @@ class OptimalControlProblem(ProblemStatement):
         True for ``q(T) = q(0)``; a function ``g`` for ``q(T) = g(q(0))``.
     node_constraints : mapping of str to callable, optional
         ``g(q) <= 0`` by name, at the nodes, where steps meet.
+    node_cost : callable, optional
+        ``c(q, k)``, a number, at each node ``k = 0, ..., N``, such as the misfit of measurement ``k``; without time.
 
     Notes
     -----
-    The problem is to minimize :math:`\Phi_0(q(0)) + \int_0^T F(q, u)\,dt + \Phi(q(T))` subject to
+    The problem is to minimize :math:`\Phi_0(q(0)) + \int_0^T F(q, u)\,dt + \Phi(q(T)) + \sum_k c(q_k, k)` subject to
     :math:`\dot q = X(q, u)` and the constraints. Functions with one more argument get the ``parameters`` of ``solve``
     there. ``InvalidInputError`` for other arguments.
 
@@ -93,10 +96,11 @@ class OptimalControlProblem(ProblemStatement):
         boundary_constraints: Mapping[str, BoundaryConstraint] | None = None,
         periodic: bool | Callable[..., Any] = False,
         node_constraints: Mapping[str, Constraint] | None = None,
+        node_cost: Callable[..., Any] | None = None,
     ) -> None:
         self.manifold = manifold
         self.dynamics, self.running_cost = dynamics, running_cost
-        self.terminal_cost, self.initial_cost = terminal_cost, initial_cost
+        self.terminal_cost, self.initial_cost, self.node_cost = terminal_cost, initial_cost, node_cost
         self.controls = Euclidean(int(controls)) if isinstance(controls, int | np.integer) else controls
         self.abnormal, self.time_dependent = abnormal, time_dependent
         for name, value, example in (("manifold", manifold, "SO(3)"), ("controls", self.controls, "Euclidean(3)")):
@@ -114,15 +118,17 @@ class OptimalControlProblem(ProblemStatement):
         expected = (
             ("q", "(q, t)", "(q, u, t)", "(q_0, q_T, t)") if time_dependent else ("q", "q", "(q, u)", "(q_0, q_T)")
         )
-        takes = [require_arguments(n, f, expected[kind], more="parameters") for n, f, kind in self._functions()]
+        each = self._functions()
+        takes = [require_arguments(n, f, (*expected, "(q, k)")[kind], more="parameters") for n, f, kind in each]
         self.takes_parameters = any(takes)
 
     def _functions(self) -> Iterator[tuple[str, Callable[..., Any], int]]:
         """Names of the functions, the functions, and the kinds of their arguments.
 
-        A kind is 3 for both ends, 2 for state and control, 1 for a state and its time, 0 for a state.
+        A kind is 4 for a node and its index, 3 for both ends, 2 for state and control, 1 for a state and its time, 0
+        for a state.
         """
-        names = ("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1), ("initial_cost", 0)
+        names = ("dynamics", 2), ("running_cost", 2), ("terminal_cost", 1), ("initial_cost", 0), ("node_cost", 4)
         for name, kind in names:
             if getattr(self, name) is not None or kind == 2:
                 yield name, getattr(self, name), kind
@@ -169,12 +175,14 @@ class OptimalControlProblem(ProblemStatement):
         """
         if not self.takes_parameters:
             return self
-        return self._changed(lambda f, kind: with_last(f, self._counts[kind], parameters), self.time_dependent)
+        # A node cost reads them at a traced index, which arrays of NumPy do not take.
+        arrays = parameters if self.node_cost is None else jax.tree.map(jnp.asarray, parameters)
+        return self._changed(lambda f, kind: with_last(f, self._counts[kind], arrays), self.time_dependent)
 
     @property
     def _counts(self) -> tuple[int, ...]:
         """The numbers of arguments of functions of each kind, without parameters."""
-        return (1, 2, 3, 3) if self.time_dependent else (1, 1, 2, 2)
+        return (1, 2, 3, 3, 2) if self.time_dependent else (1, 1, 2, 2, 2)
 
     @property
     def _first_with_parameters(self) -> str:
@@ -199,7 +207,7 @@ class OptimalControlProblem(ProblemStatement):
         if not self.time_dependent:
             return self
         time = jnp.asarray(t, float)  # of Python's own numbers the inverse of zero is an error
-        return self._changed(lambda f, kind: BoundFunction(f, time) if kind else f, False)
+        return self._changed(lambda f, kind: f if kind in TIMELESS else BoundFunction(f, time), False)
 
     def _changed(
         self, change: Callable[[Callable[..., Any], int], Callable[..., Any]], time_dependent: bool
@@ -212,14 +220,14 @@ class OptimalControlProblem(ProblemStatement):
         limits = own.replaced(functions, at_nodes)
         between = tuple(given[boundary_words(name)] for name in ends.names)
         boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor, ends.closed)
-        names = "dynamics", "running_cost", "terminal_cost", "initial_cost"
+        names = "dynamics", "running_cost", "terminal_cost", "initial_cost", "node_cost"
         more: Any = {"constraints": limits, "boundary_constraints": boundary, "time_dependent": time_dependent}
         return self._replaced(**more, **{name: given[name] for name in names if name in given})
 
     def _replaced(self, **changes: Any) -> "OptimalControlProblem":
         """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a
         ``boundary``."""
-        names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "initial_cost"
+        names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "initial_cost", "node_cost"
         given: Any = {name: getattr(self, name) for name in (*names, "abnormal", "time_dependent")}
         given |= {"constraints": self._limits, "boundary_constraints": self._boundary, "labels": self.quantities}
         return OptimalControlProblem(**given | changes)
@@ -300,6 +308,27 @@ class OptimalControlProblem(ProblemStatement):
         """
         return jnp.zeros(()) if self.initial_cost is None else real_number("initial_cost", self.initial_cost(q))
 
+    def cost_at_node(self, q: Ambient, k: Any) -> Array:
+        """The node cost ``c(q, k)``, zero for a problem without node cost.
+
+        Parameters
+        ----------
+        q : point
+            The state, an array or a tuple of arrays of the shapes of the manifold.
+        k : int
+            The index of the node.
+        """
+        return jnp.zeros(()) if self.node_cost is None else real_number("node_cost", self.node_cost(q, k))
+
+    @property
+    def _starts_with_cost(self) -> bool:
+        """Whether the first node has a cost, the initial cost or a node cost."""
+        return self.initial_cost is not None or self.node_cost is not None
+
+    def _start_cost(self, q: Ambient) -> Array:
+        """All costs of the first node."""
+        return self.first_cost(q) + self.cost_at_node(q, 0)
+
     def _periodic_end(self, q: Ambient) -> Ambient:
         """``g(q)`` of periodic ends, ``q(T) = g(q(0))``."""
         own = (
@@ -327,13 +356,13 @@ class OptimalControlProblem(ProblemStatement):
 
         ``parameters``: an example of the structure.
         """
-        examples = self.manifold.ambient, self.controls.ambient, parameters, np.zeros(())
-        return digest(lambda q, u, p, t: self.with_parameters(p).at_time(t)._values(q, u), *examples)
+        examples = self.manifold.ambient, self.controls.ambient, parameters, np.zeros(()), np.zeros((), int)
+        return digest(lambda q, u, p, t, k: self.with_parameters(p).at_time(t)._values(k, q, u), *examples)
 
-    def _values(self, q: Ambient, u: Ambient) -> tuple[Any, ...]:
-        """The values of all functions."""
+    def _values(self, k: Any, q: Ambient, u: Ambient) -> tuple[Any, ...]:
+        """The values of all functions, at node ``k``."""
         ends = self._boundary.values(q, q), None if self._boundary.turn is None else self._periodic_end(q)
-        costs = self.cost_rate(q, u), self.final_cost(q), self.first_cost(q)
+        costs = self.cost_rate(q, u), self.final_cost(q), self.first_cost(q), self.cost_at_node(q, k)
         return self.velocity(q, u), *costs, self.inequalities(q, u), self.node_inequalities(q), ends
 
     def check(self, q: Ambient, u: Ambient) -> None:

@@ -29,6 +29,7 @@ class ProblemStatement(Module):
     _boundary: BoundaryConditions
     time_dependent: bool = eqx.field(static=True)
     quantities: Quantities = eqx.field(static=True)
+    node_cost: Callable[..., Any] | None
     takes_parameters: bool = eqx.field(static=True)
 
     @property

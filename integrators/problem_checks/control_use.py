@@ -13,7 +13,7 @@ from ..reporting.results import callers
 def warn_of_broadcast(program: ClosedJaxpr) -> None:
     """Warn of a single control that a function adds to an array: JAX adds the control to every entry.
 
-    ``program``: the functions of a problem, of points and a control, which is the last input.
+    ``program``: the functions of a problem, whose last input is the control.
     """
     control = program.jaxpr.invars[-1]
     for equation in program.jaxpr.eqns if control.aval.shape == (1,) else ():

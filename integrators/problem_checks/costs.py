@@ -31,7 +31,7 @@ def require_cost(
     )
     moves[0] = 0.0
     costs, slopes = _cost_rates(problem, q, moves, u, directions)
-    if problem.abnormal or problem.initial_cost is not None or not _is_one_number(costs, np.max(slopes)):
+    if problem.abnormal or problem._starts_with_cost or not _is_one_number(costs, np.max(slopes)):
         return
     terminal = "no terminal cost of a free end is given"
     if problem.terminal_cost is not None and not (fixed and all(fixed)):

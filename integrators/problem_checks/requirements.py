@@ -33,6 +33,7 @@ def require_treated(problem: OptimalControlProblem, what: str, *treated: str) ->
         "constraints": bool(limits.functions),
         "node constraints": bool(limits.node_functions),
         "an initial cost": problem.initial_cost is not None,
+        "a node cost": problem.node_cost is not None,
         "an explicit time": problem.time_dependent,
         "boundary constraints": bool(boundary.functions),
         "periodic ends": boundary.turn is not None,
@@ -46,14 +47,14 @@ def require_treated(problem: OptimalControlProblem, what: str, *treated: str) ->
 
 
 def require_values(problem: OptimalControlProblem) -> ClosedJaxpr:
-    """The program of all functions of a problem, of a point and a control.
+    """The program of all functions of a problem, of the index of a node, a point and a control.
 
     Raises if a function cannot be called, reads entries that its arguments do not have, or returns another kind.
     """
     spaces = problem.manifold, problem.controls
     q, u = (jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), space.ambient) for space in spaces)
     try:
-        program = trace_program(problem._values, q, u)
+        program = trace_program(problem._values, np.zeros((), int), q, u)
     except RetraxError:
         raise
     except FAILURES as error:

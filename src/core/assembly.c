@@ -61,8 +61,8 @@ static void condense(const retrax_layout *layout, double *trajectory, void *work
     }
     retrax_condense_slope(&system, &condensed, ARRAY(POINT_SLOPES), ARRAY(END_SLOPES), ARRAY(SLOPES_BY_VELOCITIES),
                           ARRAY(SLOPES));
-    retrax_condense_slope(&system, &condensed, ARRAY(POINT_GRADIENTS), NULL, ARRAY(GRADIENTS_BY_VELOCITIES),
-                          ARRAY(GRADIENTS));
+    retrax_condense_slope(&system, &condensed, ARRAY(POINT_GRADIENTS), problem->node_costs > 0 ? ARRAY(END_GRADIENTS) : NULL,
+                          ARRAY(GRADIENTS_BY_VELOCITIES), ARRAY(GRADIENTS));
 }
 
 /* Adds the cost of an end to the blocks of the step there. */
@@ -94,7 +94,7 @@ void retrax_assemble_system(const retrax_layout *layout, double *trajectory, voi
     if (retrax_collocates(problem)) {
         condense(layout, trajectory, workspace, set);
         for (retrax_index k = 0; k < problem->steps; k++) {
-            ARRAY(COSTS)[k] = 0.0;
+            ARRAY(COSTS)[k] = problem->node_costs > 0 ? ARRAY(END_COSTS)[k] : 0.0;
             for (retrax_index i = 0; i < s; i++) {
                 ARRAY(COSTS)[k] += ARRAY(POINT_COSTS)[k * s + i];
             }

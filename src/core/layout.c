@@ -57,7 +57,7 @@ static void count_arrays(const retrax_problem *problem, retrax_index *count) {
     const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, E = problem->state_numbers;
     const retrax_index m = problem->control_size, U = problem->control_numbers, P = problem->parameters;
     const retrax_index c = problem->inequalities, d = problem->node_inequalities, l = N * s * c + N * d;
-    const retrax_index g = problem->curved_controls ? 1 : 0;
+    const retrax_index g = problem->curved_controls ? 1 : 0, w = problem->node_costs;
     const retrax_index q = 3 * n + m, z = n + s * m, p = s * n;
     const retrax_index v = retrax_collocates(problem) ? N * s : 0;
 #define RETRAX_COUNT_OF(name, number) count[RETRAX_ARRAY_##name] = (number);
@@ -69,7 +69,8 @@ static void count_arrays(const retrax_problem *problem, retrax_index *count) {
 static bool fits(const retrax_problem *problem) {
     const retrax_index sizes[] = {problem->points,          problem->state_size,   problem->state_numbers,
                                   problem->control_size,    problem->control_numbers,
-                                  problem->inequalities,    problem->node_inequalities};
+                                  problem->inequalities,    problem->node_inequalities,
+                                  problem->node_costs};
     for (size_t i = 0; i < sizeof(sizes) / sizeof(sizes[0]); i++) {
         if (sizes[i] < (i < 3 ? 1 : 0) || sizes[i] > LARGEST_SIZE) {
             return false;
@@ -142,6 +143,7 @@ static void list_of_map(const retrax_problem *problem, retrax_function_name name
             add(in, RETRAX_ARRAY_STEP_SIZE, 1);
             add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
             add(in, RETRAX_ARRAY_LIMIT_MULTIPLIERS, c);
+            add(in, RETRAX_ARRAY_NODE_INDICES, problem->node_costs);
             add(out, RETRAX_ARRAY_HESSIANS, z * z);
             add(out, RETRAX_ARRAY_SLOPES, z);
             add(out, RETRAX_ARRAY_LEFT, n * z);
@@ -172,6 +174,7 @@ static void list_of_collocation(const retrax_problem *problem, retrax_function_n
     const retrax_index n = problem->state_size, E = problem->state_numbers, U = problem->control_numbers;
     const retrax_index m = problem->control_size, c = problem->inequalities, q = 3 * n + m;
     const retrax_index d = problem->node_inequalities, of_points = problem->steps * problem->points * c;
+    const retrax_index w = problem->node_costs;
     switch (name) {
         case RETRAX_ENDS:
             add(in, RETRAX_ARRAY_CENTRES, E);
@@ -201,17 +204,20 @@ static void list_of_collocation(const retrax_problem *problem, retrax_function_n
             add(in, RETRAX_ARRAY_CENTRES, E);
             add(in, RETRAX_ARRAY_ETA, n);
             add_around(in, E);
-            if (d > 0) {
+            if (d > 0 || w > 0) {
                 add(in, RETRAX_ARRAY_STEP_SIZE, 1);
                 add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
                 add_strided(in, RETRAX_ARRAY_LIMIT_MULTIPLIERS, of_points, d, d);
+                add(in, RETRAX_ARRAY_NODE_INDICES, w);
             }
             add(out, RETRAX_ARRAY_END_HESSIANS, 4 * n * n);
             add(out, RETRAX_ARRAY_END_SLOPES, 2 * n);
             add(out, RETRAX_ARRAY_END_LEFT, 2 * n * n);
             add(out, RETRAX_ARRAY_END_RIGHT, 2 * n * n);
+            add(out, RETRAX_ARRAY_END_GRADIENTS, w * 2 * n);
             add_strided(out, RETRAX_ARRAY_LIMIT_JACOBIANS, of_points * q, d * 2 * n, d * 2 * n);
             add(out, RETRAX_ARRAY_END_COORDINATES, 2 * n);
+            add(out, RETRAX_ARRAY_END_COSTS, w);
             add_strided(out, RETRAX_ARRAY_LIMITS, of_points, d, d);
             break;
         case RETRAX_MOVE:

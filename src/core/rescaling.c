@@ -53,7 +53,7 @@ static bool moves(const retrax_layout *layout, const double *trajectory) {
     return false;
 }
 
-/* Whether its controls move it by more than rounding of its states. */
+/* Whether its controls move it by more than rounding of its states; a trajectory without controls moves by itself. */
 static bool acts(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
@@ -71,7 +71,7 @@ static bool acts(const retrax_phase *phase, const double *trajectory) {
             return true;
         }
     }
-    return false;
+    return z == n;
 }
 
 /* Whether the sizes in use are far larger than those of the iterate, phase->fresh. */

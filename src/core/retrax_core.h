@@ -341,16 +341,17 @@ typedef enum {
      * the covector with these multipliers [E] */
     RETRAX_FRAMES,
     /* Discretization map: x, u, the nodes on either side, the covectors there, h, parameters, multipliers of the
-     * inequalities [c] -> Hessian [z][z] and slope [z] of the Lagrangian, left [n][z], right [n][z], gradient [z] of
+     * inequalities [c], index of the node at the end [w] -> Hessian [z][z] and slope [z] of the Lagrangian, left [n][z], right [n][z], gradient [z] of
      * the cost, derivatives [c][z] of the inequalities, both ends in the frames of the nodes [2][n], cost, inequalities
      * [c]. Collocation: x, xi, nu, u, lambda, weight, parameters, multipliers [c] -> Hessian [q][q], slope [q],
      * derivatives [n][q] of the defect, gradient [q], derivatives [c][q], defect [n], cost, inequalities [c], frame
      * [n][E], coordinates of lambda in it [n]. */
     RETRAX_POINTS,
-    /* Collocation alone: x, eta, the nodes on either side, the covectors there, and with inequalities at nodes h,
-     * parameters, multipliers [d] -> Hessian [2 n][2 n] and slope [2 n] of the Lagrangian by (dx, deta), left [n][2 n],
-     * right [n][2 n], with inequalities their derivatives [d][2 n], both ends in the frames of the nodes [2][n],
-     * inequalities [d] */
+    /* Collocation alone: x, eta, the nodes on either side, the covectors there, and with inequalities or costs
+     * at nodes h, parameters, multipliers [d], index of the node at the end [w] -> Hessian [2 n][2 n] and slope [2 n] of
+     * the Lagrangian by (dx, deta), left [n][2 n], right [n][2 n], gradient [w][2 n] of the cost of the node at the end,
+     * derivatives [d][2 n] of the inequalities, both ends in the frames of the nodes [2][n], that cost [w], inequalities
+     * [d] */
     RETRAX_BOTH_ENDS,
     /* Discretization map: x, u, step [z], h, parameters -> x, u. Collocation: x, dx -> x, and the matrix [n][n] that
      * carries velocities from one chart to the other. */
@@ -397,6 +398,7 @@ typedef struct {
     retrax_index parameters;      /* P >= 0 */
     retrax_index inequalities;    /* c >= 0, at each point; of a discretization map also those at its nodes */
     retrax_index node_inequalities; /* d >= 0, at the end and the beginning of a collocation step, else 0 */
+    retrax_index node_costs;      /* w: 1 where each node but the first, at the end of a step, has a cost, else 0 */
     const double *matrix;         /* [s][s] of the tableau about the middle of the step; collocation alone */
     const double *weights;        /* [s] */
     const retrax_index *columns;  /* [E]: column of a matrix that an entry of a state belongs to, in 0, ..., E - 1 */
@@ -411,11 +413,12 @@ typedef struct {
 } retrax_problem;
 
 /* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0, p = s n,
- * and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie
+ * w costs of a node, and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie
  * on a manifold that is not flat, else 0. */
 #define RETRAX_ARRAYS(X)                                                                                              \
     /* given */                                                                                                       \
     X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                                    \
+    X(NODE_INDICES, N *w) /* of the nodes at the ends of the steps: 1, ..., N */                                      \
     X(START_ENTRIES, E) X(END_ENTRIES, E) /* 1 where an entry of them is prescribed, else 0 */                        \
     X(FIXED, (N + 1) * n) /* 1 where an equation of a node counts, else 0 */                                          \
     X(LIMIT_WEIGHTS, l) X(PENALTIES, l) X(BARRIER, 1) /* see 7 */                                                     \
@@ -434,6 +437,7 @@ typedef struct {
     X(POINT_DEFECTS, v *n) X(POINT_COSTS, v) X(POINT_FRAMES, v *n *E) X(POINT_MULTIPLIERS, v *n)                      \
     X(END_HESSIANS, v / s * 4 * n * n) X(END_SLOPES, v / s * 2 * n) X(END_LEFT, v / s * 2 * n * n)                    \
     X(END_RIGHT, v / s * 2 * n * n) X(RIGHT_SLOPES, (l > 0) * v * q) X(BARRIER_SLOPES, (l > 0) * v * q)               \
+    X(END_GRADIENTS, v / s * w * 2 * n) X(END_COSTS, v / s * w)                                                       \
     X(NEWTON_SLOPES, (l > 0) * v * q) X(RIGHT_END_SLOPES, (d > 0) * N * 2 * n)                                        \
     X(BARRIER_END_SLOPES, (d > 0) * N * 2 * n) X(NEWTON_END_SLOPES, (d > 0) * N * 2 * n) X(FACTORS, v *n *p)          \
     X(SWAPS, v *n) X(VELOCITY_MAPS, v *n *(z + 1)) X(BEFORE, v / s *n) X(AFTER, v / s *n)                             \

@@ -88,6 +88,13 @@ CASES = {
         Solver(OptimalControlProblem(PLANE, lambda q, u: u, half_square, 2, node_constraints={"disk": beside}),
                Gauss(2, Addition(PLANE)), 8), *AROUND
     ),
+    "measurements at the nodes of collocation": lambda: Case(
+        Solver(OptimalControlProblem(PLANE, lambda q, u, p: jnp.stack([q[1], u[0]]), lambda q, u, p: u @ u / 2, 1,
+                                     node_cost=lambda q, k, p: 50.0 * (q[0] - p["y"][k]) ** 2),
+               Gauss(2, Addition(PLANE)), 6),
+        (np.zeros(2), Free(np.zeros(2)), 1.0), (np.array([0.1, 0.0]), Free(np.zeros(2)), 1.2),
+        {"parameters": {"y": np.sin(np.arange(7.0))}}, {"parameters": {"y": np.cos(np.arange(7.0))}},
+    ),
     "control on a sphere": lambda: Case(
         Solver(OptimalControlProblem(Euclidean(3), lambda q, u: u, lambda q, u: 1.0 + q @ q, SPHERE),
                Midpoint(Addition(Euclidean(3))), 10),

@@ -211,7 +211,7 @@ class SmoothnessAlongSolution:
 
 def _at_start(problem: OptimalControlProblem, q: Ambient, _: Ambient, last: Ambient) -> Array:
     """The conditions on the start, with the last state as it is."""
-    return jnp.concatenate([jnp.reshape(problem.first_cost(q), (1,)), problem._boundary.values(q, last)])
+    return jnp.concatenate([jnp.reshape(problem._start_cost(q), (1,)), problem._boundary.values(q, last)])
 
 
 def _at_end(problem: OptimalControlProblem, q: Ambient, _: Ambient, first: Ambient) -> Array:

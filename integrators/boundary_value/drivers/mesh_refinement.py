@@ -242,8 +242,11 @@ class MeshRefinement:
         return method
 
     def _switched(self, found: _MeshSolution) -> _MeshSolution:
-        """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
-        if not any(self.problem._limits.bounded.values()):
+        """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is.
+
+        Arcs count the time from zero, so with a start time only the mesh is refined.
+        """
+        if self.given.start_time or not any(self.problem._limits.bounded.values()):
             return found
         structure, known = switching_structure(self.problem, found.solution), found.structure
         if known is not None and np.array_equal(known.sides, structure.sides):

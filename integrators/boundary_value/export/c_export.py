@@ -237,9 +237,10 @@ def _words(inner: Any, kept: Any, formulation: Any, solution: Solution) -> dict[
         any(formulation.kind.horizon_bounds) or formulation.kind.below or formulation.kind.above
     )
     guessed = formulation is not None and formulation.kind.horizon
+    timed = formulation is not None and formulation.own.time_dependent
     return {
         "version": __version__,
         "title": repr(inner),
-        "parameters": "; ".join([*leaves, *([BOUNDS] if bounded else [])]),
+        "parameters": "; ".join([*leaves, *([BOUNDS] if bounded else []), *(["start time"] if timed else [])]),
         "horizon": "guess of the free duration" if guessed else "duration, positive",
     }

@@ -251,6 +251,12 @@ def _writing_text(posed: PosedProblem, upper: str) -> str:
     rows += ["WRITE(start_entries, START_ENTRIES);", "WRITE(end_entries, END_ENTRIES);", "WRITE(fixed, FIXED);"]
     if posed.transcription.sizes.parameters:
         rows.append("WRITE(input->parameters, PARAMETERS);")
+    if posed.transcription.sizes.node_costs:
+        rows += [
+            f"for (retrax_index k = 0; k < {upper}_STEPS; k++) {{",
+            "    ARRAY(NODE_INDICES)[k] = (double)(k + 1);",
+            "}",
+        ]
     rows += [f"WRITE(input->guess.{field}, {FIELDS[field][0]});" for field in _shapes(posed)]
     if _limits(posed):
         rows += [

@@ -23,7 +23,7 @@ from ..iteration import Iteration, IterationTable
 DEFAULT_TOLERANCE_POWER = 0.7
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends
 LIMITS = "control bounds", "constraints", "node constraints"
-ALONG = *LIMITS, "an initial cost", "an explicit time"
+ALONG = *LIMITS, "an initial cost", "a node cost", "an explicit time"
 BETWEEN = "boundary constraints", "periodic ends"
 NO_PARAMETERS = jax.tree.structure(None), ()  # the structure of no parameters, and the shapes of its leaves
 Method = DiscretizationMap | CollocationMethod
@@ -36,6 +36,7 @@ class BoundaryData(NamedTuple):
     end: Any
     horizon: Any
     parameters: Any
+    start_time: float = 0.0  # of problems with an explicit time
 
     def near(self, solution: Any) -> "BoundaryData":
         """The same, with what is free guessed as it was found."""
@@ -132,6 +133,16 @@ def require_problem(problem: Any) -> None:
     """Raise if this is no problem."""
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"solve takes an OptimalControlProblem, got {problem!r}")
+
+
+def require_refinable(problem: Any) -> None:
+    """Raise if this is no problem, or the index of a node has a meaning that another mesh would change."""
+    require_problem(problem)
+    if problem.node_cost is not None:
+        raise InvalidInputError(
+            "the problem has a node_cost, whose index k counts the nodes, and a refined mesh has other nodes; expected "
+            "a fixed mesh; try steps=len(measurements) - 1, and no accuracy"
+        )
 
 
 def check_problem(problem: Any, method: Any) -> None:

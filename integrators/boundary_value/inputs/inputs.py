@@ -28,6 +28,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...problem_checks.requirements import require_retraction
 from ...reporting.results import callers
+from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
 from ..guess import Guess, Mesh, MeshGuess
 from .arguments import (
@@ -159,6 +160,7 @@ class Inputs:
         count = count_members(reader.ends, known, guess) if axes else 1
         _require_horizon(given.horizon, count if axes and np.ndim(known.horizon) else 0)
         check_parameters(reader.problem, known.parameters)
+        _require_start_time(reader.problem, given.start_time)
         inputs = cls._read(reader, given, known, guess, options, integrator, classification, axes, count)
         if classification is not None:
             check_classification(inputs.problem, classification)
@@ -333,6 +335,17 @@ def _known_guess(problem: OptimalControlProblem, given: BoundaryData) -> Boundar
     if not needs_reformulation(problem, given.horizon, given.parameters):
         return given
     return given._replace(horizon=guess_of(given.horizon), parameters=guesses_of(given.parameters))
+
+
+def _require_start_time(problem: OptimalControlProblem, time: Any) -> None:
+    """Raise for a start time that is no finite number, or that no function of the problem takes."""
+    if not is_finite_number(time):
+        raise InvalidInputError(f"start_time must be a finite number, got {brief(time)}; try start_time=0.0")
+    if time and not problem.time_dependent:
+        raise InvalidInputError(
+            f"start_time is {time!r}, and the functions of the problem take no time; expected 0; try "
+            "OptimalControlProblem(..., time_dependent=True) with functions of the time, or leave start_time out"
+        )
 
 
 def _require_horizon(horizon: Any, count: int) -> None:

@@ -54,7 +54,7 @@ def member_of(ends: BoundaryDataReader, given: BoundaryData, k: int) -> Boundary
     """The data of member ``k`` of a batch."""
     start, end = ends.member(given.start, k), ends.member(given.end, k)
     rest = jax.tree.map(partial(entry_of, k=k), (given.horizon, given.parameters), is_leaf=is_free)
-    return BoundaryData(start, end, *rest)
+    return BoundaryData(start, end, *rest, given.start_time)
 
 
 def entry_of(leaf: Any, k: int) -> Any:

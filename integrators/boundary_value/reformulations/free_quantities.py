@@ -23,6 +23,7 @@ from ..guess import Guess
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import InputReader, Inputs
 from ..inputs.reformulation_kind import ReformulationKind, entry_rows
+from ..solution.covariance import Covariance
 from ..solution.diagnostics import Checks
 from ..solution.record import Solution
 from ..solution.sensitivity import Derivative, Sensitivity
@@ -39,8 +40,8 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
     """The problem on ``Q x R^j x R`` with states ``(q, c, tau)`` that a problem with free quantities or a time is.
 
     The constants ``c`` are the entries of the free parameters ``theta`` and ``c_0 + s``, ``s = log(T / T_0)``, ``T_0``
-    the guess of the free horizon; they are free at both ends. The clock starts at 0. Over ``[0, T_0]``, with ``t = e^s
-    tau``,
+    the guess of the free horizon; they are free at both ends. The clock starts at 0. Over ``[0, T_0]``, with ``t =
+    t_0 + e^s tau`` and the start time ``t_0``, the last one of the parameters,
 
         q' = e^s X(q, u, t, theta),   c' = 0,   tau' = 1,   cost Phi_0(q(0), theta) + int e^s F dtau + Phi(q, t, theta),
 
@@ -60,12 +61,14 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         added += [Euclidean(1)] if problem.time_dependent else []
         beside = [Addition(manifold) for manifold in added]
         self.takes = len(kind.shapes) > len(kind.free) or any(kind.horizon_bounds) or bool(kind.below or kind.above)
+        self.takes |= problem.time_dependent
         self.method = extend_method(reader.method, beside)
         changes: Any = {
             "dynamics": self._of_state(self._velocity, 2),
             "running_cost": self._of_state(self._rate, 2),
             "terminal_cost": self._of_node(lambda own, q: own.final_cost(q)),
             "initial_cost": self._of_node(lambda own, q: own.first_cost(q)),
+            "node_cost": self._of_state(self._node, 2),
         }
         changes = {name: function for name, function in changes.items() if getattr(problem, name) is not None}
         changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
@@ -121,7 +124,7 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         return np.full(int(free), self.at_guess + own)
 
     def parameters(self, given: BoundaryData) -> Any:
-        """The parameters of the reformulation, fixed parameters and bounds, or None without any."""
+        """The parameters of the reformulation, fixed parameters, bounds and the start time, or None without any."""
         if not self.takes:
             return None
         leaves = jax.tree.leaves(given.parameters, is_leaf=is_free)
@@ -131,7 +134,8 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         bounds = np.concatenate(
             [*(self._in_log(given.horizon, name) for bounded, name in both if bounded), below, above]
         )
-        return [leaf for leaf in leaves if not is_free(leaf)], ([bounds] if bounds.size else [])
+        begin = [np.array(float(given.start_time))] if self.own.time_dependent else []
+        return [leaf for leaf in leaves if not is_free(leaf)], ([bounds] if bounds.size else []), begin
 
     def _known_covectors(self, data: Inputs) -> dict[str, tuple]:
         """The covectors of the constants and of the clock, if the guess is a solution that was recovered from such."""
@@ -167,14 +171,15 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         constants = found.states[1][0] if self.constants else np.zeros(0)
         rate = np.exp(constants[-1] - self.at_guess) if self.kind.horizon else np.float64(1.0)
         clock = found.stage_costates[-1][:, 0] / rate if self.own.time_dependent else 0.0
+        begin = float(found.parameters[2][0]) if self.own.time_dependent else 0.0
         states: Any = {
             name: getattr(found, name)[0] for name in ("states", "costates", "stage_states", "stage_costates")
         }
         named: Any = {name: _names(getattr(found, name)) for name in ("momenta", "body_costates", "spatial_costates")}
         solution = replace(
             found,
-            times=rate * found.times,
-            stage_times=rate * found.stage_times,
+            times=begin + rate * found.times,
+            stage_times=begin + rate * found.stage_times,
             hamiltonians=found.hamiltonians / rate - clock,
             checks=self._checks(found.checks, rate),
             parameters=self.kind.parameters(constants, found.parameters[0] if self.takes else ()),
@@ -218,6 +223,12 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         leaves = [None if place in self.kind.free else own(next(fixed)) for place in range(len(self.kind.shapes))]
         return Sensitivity(*ends, horizon, jax.tree.unflatten(self.kind.structure, leaves) if leaves else None)
 
+    def recover_covariance(self, found: Covariance) -> Covariance:
+        """The covariance of the states and free parameters, a part of the covariance of the extended states."""
+        n, every = self.own.manifold.dimension, found.states
+        free = slice(n, n + self.kind.entries)
+        return Covariance(every[:, :n, :n], every[0, free, free], every[:, :n, free])
+
     def rate(self, y: tuple) -> Any:
         """``e^s``, the time over that which is guessed."""
         return jnp.exp(y[1][-1] - self.at_guess) if self.kind.horizon else 1.0
@@ -230,7 +241,7 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
             bound = bound.with_parameters(
                 self.kind.parameters(added[0][:entries] if self.constants else None, given[0])
             )
-        return q, bound.at_time(rate * added[-1][0] if self.own.time_dependent else None), rate
+        return q, bound.at_time(given[2][0] + rate * added[-1][0] if self.own.time_dependent else None), rate
 
     def _velocity(self, y: tuple, u: Ambient, given: Any) -> tuple:
         q, bound, rate = self._at(y, given)
@@ -242,6 +253,10 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
     def _rate(self, y: tuple, u: Ambient, given: Any) -> Array:
         q, bound, rate = self._at(y, given)
         return rate * bound.cost_rate(q, u)
+
+    def _node(self, y: tuple, k: Any, given: Any) -> Array:
+        q, bound, _ = self._at(y, given)
+        return bound.cost_at_node(q, k)
 
     def _boundary(self) -> BoundaryConditions:
         """The conditions of both ends."""
@@ -305,8 +320,10 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
     def _of_state(self, function: Callable[..., Any], count: int) -> Callable[..., Any]:
         """A function with parameters, or without if there are none."""
         if count == 1:
-            return (lambda y, given: function(y, given)) if self.takes else (lambda y: function(y, ((), ())))
-        return (lambda y, u, given: function(y, u, given)) if self.takes else (lambda y, u: function(y, u, ((), ())))
+            return (lambda y, given: function(y, given)) if self.takes else (lambda y: function(y, ((), (), ())))
+        return (
+            (lambda y, u, given: function(y, u, given)) if self.takes else (lambda y, u: function(y, u, ((), (), ())))
+        )
 
 
 def _names(values: dict[str, Any]) -> dict[str, Any]:

@@ -80,44 +80,46 @@ class Interpolant:
     stages of degree ``s``, through both nodes and the points, which is the collocation polynomial; for one stage of
     degree 1, around the base point of the discretization map. The costates are, as covectors of that chart, a
     polynomial through those at the nodes and at the points. Both are continuous, and of order ``s + 1``, or that of the
-    map [Hairer, Norsett, Wanner 1993, II.7]; but where a constraint at a node makes the costates jump, they are a
-    polynomial through what is on this side of it, of one order less. The controls are the polynomial through those of
-    the stages, of order ``s``, in a chart of their manifold.
+    map [Hairer, Norsett, Wanner 1993, II.7]; but where a constraint at a node makes the costates jump, or the costs of
+    all nodes do (``costs``), they are a polynomial through what is on this side of it, of one order less. The controls
+    are the polynomial through those of the stages, of order ``s``, in a chart of their manifold.
     """
 
-    def __init__(self, retraction: Retraction, controls: Manifold) -> None:
+    def __init__(self, retraction: Retraction, controls: Manifold, costs: bool = False) -> None:
         if not (isinstance(retraction, Retraction) and isinstance(controls, Manifold)):
             raise InvalidInputError(
                 "a solution is interpolated with a retraction and the manifold of the controls, got "
                 f"{brief(retraction)} and {brief(controls)}; try those of its method and its problem"
             )
-        self.retraction, self.controls = retraction, controls
+        self.retraction, self.controls, self.costs = retraction, controls, costs
         self.state, self.control = PointLayout.of(retraction.manifold), PointLayout.of(controls)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Without what is traced, which no other process could use."""
-        return Interpolant, (self.retraction, self.controls)
+        return Interpolant, self._parts
 
     def __eq__(self, other: object) -> bool:
         """Whether the other interpolant has the same retraction and controls."""
-        return isinstance(other, Interpolant) and bool(
-            eqx.tree_equal((self.retraction, self.controls), (other.retraction, other.controls))
-        )
+        return isinstance(other, Interpolant) and bool(eqx.tree_equal(self._parts, other._parts))
 
     def __hash__(self) -> int:
-        return hash((repr(self.retraction), repr(self.controls)))
+        return hash(repr(self._parts))
+
+    @property
+    def _parts(self) -> tuple[Any, ...]:
+        return self.retraction, self.controls, *([True] if self.costs else [])
 
     @property
     def text(self) -> str | None:
         """The text of the interpolant in a file; None unless classes of the library and numbers describe the
         interpolant."""
-        return as_text(self.retraction, self.controls)
+        return as_text(*self._parts)
 
     @classmethod
     def from_text(cls, text: str) -> Self:
         """The interpolant that wrote ``text``; raises ``InvalidInputError`` for another one."""
         found = from_text(text)
-        if len(found) != 2:
+        if len(found) not in (2, 3):
             raise InvalidInputError(
                 f"geometry has {len(found)} parts, expected a retraction and the manifold of the controls"
             )
@@ -200,7 +202,7 @@ class Interpolant:
         states, costates = (a.reshape(count, len(places), -1)[k] for a in (points, at_points))
         controls = self.control.rows(record.controls, 1).reshape(count, len(places), -1)[k]
         ends = nodes[k], nodes[k + 1], at_nodes[k], at_nodes[k + 1]
-        jumps = np.stack([record.jumps[k] & (k == 0), record.jumps[k + 1]], axis=1)
+        jumps = np.stack([record.jumps[k] & (k == 0), record.jumps[k + 1] | self.costs], axis=1)
         return _Step(*ends, states, costates, controls, places, jumps)
 
     def _evaluated(

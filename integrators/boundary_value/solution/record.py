@@ -42,7 +42,7 @@ class Solution(SolutionFields, HistoryPlots, MeshGuess):
         Points of the manifold at the nodes, shape ``(N + 1, *leaf)``.
     costates, p : array, or tuple of arrays
         Covectors at the nodes, ambient arrays of the shape of ``states``. Where a node constraint is active, the
-        costate behind its jump; at the first node, the costate before it.
+        costate behind its jump; at the first node, the costate before it. At nodes with a cost, the costate behind it.
     stage_times : array of shape (N s,)
         The times of the stages.
     stage_states, stage_costates : array, or tuple of arrays

@@ -129,10 +129,11 @@ class ParametricSensitivity:
         self.nodes, self.columns = nodes, mixed_derivatives(steps, evaluator)
         n, e, k = nodes.problem.manifold.dimension, nodes.layout.size, nodes.parameter.size
         m, u = nodes.problem.controls.dimension, nodes.control.size
-        costs = {"initial_cost": nodes.problem.initial_cost, "terminal_cost": nodes.problem.terminal_cost}
+        problem = nodes.problem
+        costs = {"_start_cost": problem._starts_with_cost, "final_cost": problem.terminal_cost is not None}
         self._paid = [
-            None if cost is None else evaluator.derivatives(partial(self._cost_of, name), n + k, e, k)
-            for name, cost in costs.items()
+            evaluator.derivatives(partial(self._cost_of, name), n + k, e, k) if costs_something else None
+            for name, costs_something in costs.items()
         ]
         self._turned = evaluator.values(self._turned_of, u, m)
         self._carried = evaluator.values(self._carried_of, e, e, e, e)

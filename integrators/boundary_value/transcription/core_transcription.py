@@ -51,6 +51,7 @@ def make_transcription(conditions: DiscretePhase, instruction_set: int | None = 
     sizes = Sizes(
         conditions.data.steps.shape[1], steps.stages, steps.manifold.dimension, steps.state.size,
         steps.controls.dimension, steps.control.size, steps.parameter.size, *steps.limit_sizes,
+        steps.node_costs,
     )  # fmt: skip
     groups, of_controls = _groups(nodes.layout), None if nodes.flat_controls else _groups(nodes.control)
     bounds = sum(map(len, nodes.problem._limits.bounded.values()))
@@ -127,6 +128,8 @@ def _known(conditions: DiscretePhase, iterate: Iterate, k: int) -> dict[str, np.
     }  # fmt: skip
     if isinstance(iterate.unknowns, CollocationUnknowns):
         found |= {"VELOCITIES": iterate.unknowns.velocities[k], "POINT_COSTATES": iterate.unknowns.costates[k]}
+    if conditions.transcription.node_costs:
+        found["NODE_INDICES"] = np.arange(1.0, data.steps.shape[1] + 1)
     if conditions.transcription.inequalities:
         weights = conditions.transcription.weights(data)
         found["LIMIT_WEIGHTS"] = flat_limits(conditions.transcription, weights[k if len(weights) > 1 else 0])

@@ -1,6 +1,7 @@
 """Quantities computed from a discrete extremal: Hamiltonians, momenta, what is conserved, and what leaves the
 manifold."""
 
+import math
 from functools import partial
 from typing import Any, NamedTuple, final
 
@@ -106,7 +107,7 @@ class Diagnosis:
         """Whether ``d2H/du2`` is invertible, shape (B, S), at states, controls and costates of shape (B, S, ...)."""
         slopes, curvatures = self.in_controls(at, parameters)
         shape = curvatures.shape[:2]
-        points = zip(slopes.reshape(-1, *slopes.shape[2:]), curvatures.reshape(-1, *curvatures.shape[2:]), strict=True)
+        points = zip(*(own.reshape(math.prod(shape), *own.shape[2:]) for own in (slopes, curvatures)), strict=True)
         return np.array([not len(flat_directions(*one)) for one in points], bool).reshape(shape)
 
     def in_controls(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,10 +4,13 @@ guesses."""
 from functools import cached_property
 from typing import Any, NamedTuple, final
 
+import jax
 import numpy as np
 
 from ....compute.base import Evaluator
+from ....index_bounds import require_indices
 from ....retractions import CollocationMethod
+from ....tracing import trace_program
 from ....undisturbed import undisturbed
 from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
@@ -64,6 +67,7 @@ class Transcription:
         # Of all stages, fractions of the horizon.
         self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()
         self._found: dict[Any, TracedFunctions] = {}
+        self._fits = set[Any]()  # structures of parameters with entries for all nodes
 
     def on(self, fractions: np.ndarray) -> "Transcription":
         """The same on another mesh; what is traced serves both."""
@@ -99,10 +103,21 @@ class Transcription:
             self._found[inputs.structure] if inputs.structure in self._found else self.traced(inputs.parameters_of(0))
         )
 
+    def _require_data(self, inputs: Inputs) -> None:
+        """Raise if the node cost reads an entry for the last node that its data do not have."""
+        if self.problem.node_cost is None or inputs.structure in self._fits:
+            return
+        bound = self.problem.with_parameters(inputs.parameters_of(0))
+        q = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), self.problem.manifold.ambient)
+        program = trace_program(lambda q: bound.cost_at_node(q, len(self.fractions)), q)
+        require_indices(program, f"node_cost at node k = {len(self.fractions)}, the last one of as many steps,")
+        self._fits.add(inputs.structure)
+
     def transcribe(self, inputs: Inputs, repeated: bool = False) -> TranscribedProblem:
         """The conditions and guesses of the inputs; ``repeated`` if the constraints of its first node belong to another
         phase."""
         traced, ends, count = self.of(inputs), inputs.ends, len(inputs)
+        self._require_data(inputs)
         rows = repeat_for_all(ends.start, count), repeat_for_all(ends.end, count)
         first, last = ends.prescribed
         mask = traced.rows.mask(len(self.fractions), (first, last), repeated)

@@ -225,7 +225,7 @@ def moved_along(retraction: Retraction, x: Ambient, way: Array) -> Ambient:
 
 def _values(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> Array:
     """The entries of all functions in a row, with one point for both ends."""
-    costs = [problem.cost_rate(q, u), problem.final_cost(q), problem.first_cost(q)]
+    costs = [problem.cost_rate(q, u), problem.final_cost(q), problem._start_cost(q)]
     velocity = [jnp.real(leaf).ravel() for leaf in jax.tree.leaves(problem.velocity(q, u))]
     return jnp.concatenate(
         [*velocity, jnp.stack(costs), *problem._limits.of_functions(q, u), problem._boundary.values(q, q)]

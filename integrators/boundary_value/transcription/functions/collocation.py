@@ -43,8 +43,9 @@ class CollocationFunctions:
         bound = problem.with_parameters(parameters)
         self.own, self.at_nodes = count_inequalities(bound)
         self.inequalities, self.kept = self.own + self.at_nodes, kept_bounds(bound)
+        self.node_costs = int(problem.node_cost is not None)
         self.places = self.stages + (self.at_nodes > 0)
-        pulled = (1, k, self.at_nodes) if self.at_nodes else ()
+        pulled = (1, k, self.at_nodes, self.node_costs) if self.at_nodes or self.node_costs else ()
         point, both = (3 * n + m, e, n, n, u, e, 1, k, self.own), (2 * n, e, n, e, e, e, e, *pulled)
         self.functions: dict[FunctionName, PointwiseFunction] = {
             FunctionName.ENDS: evaluator.values(self._ends_of, e, n),
@@ -144,17 +145,23 @@ class CollocationFunctions:
         return lagrangian, (defect, cost[None], limits), self.state.flat_frame(e), multipliers
 
     def _both_of(self, z: Array, x: Array, eta: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
-        """The Lagrangian of the ends of a step as a function of the step ``z`` of ``(x, eta)``; ends, inequalities."""
+        """The Lagrangian of the ends of a step as a function of the step ``z`` of ``(x, eta)``; ends, cost,
+        inequalities."""
         q0, q1, p0, p1 = map(self.state.point, given[:4])
         n = self.directions
         centre, carried = self._moved(x, z[:n])
         begin, finish = self.method.retraction.both_ways(centre, carried((eta + z[n:]) / 2))
         values = vec.components(self.manifold.basis(q0), begin), vec.components(self.manifold.basis(q1), finish)
         lagrangian = vec.pairing(p0, begin) - vec.pairing(p1, finish)
+        if not given[4:]:
+            return lagrangian, values
+        step, parameters, pull, index = given[4:]
+        bound = self.problem.with_parameters(self.parameter.point(parameters))
+        if self.node_costs:
+            cost = bound.cost_at_node(finish, index[0].astype(int))
+            lagrangian, values = lagrangian + cost, (*values, cost[None])
         if not self.at_nodes:
             return lagrangian, values
-        step, parameters, pull = given[4:]
-        bound = self.problem.with_parameters(self.parameter.point(parameters))
         limits = jnp.concatenate([bound.node_inequalities(end) for end in (finish, begin)])
         return lagrangian + step[0] * pull @ limits, (*values, limits)
 

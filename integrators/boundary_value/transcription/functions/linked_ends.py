@@ -145,6 +145,6 @@ class LinkageFunctions:
         each = [
             cost(end)
             for one, pair in zip(bound, zip(ends[::2], ends[1::2], strict=True), strict=True)
-            for cost, end in zip((one.first_cost, one.final_cost), pair, strict=True)
+            for cost, end in zip((one._start_cost, one.final_cost), pair, strict=True)
         ]
         return jnp.stack(each)

@@ -43,10 +43,10 @@ class OneStageDerivatives:
     def __init__(self, steps: OneStageFunctions, evaluator: Evaluator) -> None:
         self.steps, problem = steps, steps.problem
         # The blocks of the first and of the last step have the costs of the ends too.
-        self._free = slice(int(problem.initial_cost is not None), -1 if problem.terminal_cost is not None else None)
+        self._free = slice(int(problem._starts_with_cost), -1 if problem.terminal_cost is not None else None)
         e, u, k = steps.state.size, steps.control.size, steps.parameter.size
         self._row = evaluator.derivatives(
-            self._row_of, steps.dimension + 1 + k, e, u, e, e, e, e, 1, k, steps.inequalities
+            self._row_of, steps.dimension + 1 + k, e, u, e, e, e, e, 1, k, steps.inequalities, steps.node_costs
         )
 
     def __call__(self, system: KKTSystem) -> Columns:
@@ -55,7 +55,7 @@ class OneStageDerivatives:
         around = (a for all_nodes in (system.nodes, system.costates) for a in (all_nodes[:-1], all_nodes[1:]))
         given = system.array("STEP_SIZE", -1, 1), system.array("PARAMETERS", 1, -1)
         pull = system.in_steps(system.iterate.array("LIMIT_MULTIPLIERS"))
-        found = self._row.at(1, x, u, *around, *given, pull)
+        found = self._row.at(1, x, u, *around, *given, pull, system.array("NODE_INDICES", own.steps, -1))
         hessian, gradient, left, right, _, limits, _, _, cost, _ = found
         require_unchanged(
             (cost[:, 0], system.array("COSTS", -1)),
@@ -66,8 +66,8 @@ class OneStageDerivatives:
         return Columns(slope, left[..., z:], right[..., z:], gradient[:, z:])
 
     def _row_of(self, d: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
-        z, (*at, h, parameters, pull) = self.steps.dimension, given
-        return self.steps._row_of(d[:z], *at, h + d[z : z + 1], parameters + d[z + 1 :], pull)
+        z, (*at, h, parameters, pull, index) = self.steps.dimension, given
+        return self.steps._row_of(d[:z], *at, h + d[z : z + 1], parameters + d[z + 1 :], pull, index)
 
 
 class _MixedDerivatives(NamedTuple):
@@ -95,7 +95,8 @@ def _by_length(system: KKTSystem) -> _MixedDerivatives:
     outer = np.einsum("kzy,ky->kz", points.end_hessian[..., n:], far)
     moved = np.einsum("kicy,kiy->kic", limits[xi], turned), np.einsum("kcy,ky->kc", end_limits[xi], far)
     lagrangian = np.sum(slope[xi] * turned, axis=(1, 2)) + np.sum(end_slope[:, n:] * far, axis=1)
-    return _MixedDerivatives(by_h, missed, outer, *moved, lagrangian + system.array("COSTS", -1) / h)
+    costs = np.sum(system.array("POINT_COSTS", len(h), -1), axis=1)
+    return _MixedDerivatives(by_h, missed, outer, *moved, lagrangian + costs / h)
 
 
 @final
@@ -107,8 +108,9 @@ class CollocationDerivatives:
         e, u, k, n = steps.state.size, steps.control.size, steps.parameter.size, steps.manifold.dimension
         self.dimension = 3 * n + steps.controls.dimension
         self._point = evaluator.derivatives(self._point_of, self.dimension + k, e, n, n, u, e, 1, k, steps.own)
-        at_ends = e, n, e, e, e, e, 1, k, steps.at_nodes
-        self._ends = evaluator.derivatives(self._ends_of, 2 * n + k, *at_ends) if steps.at_nodes else None
+        at_ends = e, n, e, e, e, e, 1, k, steps.at_nodes, steps.node_costs
+        takes = steps.at_nodes or steps.node_costs
+        self._ends = evaluator.derivatives(self._ends_of, 2 * n + k, *at_ends) if takes else None
 
     def __call__(self, system: KKTSystem) -> Columns:
         points, n, count = system.collocation, system.sizes.state_size, system.sizes.steps
@@ -132,7 +134,8 @@ class CollocationDerivatives:
         found = self._point.at(2, system.array("CENTRES", own.steps, 1, -1), *at, *given)
         hessian, slope, jacobian, _, limits, _, cost, _ = found
         require_unchanged((hessian[..., :q, :q], points.hessian), (jacobian[..., :q], points.jacobian))
-        require_unchanged((np.sum(cost[..., 0], axis=1), system.array("COSTS", -1)))
+        of_nodes = system.array("END_COSTS", own.steps, -1).sum(axis=1)
+        require_unchanged((np.sum(cost[..., 0], axis=1) + of_nodes, system.array("COSTS", -1)))
         end_slope, end_limits, lagrangian = self._at_ends(system, end_pull)
         mixed = hessian[..., :q, q:], jacobian[..., q:], end_slope, limits[..., q:], end_limits
         return _MixedDerivatives(*mixed, np.sum(slope[..., q:], axis=1) + lagrangian)
@@ -145,12 +148,15 @@ class CollocationDerivatives:
         around = (a for all_nodes in (system.nodes, system.costates) for a in (all_nodes[:-1], all_nodes[1:]))
         at = system.array("CENTRES", count, -1), system.array("ETA", count, -1), *around
         given = system.array("STEP_SIZE", -1, 1), system.array("PARAMETERS", 1, -1), pull
-        hessian, slope, _, _, limits, *_ = self._ends.at(1, *at, *given)
+        indices = system.array("NODE_INDICES", count, self.steps.node_costs)
+        hessian, slope, *found = self._ends.at(1, *at, *given, indices)
+        # Behind both ends, and the cost, which has a slope that the Lagrangian's contains.
+        limits = found[2 + self.steps.node_costs] if self.steps.at_nodes else np.zeros((count, 0, both + k))
         return hessian[:, :both, both:], limits[..., both:], slope[:, both:]
 
     def _ends_of(self, z: Array, *given: Array) -> tuple[Array, tuple[Array, ...]]:
-        (*at, parameters, pull), both = given, 2 * self.steps.manifold.dimension
-        return self.steps._both_of(z[:both], *at, parameters + z[both:], pull)
+        (*at, parameters, pull, index), both = given, 2 * self.steps.manifold.dimension
+        return self.steps._both_of(z[:both], *at, parameters + z[both:], pull, index)
 
     def _point_of(self, z: Array, *given: Array) -> tuple[Array, ...]:
         *at, parameters, pull = given

@@ -41,11 +41,11 @@ class NodeFunctions:
             FunctionName.MIDDLE: evaluator.values(self._middle_of, e, e),
         }
         costs = (
-            (FunctionName.START_COST, "first_cost", problem.initial_cost),
-            (FunctionName.END_COST, "final_cost", problem.terminal_cost),
+            (FunctionName.START_COST, "_start_cost", problem._starts_with_cost),
+            (FunctionName.END_COST, "final_cost", problem.terminal_cost is not None),
         )
-        for name, of_bound, cost in costs:
-            if cost is not None:
+        for name, of_bound, costs_something in costs:
+            if costs_something:
                 own = partial(self._cost_of, of_bound)
                 self.functions[name] = evaluator.values(own, e, self.parameter.size)
         if not self.flat_controls:

@@ -43,13 +43,14 @@ class OneStageFunctions:
         bound = problem.with_parameters(parameters)
         self.own, at_nodes = count_inequalities(bound)
         self.inequalities, self.kept = self.own + at_nodes, kept_bounds(bound)
-        row = self.dimension, *sizes, *nodes, *given, self.inequalities
+        self.node_costs = int(problem.node_cost is not None)
+        row = self.dimension, *sizes, *nodes, *given, self.inequalities, self.node_costs
         self.functions: dict[FunctionName, PointwiseFunction] = {
             FunctionName.ENDS: evaluator.values(self._ends_of, *sizes, *given),
             FunctionName.POINTS: evaluator.derivatives(self._row_of, *row),
             FunctionName.MOVE: evaluator.values(self._moved, *sizes, self.dimension, *given),
         }
-        self._covectors = evaluator.values(self._covector_of, *sizes, *nodes[:2], *given, at_nodes)
+        self._covectors = evaluator.values(self._covector_of, *sizes, *nodes[:2], *given, at_nodes, self.node_costs)
 
     @property
     def limit_sizes(self) -> tuple[int, int]:
@@ -90,7 +91,9 @@ class OneStageFunctions:
         none = np.zeros((*data.steps.shape, self.inequalities - self.own))
         pull = none if slacks is None else slacks.multipliers[:, :, 0, self.own :]
         given = data.steps[:, :, None], data.parameters[:, None]
-        (covectors,) = self._covectors.at(2, x, u, costates[:, :-1], costates[:, 1:], *given, pull)
+        indices = np.arange(1.0, pull.shape[1] + 1)[None, :, None][..., : self.node_costs]
+        around = costates[:, :-1], costates[:, 1:]
+        (covectors,) = self._covectors.at(2, x, u, *around, *given, pull, indices)
         return x, u, covectors
 
     def _ends_of(self, x: Array, u: Array, h: Array, parameters: Array) -> tuple[Array, ...]:
@@ -104,6 +107,8 @@ class OneStageFunctions:
         moved = stage.move(y, stage.frame(y), d)
         begin, finish = stage.ends(moved)
         cost, limits = stage.cost(moved), stage.problem.inequalities(*moved)
+        if self.node_costs:
+            cost = cost + stage.problem.cost_at_node(finish, given[7][0].astype(int))
         limits = jnp.concatenate([limits, *(stage.problem.node_inequalities(end) for end in (finish, begin))])
         e0, e1 = self.manifold.basis(q0), self.manifold.basis(q1)
         values = vec.components(e0, begin), vec.components(e1, finish), cost[None], limits
@@ -117,7 +122,7 @@ class OneStageFunctions:
 
     def _covector_of(self, x: Array, u: Array, p0: Array, p1: Array, *given: Array) -> tuple[Array]:
         """The covector of the lift of the discretization map at a stage, between the jumps at its ends."""
-        (h, parameters, pull), y = given, (self.state.point(x), self.control.point(u))
+        (h, parameters, pull, index), y = given, (self.state.point(x), self.control.point(u))
         stage, nodes, covectors = self.stage(h, parameters), pull.size // 2, [self.state.point(p) for p in (p0, p1)]
         if nodes:
             jumps = (h[0] * pull[nodes:], -h[0] * pull[:nodes]), stage.ends(y)
@@ -125,4 +130,7 @@ class OneStageFunctions:
                 jax.vjp(stage.problem.node_inequalities, end)[1](jump)[0] for jump, end in zip(*jumps, strict=True)
             ]
             covectors = [vec.add(p, slope) for p, slope in zip(covectors, slopes, strict=True)]
+        if self.node_costs:
+            finish, k = stage.ends(y)[1], index[0].astype(int)
+            covectors[1] = vec.subtract(covectors[1], vec.gradient(lambda q: stage.problem.cost_at_node(q, k), finish))
         return (self.state.flat(stage.covector(y, *covectors)),)

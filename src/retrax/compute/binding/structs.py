@@ -151,6 +151,7 @@ class ProblemStruct(Structure):
         ("parameters", c_ssize_t),
         ("inequalities", c_ssize_t),
         ("node_inequalities", c_ssize_t),
+        ("node_costs", c_ssize_t),
         ("matrix", c_void_p),
         ("weights", c_void_p),
         ("columns", c_void_p),
@@ -165,7 +166,7 @@ class ProblemStruct(Structure):
     )
 
 
-ARRAYS = 109  # of a trajectory
+ARRAYS = 112  # of a trajectory
 
 
 @final

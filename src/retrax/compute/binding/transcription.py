@@ -44,6 +44,7 @@ class Sizes(NamedTuple):
     parameters: int
     inequalities: int  # at each point; of a discretization map also those at its nodes
     node_inequalities: int  # at the ends of a collocation step, else 0
+    node_costs: int = 0  # 1 where each node at the end of a step has a cost, else 0
 
     @property
     def limits(self) -> int:
