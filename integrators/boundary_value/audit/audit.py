@@ -53,7 +53,7 @@ class Audit:
         return solution
 
     def _examined(self, solution: Solution, free_horizon: bool, ends: tuple[PrescribedEnd, PrescribedEnd]) -> Solution:
-        """The same where there may be something to say."""
+        """The examined solution of a problem with something to examine."""
         wrong = self._wrong(solution, free_horizon, ends)
         if wrong:
             return refute(solution, wrong)

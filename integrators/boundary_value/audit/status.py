@@ -40,7 +40,7 @@ class Status(NamedTuple):
     result: str
 
     def because(self, more: str, reason: str) -> "Status":
-        """The same status with more words, and with a reason for the lack of a minimum."""
+        """The status with more words, and with a reason for the lack of a minimum."""
         return self._replace(result=reasons(self.result + more, reason))
 
 

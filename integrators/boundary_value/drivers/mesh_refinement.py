@@ -286,7 +286,7 @@ class MeshRefinement:
     def _posed_in_arcs(
         self, guess: Solution, structure: SwitchingStructure, lengths: np.ndarray, arcs: np.ndarray, horizon: Any
     ) -> tuple[Solution, SwitchingStructure]:
-        """The same with a horizon, free without bounds or given."""
+        """The solution in arcs with a horizon, which is free without bounds or given, and its structure."""
         key = structure.sides.tobytes(), None if is_free(horizon) else float(horizon)
         if key not in self._arcs:
             self._arcs[key] = SwitchingArcs(self.problem, structure.sides, horizon, _unit(guess))

@@ -38,7 +38,7 @@ class BoundaryData(NamedTuple):
     parameters: Any
 
     def near(self, solution: Any) -> "BoundaryData":
-        """The same, with what is free guessed as it was found."""
+        """The data with the horizon and the parameters of a solution as guesses of the free ones."""
         found = solution.horizon, solution.parameters
         horizon, parameters = jax.tree.map(with_guess, (self.horizon, self.parameters), found, is_leaf=is_free)
         return self._replace(horizon=horizon, parameters=parameters)

@@ -42,7 +42,7 @@ class EndConditions(eqx.Module):
     unit: Array | float = 1.0
 
     def in_units_of(self, c: Classification) -> "EndConditions":
-        """The same with the largest as unit of the sizes of ``dPhi`` at the ends and random points, and of ``p`` on
+        """The conditions with their unit: the largest size of ``dPhi`` at the ends and random points, and of ``p`` on
         ``P_f``.
 
         The size of ``p`` says nothing where ``p = 0`` meets the equations: it is any number, or rounding.

@@ -210,6 +210,8 @@ class Statistics:
     Notes
     -----
     If the search from the guess fails, others follow from moved guesses, each with its own ``max_iterations``.
+    A member of a batch has a share of the seconds of the batch: an equal share of the seconds to compile, and a share
+    of the seconds to run by its iterations. The shares of all members add up to the batch.
     """
 
     iterations: int

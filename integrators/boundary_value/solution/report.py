@@ -1,6 +1,5 @@
 """The printed report of a solution."""
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -149,7 +148,7 @@ def name_with_label(name: str, solution: SolutionFields) -> str:
     states, quantities = solution.states, solution.quantities
     if not isinstance(states, tuple) or quantities is None:
         return name
-    return re.sub(r"^factor (\d+)", lambda found: quantities.factors(len(states))[int(found[1])], name)
+    return quantities.labelled(name, len(states))
 
 
 def _effort(solution: SolutionFields) -> Iterator[tuple[str, str]]:

@@ -18,7 +18,7 @@ class MemberIterate(NamedTuple):
 
     @property
     def bare(self) -> "MemberIterate":
-        """The same without the multipliers of inequalities."""
+        """The iterate without the multipliers of inequalities."""
         phases = tuple(own.copy() for own in self.phases)
         for own in phases:
             own.array("LIMIT_MULTIPLIERS")[...] = 0.0
