@@ -51,6 +51,10 @@ class Result(eqx.Enumeration):
         "The iteration limit of a search came before the conditions were met; try more iterations, "
         f"{BETTER}, more steps, or a longer horizon: the end may be out of reach."
     )
+    nearly_converged = (
+        "The iteration limit came near an extremal, before its conditions were met to the tolerance; try more "
+        "iterations, a larger tolerance, or another number of steps."
+    )
     no_improvement = (
         "No step along the computed directions improves the trajectory any more, and the conditions are not met; try "
         f"{BETTER}, more steps, or a longer horizon."

@@ -8,12 +8,15 @@ import numpy as np
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.tolerances import EPS
 from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.path_constraints import LOWER, UPPER
 from ...reporting.text import brief
 from ..solution.record import Solution
+from .control_curvature import ControlCurvature
 
 CONTROL_AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
 CONTROL_JUMP = 0.1  # of the room: a control that leaves its bound by more between two stages jumps
 VANISHED_ARC = 1e-6  # of the horizon: an arc that is shorter has vanished
+WEAK_PULL = 1e-2  # of the Hamiltonian: larger switching functions, times the room of their control, do not vanish
 SIDE_NAMES = {-1: "lower", 0: "free", 1: "upper"}
 
 
@@ -35,10 +38,14 @@ class SwitchingStructure(NamedTuple):
         The ends of the arcs.
     sides : array of shape (K, m)
         For each arc and entry of the control -1 at the lower bound, 1 at the upper bound, and 0 otherwise.
+    singular : array of shape (K, m), or None
+        Whether each entry is singular along the arc: the Hamiltonian is linear in the entry, its switching function
+        vanishes there, and no constraint determines it. Its discrete values may chatter between the bounds.
     """
 
     times: np.ndarray
     sides: np.ndarray
+    singular: np.ndarray | None = None
 
     @property
     def arcs(self) -> int:
@@ -61,10 +68,10 @@ class SwitchingStructure(NamedTuple):
 
     def __str__(self) -> str:
         """A line for each arc."""
-        rows = zip(pairwise(self.times), self.sides, strict=True)
-        return "\n".join(
-            f"{a:.10g} to {b:.10g}: " + ", ".join(SIDE_NAMES[int(side)] for side in row) for (a, b), row in rows
-        )
+        names = np.vectorize(SIDE_NAMES.get, otypes=[object])(self.sides)
+        names = names if self.singular is None else np.where(self.singular, "singular", names)
+        rows = zip(pairwise(self.times), names, strict=True)
+        return "\n".join(f"{a:.10g} to {b:.10g}: {', '.join(row)}" for (a, b), row in rows)
 
 
 def switching_structure(problem: OptimalControlProblem, solution: Solution) -> SwitchingStructure:
@@ -85,7 +92,7 @@ def switching_structure(problem: OptimalControlProblem, solution: Solution) -> S
     Notes
     -----
     An arc ends where an entry leaves a bound by a jump. An entry that leaves its bound continuously counts as free on
-    both sides.
+    both sides. An entry along a singular arc is printed as ``singular``.
     """
     if not isinstance(solution, Solution):
         raise InvalidInputError(f"switching_structure takes a Solution, got {brief(solution)}; try what solve returns")
@@ -93,6 +100,40 @@ def switching_structure(problem: OptimalControlProblem, solution: Solution) -> S
         raise InvalidInputError(
             f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"
         )
+    linear = ControlCurvature(problem, solution.parameters)(solution, solution.parameters) == 0
+    return mark_singular(control_arcs(problem, solution), problem, solution, linear)
+
+
+def mark_singular(
+    structure: SwitchingStructure, problem: OptimalControlProblem, solution: Solution, linear: np.ndarray
+) -> SwitchingStructure:
+    """The structure with its singular arcs.
+
+    ``linear``: at which stages the Hamiltonian is linear in each entry of the control, shape ``(N s, m)``.
+    """
+    weak = switching_sizes(problem, solution) <= WEAK_PULL * solution.checks.hamiltonian_size
+    weak &= linear & ~solution.held_by(problem._limits.every_name)[:, None]
+    arcs = np.searchsorted(structure.times[1:-1], solution.stage_times)
+    stages, weak_stages = np.bincount(arcs, minlength=structure.arcs), np.zeros(structure.sides.shape)
+    np.add.at(weak_stages, arcs, weak)
+    return structure._replace(singular=(structure.sides == 0) & (2 * weak_stages > stages[:, None]))
+
+
+def switching_sizes(problem: OptimalControlProblem, solution: Solution) -> np.ndarray:
+    """Sizes of the switching functions of bounded controls at the stages, times the room of the control, ``(N s,
+    m)``."""
+    limits, u = problem._limits, np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
+    room, pull = np.ptp(u, axis=0), np.zeros(u.shape)
+    if limits.lower:
+        wide = np.array(limits.upper) - np.array(limits.lower)
+        room = np.where(np.isfinite(wide), wide, room)
+    for name in (LOWER, UPPER):
+        pull += solution.stage_multipliers.get(name, 0.0)
+    return pull * room
+
+
+def control_arcs(problem: OptimalControlProblem, solution: Solution) -> SwitchingStructure:
+    """The arcs along which entries of the control stay at their bounds, without their singular arcs."""
     lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
     u = np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
     room = upper - lower

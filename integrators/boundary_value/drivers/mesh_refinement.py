@@ -13,7 +13,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER
 from ..audit import status
 from ..audit.step_errors import StepErrorEstimator, StepErrors
-from ..audit.switching_structure import SwitchingStructure, switching_structure
+from ..audit.switching_structure import SwitchingStructure, control_arcs
 from ..guess import Guess, Mesh
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import Inputs
@@ -245,7 +245,7 @@ class MeshRefinement:
         """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is."""
         if not any(self.problem._limits.bounded.values()):
             return found
-        structure, known = switching_structure(self.problem, found.solution), found.structure
+        structure, known = control_arcs(self.problem, found.solution), found.structure
         if known is not None and np.array_equal(known.sides, structure.sides):
             return found
         try:
