@@ -17,11 +17,12 @@ from .constraint_qualification import ConstraintQualification
 from .control_curvature import ControlCurvature
 from .smoothness_along_solution import SmoothnessAlongSolution
 from .status import NEARLY_CONVERGED, explain, fail, refute, withdraw_minimum
-from .switching_structure import control_arcs, mark_singular, switching_sizes
+from .switching_structure import singular_structure, switching_sizes
 
 T = TypeVar("T")
 
 NO_PULL = 1e-7  # of the Hamiltonian: a switching function times the room of its control that is smaller is zero
+UNSOLVED = 10.0  # times the residuals: a smaller switching function may be zero too
 SHORTEST = 2  # steps: longer ones in which it is zero throughout hold more than a switch
 MOST_ARCS = 3  # of one control that a sentence names, the longest
 REGULAR = "try a small running cost of this control, such as 1e-3 * u @ u"
@@ -159,7 +160,9 @@ class Audit:
         limits, controls = self.problem._limits, self.problem.controls
         if not (limits.along and isinstance(controls, Euclidean)):
             return np.zeros((len(solution.stage_times), 0), bool)
-        flat = switching_sizes(self.problem, solution) <= NO_PULL * solution.checks.hamiltonian_size
+        checks: Any = solution.checks
+        least = max(NO_PULL, UNSOLVED * max(checks.stationarity, checks.complementarity))
+        flat = switching_sizes(self.problem, solution) <= least * checks.hamiltonian_size
         flat &= ~solution.held_by(limits.every_name)[:, None]  # one that holds the trajectory may determine controls
         if not np.any(flat):
             return flat
@@ -168,7 +171,7 @@ class Audit:
         flat &= linear
         if not (np.any(flat) and any(limits.bounded.values())):
             return flat
-        structure = mark_singular(control_arcs(self.problem, solution), self.problem, solution, linear)
+        structure = singular_structure(self.problem, solution, linear)
         arcs = np.searchsorted(structure.times[1:-1], solution.stage_times)
         return flat | np.asarray(structure.singular)[arcs]
 

@@ -154,8 +154,9 @@ def _require_minimum(problem: OptimalControlProblem, kept: Any, reformulated: bo
             "feedback along its solution"
         )
     if kept is None:
+        got = "another solution" if isinstance(solution, Solution) else brief(solution)
         raise InvalidInputError(
-            f"feedback needs a solution of a regular problem from this solver, got {brief(solution)}; try "
+            f"feedback needs a solution of a regular problem that this solver found, got {got}; try "
             "solver.feedback(solver.solve(...)) with one and the same solver"
         )
     if solution.status != "minimum":
