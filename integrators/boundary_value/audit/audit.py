@@ -181,9 +181,9 @@ def _outside_words(end: str, limit: str, over: float, at_nodes: bool) -> str:
     weights = f"{{{limit.partition('[')[0]!r}: weight}}"
     soft = f", or a soft constraint: soften(problem, {weights}), RecedingHorizon(..., soft={weights}) in a closed loop"
     return (
-        f"The prescribed {end} violates {limit} by {over:.3g}, and no trajectory through it satisfies the constraint. "
-        f"Expected {'a start' if end == 'start' else 'an end'} at which {limit} is not positive; try another {end}, a "
-        f"wider constraint{'' if at_nodes else soft}."
+        f"The {end} violates {limit} by {over:.3g}: it is prescribed, and no trajectory through it satisfies the "
+        f"constraint. Expected {'a start' if end == 'start' else 'an end'} at which {limit} is not positive; try "
+        f"another {end}, a wider constraint{'' if at_nodes else soft}."
     )
 
 

@@ -24,6 +24,7 @@ from ..solution.record import Solution
 from ..solver import Solver
 
 REFINEMENT_ROUNDS = 25  # at most
+# Limits of a refined mesh: its steps, and the stages of its Gauss method, which then has order 12.
 MOST_REFINED_STEPS, MOST_STAGES = 5000, 6
 FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most

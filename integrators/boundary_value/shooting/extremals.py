@@ -38,7 +38,7 @@ from .legendre_clebsch import generalised_legendre_clebsch
 from .segments import Iterate, Nodes, Pair, Shooting, StepwiseGauge
 from .verification import Stationarity, find_end_violation, find_violation, stationarity
 
-MOST_SEGMENTS = 12
+MOST_SEGMENTS = 12  # segments of multiple shooting, so that its system stays small
 
 
 def solve_on_final_manifold(inputs: Inputs, c: Classification) -> Solution:

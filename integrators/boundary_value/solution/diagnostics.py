@@ -13,7 +13,9 @@ from ..transcription.diagnosis import Diagnostics
 
 Record = TypeVar("Record", bound=Any)
 
-TOO_COARSE = 0.1
+TOO_COARSE = (
+    0.1  # of the largest term of the Hamiltonian: a larger spread along an extremal says that steps are too long
+)
 
 
 FIGURES = "violations", "hamiltonian", "hamiltonian_spread", "hamiltonian_size", "momentum_spreads", "conserved"

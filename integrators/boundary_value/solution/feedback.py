@@ -176,7 +176,7 @@ def feedback(self: Any, solution: Solution) -> Feedback:
         ``InvalidInputError`` for all others.
     """
     kept: Any = self._kept.get(solution) if isinstance(solution, Solution) else None
-    _require_minimum(self.problem, kept, self._reformulation.has_found(solution), solution)
+    _require_minimum(self.problem, kept, self._reformulation.origin(solution) is not None, solution)
     with self._required(kept.parameters), np.errstate(all="ignore"):
         key = "feedback", structure_of(kept.parameters)
         if key not in self._derivatives:

@@ -114,7 +114,7 @@ class Points:
         return self._slopes(JITTER)
 
     def _slopes(self, change: float) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives along the state and the jet without small ones that change relatively by at most ``change``."""
+        """Derivatives along the state and the jet, without entries that are small and change by at most ``change``."""
         least = LEAST * self.units.terms[..., None]
         by_state, by_jet = self.stack("by_state"), self.stack("by_jet")
         return (
