@@ -11,7 +11,6 @@ from .factor_distances import factor_distances
 from .solution_fields import SolutionFields, at_stages
 
 LONGEST_MOMENTUM = 6  # components of a momentum that the report prints; of a longer momentum only its size
-MOST_MISSED = 3  # boundary conditions that the message of an error names, those with the largest violation
 LONGEST_TURN = 2 * np.pi / 3  # radians: larger turns in one step hardly tell one direction from the other
 REPORT_ROW = "report", "print(error.solution), or solve(..., throw=False), which returns this solution"
 EQUAL = 1e-9  # relative: steps that differ by less are of one length
@@ -30,8 +29,9 @@ def failure_text(solution: SolutionFields) -> str:
     if isinstance(checks, RegularChecks) and (solution.stage_multipliers or solution.node_multipliers):
         rows += [("inequalities", f"violated by {checks.violation:.1e} (relative)")]
     missed = {} if solution.singular is None else solution.singular.conditions
-    for name in sorted(missed, key=lambda name: -missed[name])[:MOST_MISSED]:
-        rows += [("", f"{name} missed by {missed[name]:.1e}")]
+    if missed:
+        name = max(missed, key=lambda name: missed[name])
+        rows += [("ends", f"{name} missed by {missed[name]:.1e}")]
     return "\n".join([solution.result, table([*rows, REPORT_ROW])])
 
 
