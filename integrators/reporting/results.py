@@ -28,9 +28,10 @@ class Result(eqx.Enumeration):
 
     successful = "The equations are solved to the tolerance asked for."
     stationary = (
-        "The equations are solved to the tolerance asked for, and this is not shown to be a strict local minimum: a "
-        "curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a "
-        "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs."
+        "The equations are solved to the tolerance asked for, and this is not shown to be a strict local minimum. A "
+        "nearby trajectory may cost as much or less: the extremal is a saddle or contains conjugate points, such as "
+        "opposite points of a sphere. Try another guess, such as Guess.from_waypoints along another path, and compare "
+        "the costs."
     )
     concave = (
         "The derivatives of the cost vanish, but the cost is concave in a control, so this is no minimum: it may be a "
