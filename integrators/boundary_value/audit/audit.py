@@ -9,7 +9,7 @@ from ....manifolds import Euclidean
 from ....tracing import one_tracing
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.smoothness.derivative_check import DerivativeCheck
-from ...reporting.results import reasons
+from ...reporting.results import reasons, sentence
 from ..inputs.arguments import structure_of
 from ..inputs.boundary_data import PrescribedEnd
 from ..solution.record import Solution
@@ -25,14 +25,15 @@ NO_PULL = 1e-7  # of the Hamiltonian: a switching function times the room of its
 UNSOLVED = 10.0  # times the residuals: a smaller switching function may be zero too
 SHORTEST = 2  # steps: longer ones in which it is zero throughout hold more than a switch
 MOST_ARCS = 3  # of one control that a sentence names, the longest
-REGULAR = "try a small running cost of this control, such as 1e-3 * u @ u"
+SMALL_COST = "a small running cost of this control, such as 1e-3 * u @ u"
 MEANINGS = {
     "minimum": "this is a singular arc, and the discrete problem has a strict minimum here all the same. If the "
-    f"control chatters, {REGULAR}; find_singular_arcs classifies the arc.",
+    f"control chatters, try {SMALL_COST}; find_singular_arcs classifies the arc.",
     "stationary": "the extremal is not shown to be a strict minimum, it may be one of many or only stationary, and "
-    f"another may cost less; try a guess in which this control moves, and compare the costs, or {REGULAR[4:]}.",
+    f"another may cost less; try a guess in which this control moves, and compare the costs, or {SMALL_COST}; "
+    "find_singular_arcs classifies a singular arc.",
     "failure": "on a fine mesh the iteration converges slowly along such a singular arc, and the control may chatter; "
-    f"{REGULAR}, tolerance=1e-8, or fewer steps.",
+    f"try {SMALL_COST}, tolerance=1e-8, or fewer steps.",
 }
 
 
@@ -68,14 +69,15 @@ class Audit:
         if wrong:
             return refute(solution, wrong)
         outside = self._outside(solution, ends)
-        if outside:
+        if outside and solution.success:
             return fail(solution, outside)
         unqualified = self._unqualified(solution)
         solution = withdraw_minimum(solution) if unqualified else solution
         checks = solution.checks
         near = solution.success or max(checks.defect, checks.stationarity, checks.violation) <= NEARLY_CONVERGED
-        undetermined = self.undetermined(solution) if near else ""
-        return explain(solution, reasons(solution.result, unqualified, undetermined))
+        undetermined = self.undetermined(solution) if near and not outside else ""
+        result = _with_end(solution.result, outside)
+        return explain(solution, reasons(result, unqualified, undetermined))
 
     def _wrong(self, solution: Solution, free_horizon: bool, ends: tuple[PrescribedEnd, PrescribedEnd]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
@@ -192,6 +194,15 @@ def _longest(flat: np.ndarray, count: int) -> list[tuple[int, int]]:
     edges = np.flatnonzero(np.diff(np.concatenate([[0], flat.astype(int), [0]])))
     runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
     return sorted(sorted(runs, key=lambda run: run[0] - run[1])[:count])
+
+
+def _with_end(result: str, outside: str) -> str:
+    """The result of a failed search with a sentence on an end outside a constraint.
+
+    The end is why the search failed, but there may be more inequalities that contradict each other.
+    """
+    kept = result if not outside or result.startswith(sentence("infeasible")) else ""
+    return f"{outside} {kept}".strip()
 
 
 def _fixed(ends: tuple[PrescribedEnd, PrescribedEnd]) -> np.ndarray:
