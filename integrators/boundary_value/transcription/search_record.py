@@ -62,5 +62,5 @@ class SearchRecord(NamedTuple):
         return sum(float(own.totals[0]) for own in self.phases)
 
     def with_facts(self, **changes: Any) -> "SearchRecord":
-        """The same with other facts."""
+        """The record with other facts."""
         return self._replace(facts=self.facts._replace(**changes))
