@@ -78,7 +78,8 @@ def _on_piece(inputs: Inputs, conditions: EndConditions, c: Classification) -> S
     guess = Iterate(_first_points(shooting, c, inputs, first, last), _no_gauge(shooting, c, inputs.integrator))
     prepared = time.perf_counter()
     shown(f"shooting over {counted(shooting.segments, 'segment')} of {counted(shooting.length, 'step')} is compiled")
-    found = meet_conditions(shooting, conditions, guess, *inputs.options)
+    options = inputs.options
+    found = meet_conditions(shooting, conditions, guess, options.tolerance, options.max_iterations, options.callback)
     shown("the trajectory is examined")
     outcome: Any = jax.device_get(
         _trajectory_of()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes))
