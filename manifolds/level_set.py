@@ -24,8 +24,8 @@ from .numerics.root import solve_small
 from .numerics.sizes import as_shape
 from .verdict import Verdict
 
-RANDOM_STARTS = 20
-GAUSS_NEWTON_STEPS = 30
+RANDOM_STARTS = 20  # random points from which a point of the level set is searched
+GAUSS_NEWTON_STEPS = 30  # steps from each of them
 MOST_NAMED = 6  # most equations that are named
 LOST_RANK = "rank lost by the constraint's Jacobian"
 

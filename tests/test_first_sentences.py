@@ -11,7 +11,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 ROOMS = "manifolds", "retractions", "integrators", "src/retrax"
 FORMULA = re.compile(r"``[^`]*``|:\w+:`[^`]*`|`[^`]*`")
-BEGINNINGS = re.compile(r"(What|That|Those|Of|Whose|Which)\b")
+BEGINNINGS = re.compile(r"(What|That|Those|Of|Whose|Which|The same)\b")
 # Pronouns whose noun is in no sentence before; after a few words ``it`` may stand for the subject.
 PRONOUNS = re.compile(r"\b(that of|those|others|(?<!zeros, )ones)\b|^(\S+ ){0,3}it\b", re.IGNORECASE)
 MOST_WORDS = 25
@@ -61,6 +61,7 @@ def test_the_first_sentence_of_every_docstring_names_its_subject(room):
     [
         ("What is kept of a step.", "begins with no noun"),
         ("Of each entry the name.", "begins with no noun"),
+        ("The same on another mesh.", "begins with no noun"),
         ("The values, and those of the end.", "has 'those' instead of a noun"),
         ("A point and random ones.", "has 'ones' instead of a noun"),
         ("Whether it converges.", "has 'Whether it' instead of a noun"),

@@ -34,7 +34,7 @@ class Regularity:
         self._classes: dict[Any, tuple[Any, Classification | None]] = {}  # with the parameters that it belongs to
 
     def on(self, transcription: Transcription) -> "Regularity":
-        """The same on another mesh; what is found out serves both."""
+        """The regularity of the problem on another mesh; both share the classifications."""
         other = Regularity(transcription, self.refusal)
         other._classes = self._classes
         return other

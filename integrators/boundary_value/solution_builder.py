@@ -139,7 +139,10 @@ class ExtremalRecords:
         return concave_words(self._of.problem, one, names, self._stages[1][k], times)
 
     def _statistics(self, k: int) -> Statistics:
-        return Statistics(int(self.found.iterations[k]), *self.seconds, self.found.stopped)
+        """The effort of a member: its share of the seconds to prepare the batch, and to run it by its iterations."""
+        iterations, (preparing, running) = self.found.iterations, self.seconds
+        share = (iterations[k] + 1) / (np.sum(iterations) + len(iterations))  # the guess is evaluated too
+        return Statistics(int(iterations[k]), preparing / len(iterations), running * float(share), self.found.stopped)
 
     def _arrays(self, k: Any) -> dict[str, Any]:
         """The arrays of a member, or, for ``...``, of all."""

@@ -1,7 +1,6 @@
 """A solver that its user holds: a problem traced once, then solved between many pairs of ends in milliseconds each."""
 
 import time
-import warnings
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from copy import copy
@@ -168,14 +167,6 @@ class Solver:
     def reason(self) -> str:
         """The reason for the choice of the evaluator."""
         return self._evaluator.reason
-
-    def compile(self) -> None:
-        """A former method without effect: a solver compiles nothing after its first call."""
-        warnings.warn(
-            "Solver.compile is deprecated: a solver compiles nothing after its first call; remove the call",
-            DeprecationWarning,
-            stacklevel=2,
-        )
 
     def __repr__(self) -> str:
         return (

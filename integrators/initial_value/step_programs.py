@@ -65,7 +65,7 @@ def _on_core(program: Program, read: np.ndarray, written: np.ndarray) -> StepFun
     return StepFunction(own, read[used], written)
 
 
-MOST_KNOWN = 64
+MOST_KNOWN = 64  # step methods that are kept, so that memory has a bound
 _known: dict[Hashable, StepMethod] = {}  # by digests of what was traced, with all values read then; oldest first
 
 

@@ -338,8 +338,7 @@ def _in_pieces(
     evaluator: str,
     verbose: bool,
 ) -> Trajectory:
-    """The same trajectory by ``run``; here nothing is compiled for the number of its nodes, so NumPy computes the
-    times."""
+    """The trajectory by ``run``. Nothing is compiled for the number of its nodes, so NumPy computes the times."""
     starts, step_sizes = jax.tree.map(lambda a: np.array(a)[None], (start, step_size))
     found = tape_steps(system, integrator, starts, step_sizes, evaluator)
     if not isinstance(found, str):

@@ -60,7 +60,7 @@ class Inequalities(eqx.Module):
         return cls(lower, upper, tuple(given), own, node_names=tuple(at_nodes), node_functions=more)
 
     def replaced(self, functions: tuple[Constraint, ...], node_functions: tuple[Constraint, ...]) -> "Inequalities":
-        """The same of other functions."""
+        """The inequalities with the same bounds and names, and other functions."""
         names = self.lower, self.upper, self.names
         return Inequalities(*names, functions, self.at_first, self.node_names, node_functions, self.clock)
 
@@ -146,7 +146,7 @@ class Inequalities(eqx.Module):
         return dict(zip(self.names, map(_size, jax.eval_shape(self._each, q, u)), strict=True))
 
     def node_sizes(self, q: Ambient) -> dict[str, int | None]:
-        """The same of the functions at the nodes."""
+        """How many entries each function at the nodes has at states of this structure, None for a number."""
         return dict(zip(self.node_names, map(_size, jax.eval_shape(self._each_at_node, q)), strict=True))
 
     def words_of_entries(self, q: Ambient, u: Ambient) -> list[str]:

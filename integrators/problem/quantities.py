@@ -1,6 +1,7 @@
 """Names and units of what a problem is about: the arrays of a state, the controls, the time, the cost."""
 
 import json
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from itertools import product
@@ -157,6 +158,18 @@ class Quantities:
             pairs = zip(names, self.states, _names("q", self.states), strict=True)
             names = [name if own.name == default else own.name for name, own, default in pairs]
         return names
+
+    def labelled(self, name: str, count: int) -> str:
+        """A name that begins with ``factor k``, with the label of this factor of a state instead.
+
+        Parameters
+        ----------
+        name : str
+            The name, such as ``factor 0, SO(3)``.
+        count : int
+            The number of factors.
+        """
+        return re.sub(r"^factor (\d+)", lambda found: self.factors(count)[int(found[1])], name)
 
     @property
     def text(self) -> str:

@@ -28,10 +28,10 @@ class Result(eqx.Enumeration):
 
     successful = "The equations are solved to the tolerance asked for."
     stationary = (
-        "The equations are solved to the tolerance asked for, and this is not shown to be a strict local minimum: a "
-        "curve nearby may cost as much or less: points along the extremal may be conjugate, as opposite ones of a "
-        "sphere, or it is a saddle; try another guess, as Guess.from_waypoints by another way, and compare the costs, "
-        "or leave an end free that controls move by less than its rounding."
+        "The equations are solved to the tolerance asked for, and this is not shown to be a strict local minimum. A "
+        "nearby trajectory may cost as much or less: the extremal is a saddle or contains conjugate points, such as "
+        "opposite points of a sphere. Try another guess, such as Guess.from_waypoints along another path, and compare "
+        "the costs. If the controls move an end by less than its rounding, leave that end free."
     )
     concave = (
         "The derivatives of the cost vanish, but the cost is concave in a control, so this is no minimum: it may be a "
@@ -51,6 +51,10 @@ class Result(eqx.Enumeration):
     too_many_iterations = (
         "The iteration limit of a search came before the conditions were met; try more iterations, "
         f"{BETTER}, more steps, or a longer horizon: the end may be out of reach."
+    )
+    nearly_converged = (
+        "The iteration limit came near an extremal, before its conditions were met to the tolerance; try more "
+        "iterations, a larger tolerance, or another number of steps."
     )
     no_improvement = (
         "No step along the computed directions improves the trajectory any more, and the conditions are not met; try "

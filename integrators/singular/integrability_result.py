@@ -61,7 +61,7 @@ class IntegrabilityResult(Generic[P]):
         return len(self.strata) > 1
 
     def choose(self, index: int) -> Self:
-        """The same with ``strata[index]`` alone, to speak of it and to integrate on it.
+        """The result with the piece ``strata[index]`` alone, to describe it and to integrate on it.
 
         Raises ``InvalidInputError`` if there is no such piece.
         """

@@ -11,7 +11,7 @@ from ...newton_constants import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_
 from . import ambient as vec
 from .tolerances import tolerance
 
-MAX_CHORDS = 16
+MAX_CHORDS = 16  # steps with one Jacobian before it is renewed
 LARGEST_CURVATURE = (
     1e8  # second derivatives, in units of the unknowns' sizes, up to which Newton steps are known to be quadratic
 )

@@ -15,7 +15,7 @@ Equations = Callable[[Vector], Float[Array, " m"]]
 Step = Callable[[Float[Array, "m k"], Float[Array, " m"], Array], Vector]
 
 
-MOST_ITERATIONS = 60
+MOST_ITERATIONS = 60  # steps that are tried
 
 
 @final

@@ -17,7 +17,7 @@ Matrix = Shaped[Array, "n n"]
 # Diagonal Pade approximant of degree 13: rounding accuracy up to norm 5.37 [Higham 2005, table 2.3]. Every squaring
 # doubles rounding, and up to there none is needed.
 _PADE = tuple(factorial(26 - k) * factorial(13) / (factorial(26) * factorial(k) * factorial(13 - k)) for k in range(14))
-_PADE_RADIUS = 5.37
+_PADE_RADIUS = 5.37  # norm up to which the approximant is exact to rounding
 _SIGN_STEPS = 60  # of Newton's method for the sign of a matrix: enough for eigenvalues from 1e-16 to 1e16
 _SQUARINGS = 14  # for norms to 9e4, of skew matrices; others overflow before
 

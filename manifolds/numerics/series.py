@@ -12,8 +12,9 @@ from math import factorial
 import jax.numpy as jnp
 from jaxtyping import Array
 
-_TERMS = 11
+_TERMS = 11  # of a series, enough for double precision where the argument is small
 _NEAR = 1e-2  # squares up to which the terms of the arcsine are enough
+# Taylor coefficients of the arcsine of a root, over the root.
 _ARCSINE = (1.0, 1 / 6, 3 / 40, 5 / 112, 35 / 1152, 63 / 2816, 231 / 13312, 143 / 10240, 6435 / 557056)
 
 

@@ -185,7 +185,7 @@ def is_lagrangian(submanifold: Immersion, y: Ambient) -> LagrangianVerdict:
 
 
 def lagrangian_subspace(form: np.ndarray, vectors: np.ndarray) -> LagrangianVerdict:
-    """The same for a linear subspace spanned by the rows of ``vectors`` and the matrix of a form."""
+    """The verdict on the linear subspace that the rows of ``vectors`` span, for the matrix of a form."""
     dimension, span = numerical_rank(vectors).rank, _orthonormal_rows(vectors)
     size = np.max(np.abs(form), initial=0.0)
     isotropy = np.max(np.abs(span @ form @ span.T), initial=0.0) / size if size else 0.0

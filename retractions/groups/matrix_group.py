@@ -20,7 +20,7 @@ Matrix = Shaped[Array, "n n"]
 # Shares of the tolerance of a group to which exponentials satisfy its equations, where there is a logarithm and in the
 # domain.
 INVERTED = 1 / 4
-INSIDE = 1 / 16
+INSIDE = 1 / 16  # of the tolerance of the group: equations that hold to it with a margin inside the domain
 
 
 class _MatrixFunctions(NamedTuple):

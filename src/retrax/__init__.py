@@ -10,6 +10,7 @@ from .undisturbed import put_off
 with put_off():
     from . import integrators, manifolds, retractions
 from .former_names import find_former_modules
+from .hardware_notices import leave_out
 from .integrators import (
     Free,
     Guess,
@@ -75,6 +76,7 @@ LAZY = "plotting", "problems"  # packages that take long to import
 
 find_former_modules()
 present_records()
+leave_out()
 logging.getLogger(__name__).addHandler(logging.NullHandler())  # what is heard of it is the user's choice
 
 

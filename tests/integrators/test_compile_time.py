@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.compute.compile_time import Stopwatch, report_compile_time
-from retrax.integrators import OptimalControlProblem, Phase, Solver, solve_phases
+from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve_phases
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Exponential, Midpoint
 
@@ -48,6 +48,18 @@ def test_the_seconds_of_a_solve_are_those_that_it_takes(evaluator):
         assert first_compiled > 0.7 * first
         assert first_run < 0.3 * first
     assert compiled < 0.2 * first_compiled
+
+
+@pytest.mark.parametrize("horizon", [1.0, Free(1.0, 0.9, 1.1)])
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_the_seconds_of_a_batch_are_shared_by_its_members(horizon, count):
+    line = Euclidean(1)
+    solver = Solver(OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, 1), Midpoint(Addition(line)), 5)
+    solver.solve_many(np.zeros((count, 1)), np.ones((count, 1)), horizon)
+    began = time.perf_counter()
+    found = solver.solve_many(np.zeros((count, 1)), np.ones((count, 1)), horizon)
+    spent = time.perf_counter() - began
+    assert 0 < sum(own.run_seconds + own.compile_seconds for own in found.statistics) <= spent
 
 
 @pytest.mark.parametrize("compiling", [0.0, 1e3])

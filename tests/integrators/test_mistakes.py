@@ -6,6 +6,7 @@ import traceback
 
 import pytest
 from retrax.integrators.reporting.text import LONGEST_VALUE, brief
+from retrax.manifolds import ConvergenceError
 
 MOST_LINES = 8
 SETTING = """
@@ -43,9 +44,14 @@ def slew(dynamics=dynamics, effort=effort, controls=3, end=END, horizon=1.0, met
     return solve(problem, START, end, horizon, method=method or Midpoint(Cayley(Q)), steps=steps)
 
 
-def move(dynamics=cart, effort=effort, controls=1, start=(0.0, 0.0), end=(1.0, 0.0), **o):
+def move(dynamics=cart, effort=effort, controls=1, start=(0.0, 0.0), end=(1.0, 0.0), max_iterations=100, **o):
     problem = OptimalControlProblem(PLANE, dynamics, effort, controls, **o)
-    return solve(problem, start, end, 1.0, method=Midpoint(Cayley(PLANE)), steps=3)
+    method = Midpoint(Cayley(PLANE))
+    return solve(problem, start, end, 1.0, method=method, steps=3, max_iterations=max_iterations)
+
+
+LIMITED = OptimalControlProblem(PLANE, cart, effort, 1, control_bounds=(-1.0, 1.0))
+IDLE = OptimalControlProblem(PLANE, cart, lambda q, u: (q[1] ** 2 - q[0] ** 2) / 2, 1)
 
 
 PROBLEM = OptimalControlProblem(Q, dynamics, effort, 3)
@@ -186,6 +192,30 @@ def test_a_mistake_ends_in_a_sentence_on_a_screen(name, monkeypatch):
     assert lines, "nothing is raised"
     assert re.search(words, lines[-1]), "\n".join(lines)
     assert len(lines) <= MOST_LINES
+
+
+FAILURES = {
+    "too few iterations": "move(end=(5.0, 1.0), controls=1, effort=lambda q, u: jnp.cosh(u[0]), max_iterations=1)",
+    "an end out of reach": "move(end=(5.0, 0.0), control_bounds=(-1.0, 1.0))",
+    "a start outside a limit": "move(start=(2.0, 0.0), constraints={'wall': lambda q, u: q[0] - 1})",
+    "phases": "solve_phases([Phase(LIMITED, Midpoint(Cayley(PLANE)), 3, 1.0, start=(0.0, 0.0), end=(9.0, 0.0))])",
+    "a singular extremal": "solve(IDLE, (0.0, 0.0), (1.0, 1.0), 1.0, method=Midpoint(Cayley(PLANE)), steps=4)",
+}
+
+
+@pytest.mark.parametrize("name", FAILURES)
+def test_a_solve_without_success_ends_in_a_sentence_and_a_few_figures(name, monkeypatch):
+    """The whole report stays with the error."""
+    monkeypatch.delenv("RETRAX_TRACEBACK", raising=False)
+    lines = shown(FAILURES[name])
+    sentence = next(k for k, line in enumerate(lines) if "ConvergenceError: " in line)
+    assert len(lines) <= MOST_LINES + 1
+    assert lines[sentence].rstrip().endswith(".")
+    assert re.match(r"report  +print\(error.solution\)", lines[-1])
+    with pytest.raises(ConvergenceError) as raised:
+        exec(FAILURES[name], dict(SPACE))
+    assert not raised.value.solution.success
+    assert len(str(raised.value.solution).splitlines()) > 8
 
 
 @pytest.mark.parametrize("length", [1, LONGEST_VALUE, LONGEST_VALUE + 1, 10 * LONGEST_VALUE])

@@ -101,7 +101,8 @@ def test_a_limit_of_iterations_is_kept(method, most):
     found = solver.solve(*SLEWS, throw=False, max_iterations=most)
     assert found.success == (most >= needed)
     assert found.statistics.iterations == min(most, needed)
-    assert found.success or found.result == Result[Result.too_many_iterations]
+    near = found.result.startswith("The iteration limit came near an extremal")
+    assert found.success or near or found.result == Result[Result.too_many_iterations]
 
 
 @pytest.mark.parametrize("height", [1e-9, 1e-6, 1e-3, 0.03, 0.3, 3.0])

@@ -3,7 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from retrax import SO, Cayley, Euclidean, Exponential, Midpoint, OptimalControlProblem, hat, solve
+from retrax import SO, Cayley, Euclidean, Exponential, Free, Midpoint, OptimalControlProblem, hat, solve
 from retrax.integrators.problem_checks.requirements import require_values
 from retrax.manifolds import NotOnManifoldError
 
@@ -72,7 +72,14 @@ def test_messages_and_reports_name_factors_by_their_labels():
     ):
         with pytest.raises(NotOnManifoldError, match=words):
             solve(SLEW, (np.eye(3), rest), end, 1.0, method=method, steps=3)
-    text = str(solve(SLEW, (np.eye(3), rest), (rotation([0.3, 0.1, 0.2]), rest), 1.0, method=method, steps=3))
+    turned = (rotation([0.3, 0.1, 0.2]), rest)
+    for horizon in (1.0, Free(1.0, 0.9, 1.1)):
+        found = solve(SLEW, (np.eye(3), rest), turned, horizon, method=method, steps=3)
+        assert list(found.body_costates) == list(found.spatial_costates) == ["attitude, SO(3)"]
+        for named in (found.momenta, found.checks.conserved, found.checks.momentum_spreads):
+            assert list(named) == ["attitude, SO(3)", "body rate, R^3"]
+        assert {name.partition(":")[0] for name in found.checks.violations} == {"attitude"}
+    text = str(solve(SLEW, (np.eye(3), rest), turned, 1.0, method=method, steps=3))
     assert "factor" not in text.replace("factors=(", "")
     for words in ("attitude, SO(3): 21.44 degrees", "attitude: max |x'x - I|", "spatial covector  attitude, SO(3)"):
         assert words in text

@@ -23,8 +23,8 @@ from retrax.integrators import (
     SwitchingStructure,
     solve,
     step_errors,
-    switching_structure,
 )
+from retrax.integrators.boundary_value.audit.switching_structure import control_arcs
 from retrax.integrators.boundary_value.reformulations.switching_arcs import SwitchingArcs
 from retrax.integrators.boundary_value.transcription.functions.collocation import CollocationFunctions
 from retrax.integrators.boundary_value.transcription.iterate import Data
@@ -212,7 +212,7 @@ def test_arcs_end_by_jumps(jump):
     controls = np.where(stages < 0.5, 1.0, 1.0 - jump - 1e-3 * (stages - 0.5))[:, None]
     record = object.__new__(Solution)  # with what is looked at and nothing else
     vars(record).update(times=times, stage_times=stages, controls=controls)
-    found = switching_structure(BOUNDED, record)
+    found = control_arcs(BOUNDED, record)
     assert found.arcs == (2 if jump > 0.2 else 1)
     if found.jumps:
         np.testing.assert_allclose(found.times, [0, 0.5, 1], atol=1e-15)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax import problems
-from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, solve
+from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, solve, switching_structure
 from retrax.manifolds import Euclidean
-from retrax.retractions import Addition, Gauss
+from retrax.retractions import Addition, Gauss, Midpoint
 from scipy.spatial.transform import Rotation
 
 SPACE, LINE = Euclidean(4), Euclidean(1)
@@ -125,3 +125,65 @@ def test_the_turn_about_the_axis_itself_is_slower_than_the_least_time():
     assert "that of u[1] from t = 0 to 34.3112 and that of u[2] from t = 0 to 34.3112" in found.result
     assert "another may cost less" in found.result
     assert not found.checks.strict_minimum
+
+
+QUADROTOR = Euclidean(6)  # position, attitude angle, velocity and rate
+MASS, ARM, INERTIA, GRAVITY = 0.6, 0.15, 0.004, 9.81  # kg, m, kg m^2, m/s^2
+
+
+def quadrotor(q: Array, u: Array) -> Array:
+    """The planar quadrotor with two thrusts [Hehn, Ritz, D'Andrea 2012]."""
+    lift = (u[0] + u[1]) / MASS
+    force = jnp.array([-lift * jnp.sin(q[2]), lift * jnp.cos(q[2]) - GRAVITY])
+    return jnp.concatenate([q[3:], force, (u[:1] - u[1:]) * ARM / INERTIA])
+
+
+def fastest_flight(price: float, method: Any, steps: int, **options: Any) -> tuple[OptimalControlProblem, Any]:
+    """5 m to the side and 1 m up in least time, with a price of the controls."""
+    bounds = {"control_bounds": (0.3, 6.0), "labels": {"controls": ("right", "left")}}
+    problem = OptimalControlProblem(QUADROTOR, quadrotor, lambda q, u: 1.0 + price * u @ u, 2, **bounds)
+    end, horizon = np.array([5.0, 1.0, 0.0, 0.0, 0.0, 0.0]), Free(2.0, 0.2, 10.0)
+    return problem, solve(problem, np.zeros(6), end, horizon, method=method, steps=steps, throw=False, **options)
+
+
+@pytest.mark.parametrize("steps", [60, 120, pytest.param(240, marks=pytest.mark.slow)])
+def test_singular_arcs_on_which_thrusts_chatter_are_named_whole(steps):
+    """A thrust is singular where the other one is at its bound, and its discrete values chatter there."""
+    problem, found = fastest_flight(0.0, Midpoint(Addition(QUADROTOR)), steps)
+    assert found.success
+    assert found.horizon == pytest.approx(1.2523, abs=1.5e-3)
+    structure = switching_structure(problem, found)
+    assert "free" not in str(structure)
+    assert structure.singular is not None
+    for entry, name in enumerate(("right", "left")):
+        arcs = np.flatnonzero(structure.singular[:, entry])
+        assert arcs.size
+        longest = arcs[np.argmax(np.diff(structure.times)[arcs])]
+        begin, end = structure.times[longest : longest + 2]
+        assert re.search(rf"that of {name} from t = ", found.result)
+        within = (found.stage_times > begin) & (found.stage_times < end)
+        assert np.all(found.u[within, 1 - entry] > 6.0 - 1e-3)
+        assert np.ptp(found.u[within, entry]) > 1.0  # it chatters
+    assert "1e-3 * u @ u" in found.result
+
+
+@pytest.mark.parametrize(("stages", "steps"), [(2, 240), pytest.param(3, 90, marks=pytest.mark.slow)])
+def test_a_failure_near_a_singular_extremal_says_how_near_and_why(stages, steps):
+    _, found = fastest_flight(0.0, Gauss(stages, Addition(QUADROTOR)), steps)
+    assert not found.success
+    assert "out of reach" not in found.result
+    assert found.result.startswith("The iteration limit came near an extremal")
+    named = re.search(r"Its largest residual is (\S+), and the tolerance (\S+)\. A switching function", found.result)
+    assert named is not None
+    assert 1e-11 < float(named[1]) < 1e-4
+    assert "try a small running cost of this control, such as 1e-3 * u @ u" in found.result
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("steps", [60, 120, 240, 320])
+@pytest.mark.parametrize("stages", [2, 3])
+@pytest.mark.parametrize(("price", "options"), [(1e-4, {}), (0.0, {"tolerance": 1e-8})])
+def test_what_is_tried_against_slow_convergence_helps(steps, stages, price, options):
+    _, found = fastest_flight(price, Gauss(stages, Addition(QUADROTOR)), steps, **options)
+    assert found.success
+    assert found.horizon == pytest.approx(1.2522, abs=5e-4)

@@ -8,22 +8,33 @@ import numpy as np
 from ....manifolds import Euclidean
 from ....tracing import one_tracing
 from ...problem.optimal_control_problem import OptimalControlProblem
-from ...problem.path_constraints import LOWER, UPPER
 from ...problem_checks.smoothness.derivative_check import DerivativeCheck
-from ...reporting.results import reasons
+from ...reporting.results import reasons, sentence
 from ..inputs.arguments import structure_of
 from ..inputs.boundary_data import PrescribedEnd
 from ..solution.record import Solution
 from .constraint_qualification import ConstraintQualification
 from .control_curvature import ControlCurvature
-from .legendre_condition import longest_arc
 from .smoothness_along_solution import SmoothnessAlongSolution
-from .status import explain, fail, refute, withdraw_minimum
+from .status import NEARLY_CONVERGED, explain, fail, refute, withdraw_minimum
+from .switching_structure import singular_structure, switching_sizes
 
 T = TypeVar("T")
 
 NO_PULL = 1e-7  # of the Hamiltonian: a switching function times the room of its control that is smaller is zero
+UNSOLVED = 10.0  # times the residuals: a smaller switching function may be zero too
 SHORTEST = 2  # steps: longer ones in which it is zero throughout hold more than a switch
+MOST_ARCS = 3  # of one control that a sentence names, the longest
+SMALL_COST = "a small running cost of this control, such as 1e-3 * u @ u"
+MEANINGS = {
+    "minimum": "this is a singular arc, and the discrete problem has a strict minimum here all the same. If the "
+    f"control chatters, try {SMALL_COST}; find_singular_arcs classifies the arc.",
+    "stationary": "the extremal is not shown to be a strict minimum, it may be one of many or only stationary, and "
+    f"another may cost less; try a guess in which this control moves, and compare the costs, or {SMALL_COST}; "
+    "find_singular_arcs classifies a singular arc.",
+    "failure": "on a fine mesh the iteration converges slowly along such a singular arc, and the control may chatter; "
+    f"try {SMALL_COST}, tolerance=1e-8, or fewer steps.",
+}
 
 
 @final
@@ -53,7 +64,7 @@ class Audit:
         return solution
 
     def _examined(self, solution: Solution, free_horizon: bool, ends: tuple[PrescribedEnd, PrescribedEnd]) -> Solution:
-        """The same where there may be something to say."""
+        """The examined solution of a problem with something to examine."""
         wrong = self._wrong(solution, free_horizon, ends)
         if wrong:
             return refute(solution, wrong)
@@ -62,9 +73,11 @@ class Audit:
             return fail(solution, outside)
         unqualified = self._unqualified(solution)
         solution = withdraw_minimum(solution) if unqualified else solution
-        undetermined = self.undetermined(solution) if solution.success else ""
-        said = " ".join(filter(None, [outside, reasons(solution.result, unqualified, undetermined)]))
-        return explain(solution, said)
+        checks = solution.checks
+        near = solution.success or max(checks.defect, checks.stationarity, checks.violation) <= NEARLY_CONVERGED
+        undetermined = self.undetermined(solution) if near and not outside else ""
+        result = _with_end(solution.result, outside)
+        return explain(solution, reasons(result, unqualified, undetermined))
 
     def _wrong(self, solution: Solution, free_horizon: bool, ends: tuple[PrescribedEnd, PrescribedEnd]) -> str:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
@@ -94,13 +107,7 @@ class Audit:
             for end, over in zip(("start", "end"), excess, strict=True):
                 if np.max(over, initial=0.0) > 0:
                     worst = int(np.argmax(over))
-                    why = "it is prescribed" if own.at_nodes else "the constraint holds at the stages alone"
-                    expected = "a start" if end == "start" else "an end"
-                    return (
-                        f"The {end} violates {names[worst]} by {over[worst]:.3g}: {why}, and the trajectory cannot "
-                        f"keep it; expected {expected} where it is not positive; try another one, or a wider "
-                        "constraint."
-                    )
+                    return _outside_words(end, names[worst], float(over[worst]), own.at_nodes)
         return ""
 
     def _qualifications(self, solution: Solution) -> list[ConstraintQualification]:
@@ -134,44 +141,68 @@ class Audit:
         names = [name for quantity in self.problem.quantities.controls for name in quantity.columns]
         stages, found = len(flat) // solution.steps, []
         for entry in np.flatnonzero(np.any(flat, axis=0)):
-            begin, end = longest_arc(flat[:, entry])
-            if end - begin > SHORTEST * stages:
-                first, last = solution.times[[begin // stages, -(-end // stages)]]
-                found.append(f"that of {names[entry]} from t = {first:.6g} to {last:.6g}")
+            for begin, end in _longest(flat[:, entry], MOST_ARCS):
+                if end - begin > SHORTEST * stages:
+                    first, last = solution.times[[begin // stages, -(-end // stages)]]
+                    found.append(f"that of {names[entry]} from t = {first:.6g} to {last:.6g}")
         if not found:
             return ""
-        meaning = (
-            "this is a singular arc, and the discrete problem has a strict minimum here all the same."
-            if solution.checks.strict_minimum
-            else "the extremal is not shown to be a strict minimum, it may be one of many or only stationary, and "
-            "another may "
-            "cost less; try a guess in which this control moves, and compare the costs."
-        )
+        kind = "failure" if not solution.success else "minimum" if solution.checks.strict_minimum else "stationary"
         return (
             f"A switching function vanishes, {' and '.join(found)}, where the conditions of first order do not "
-            f"determine the control: {meaning}"
+            f"determine the control: {MEANINGS[kind]}"
         )
 
     def _flat(self, solution: Solution) -> np.ndarray:
         """At which stages the Hamiltonian, with the constraints, does not depend on an entry of the control, ``(N s,
-        m)``."""
+        m)``.
+
+        Along a singular arc on which the control chatters, also the stages at which it is at a bound.
+        """
         limits, controls = self.problem._limits, self.problem.controls
-        count = len(solution.stage_times)
         if not (limits.along and isinstance(controls, Euclidean)):
-            return np.zeros((count, 0), bool)
-        u, own = np.asarray(solution.controls).reshape(count, -1), solution.stage_multipliers
-        room, pull = np.ptp(u, axis=0), np.zeros(u.shape)
-        if limits.lower:
-            wide = np.array(limits.upper) - np.array(limits.lower)
-            room = np.where(np.isfinite(wide), wide, room)
-        for name in (LOWER, UPPER):
-            pull += own.get(name, 0.0)
-        flat = pull * room <= NO_PULL * solution.checks.hamiltonian_size
+            return np.zeros((len(solution.stage_times), 0), bool)
+        checks: Any = solution.checks
+        least = max(NO_PULL, UNSOLVED * max(checks.stationarity, checks.complementarity))
+        flat = switching_sizes(self.problem, solution) <= least * checks.hamiltonian_size
         flat &= ~solution.held_by(limits.every_name)[:, None]  # one that holds the trajectory may determine controls
-        if np.any(flat):
-            curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
-            flat &= curvature == 0  # exactly: no entry of the control is in the derivative
-        return flat
+        if not np.any(flat):
+            return flat
+        curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
+        linear = curvature == 0  # exactly: no entry of the control is in the derivative
+        flat &= linear
+        if not (np.any(flat) and any(limits.bounded.values())):
+            return flat
+        structure = singular_structure(self.problem, solution, linear)
+        arcs = np.searchsorted(structure.times[1:-1], solution.stage_times)
+        return flat | np.asarray(structure.singular)[arcs]
+
+
+def _outside_words(end: str, limit: str, over: float, at_nodes: bool) -> str:
+    """A sentence on a prescribed end that violates a constraint by so much, and on a soft constraint instead."""
+    weights = f"{{{limit.partition('[')[0]!r}: weight}}"
+    soft = f", or a soft constraint: soften(problem, {weights}), RecedingHorizon(..., soft={weights}) in a closed loop"
+    return (
+        f"The {end} violates {limit} by {over:.3g}: it is prescribed, and no trajectory through it satisfies the "
+        f"constraint. Expected {'a start' if end == 'start' else 'an end'} at which {limit} is not positive; try "
+        f"another {end}, a wider constraint{'' if at_nodes else soft}."
+    )
+
+
+def _longest(flat: np.ndarray, count: int) -> list[tuple[int, int]]:
+    """Begin and end of the longest runs of true entries, in their order."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], flat.astype(int), [0]])))
+    runs = list(zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True))
+    return sorted(sorted(runs, key=lambda run: run[0] - run[1])[:count])
+
+
+def _with_end(result: str, outside: str) -> str:
+    """The result of a failed search with a sentence on an end outside a constraint.
+
+    The end is why the search failed, but there may be more inequalities that contradict each other.
+    """
+    kept = result if not outside or result.startswith(sentence("infeasible")) else ""
+    return f"{outside} {kept}".strip()
 
 
 def _fixed(ends: tuple[PrescribedEnd, PrescribedEnd]) -> np.ndarray:

@@ -14,8 +14,7 @@ from ...reporting.text import brief
 from ...singular import Classification, classify
 from ..shooting.legendre_clebsch import generalised_legendre_clebsch
 from ..solution.record import Solution
-from .control_curvature import ControlCurvature
-from .switching_structure import CONTROL_AT_BOUND, switching_structure
+from .switching_structure import stage_sides, switching_structure
 
 MOST_STAGES = 200  # stages of an arc that are looked at
 
@@ -90,7 +89,8 @@ def find_singular_arcs(problem: OptimalControlProblem, solution: Solution) -> li
     Notes
     -----
     Along an arc of ``switching_structure`` the controls at bounds are constant. ``classify`` treats the problem in the
-    other controls, near the middle of the arc. Arcs with an active constraint are left out.
+    other controls, near the middle of the arc. Arcs with an active constraint are left out. If the control chatters,
+    the classification uses the stages between the bounds, and ``feedback_error`` has the size of the chatter.
     """
     if not isinstance(solution, Solution):
         raise InvalidInputError(f"find_singular_arcs takes a Solution, got {brief(solution)}; try what solve returns")
@@ -101,24 +101,23 @@ def find_singular_arcs(problem: OptimalControlProblem, solution: Solution) -> li
             "time as a state, t' = 1"
         )
     structure = switching_structure(problem, solution)
-    linear = ControlCurvature(problem, None)(solution, None) == 0
     found = list[ClassifiedArc]()
     for k, sides in enumerate(structure.sides):
         begin, end = structure.times[k : k + 2]
         stages = np.flatnonzero((solution.stage_times > begin) & (solution.stage_times < end))
-        singular = np.flatnonzero((sides == 0) & np.all(linear[stages], axis=0))
-        if len(stages) and len(singular) and _interior(problem, solution, stages, singular):
-            found.append(_classify_arc(problem, solution, sides, stages, (float(begin), float(end), singular)))
+        singular = np.flatnonzero(np.asarray(structure.singular)[k])
+        inside = _interior(problem, solution, stages, singular) if len(singular) else stages[:0]
+        if len(inside):
+            found.append(_classify_arc(problem, solution, sides, inside, (float(begin), float(end), singular)))
     return found
 
 
-def _interior(problem: OptimalControlProblem, solution: Solution, stages: np.ndarray, singular: np.ndarray) -> bool:
-    """Whether controls lie between their bounds at these stages, and no constraint holds the trajectory there."""
-    lower, upper = (np.array(side)[singular] for side in (problem._limits.lower, problem._limits.upper))
-    u = _controls(solution, stages, singular)
-    if np.any(np.minimum(u - lower, upper - u) < CONTROL_AT_BOUND * _room(problem, u, singular)):
-        return False
-    return not np.any(solution.held_by(problem._limits.every_name)[stages])
+def _interior(
+    problem: OptimalControlProblem, solution: Solution, stages: np.ndarray, singular: np.ndarray
+) -> np.ndarray:
+    """The stages at which controls lie between their bounds, unless a constraint holds the trajectory at any."""
+    inside = np.all(stage_sides(problem, solution)[0][stages][:, singular] == 0, axis=1)
+    return stages[inside & ~np.any(solution.held_by(problem._limits.every_name)[stages])]
 
 
 def _controls(solution: Solution, stages: np.ndarray, entries: np.ndarray) -> np.ndarray:

@@ -21,6 +21,8 @@ Record = TypeVar("Record", Solution, PhasedSolution)
 
 # Relative: the cost of a trajectory that violates its conditions by more says nothing of a minimum.
 NEARLY_SOLVED = 0.1
+# Residual, relative: an iteration whose limit came at less was near an extremal.
+NEARLY_CONVERGED = 1e-4
 TENDS_TO_ZERO = "tends to zero, where all conditions vanish with it"
 
 
@@ -40,7 +42,7 @@ class Status(NamedTuple):
     result: str
 
     def because(self, more: str, reason: str) -> "Status":
-        """The same status with more words, and with a reason for the lack of a minimum."""
+        """The status with more words, and with a reason for the lack of a minimum."""
         return self._replace(result=reasons(self.result + more, reason))
 
 
@@ -59,6 +61,8 @@ def termination_statuses(found: DiscreteExtremals, tolerance: float) -> list[Sta
     residuals = found.residuals
     trespass = np.maximum(residuals.defect, np.maximum(residuals.violation, residuals.excess))
     undetermined = (largest <= tolerance) & (not found.stopped)
+    left = np.maximum(largest, residuals.complementarity)
+    near = found.limited & (left <= NEARLY_CONVERGED)
     ways = {
         "not_finite": ~finite,
         "stationary": found.claimed & ~found.strict_minimum,
@@ -68,11 +72,14 @@ def termination_statuses(found: DiscreteExtremals, tolerance: float) -> list[Sta
         "falling": found.falling & (trespass <= NEARLY_SOLVED) & (not found.stopped),
         "singular": (~found.solvable & ~meets) | undetermined,
         "stopped": np.full(len(largest), found.stopped),
+        "nearly_converged": near,
         "too_many_iterations": found.limited,
     }
     first = np.select(list(ways.values()), range(len(ways)), len(ways))
     names = [*ways, "no_improvement"]
-    return [Status(bool(own), sentence(names[k])) for own, k in zip(success, first, strict=True)]
+    reached = [f" Its largest residual is {own:.1e}, and the tolerance {tolerance:.1e}." for own in left]
+    more = [words if names[k] == "nearly_converged" else "" for k, words in zip(first, reached, strict=True)]
+    return [Status(bool(own), sentence(names[k]) + words) for own, k, words in zip(success, first, more, strict=True)]
 
 
 def concave_status(where: str) -> Status:

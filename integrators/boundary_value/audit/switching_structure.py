@@ -8,12 +8,16 @@ import numpy as np
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.tolerances import EPS
 from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem.path_constraints import LOWER, UPPER
 from ...reporting.text import brief
 from ..solution.record import Solution
+from .control_curvature import ControlCurvature
 
 CONTROL_AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
 CONTROL_JUMP = 0.1  # of the room: a control that leaves its bound by more between two stages jumps
 VANISHED_ARC = 1e-6  # of the horizon: an arc that is shorter has vanished
+WEAK_PULL = 1e-2  # of the Hamiltonian: larger switching functions, times the room of their control, do not vanish
+WEAK_SHARE = 0.9  # of the stages of an arc: a switching function that vanishes at so many vanishes along the arc
 SIDE_NAMES = {-1: "lower", 0: "free", 1: "upper"}
 
 
@@ -35,10 +39,14 @@ class SwitchingStructure(NamedTuple):
         The ends of the arcs.
     sides : array of shape (K, m)
         For each arc and entry of the control -1 at the lower bound, 1 at the upper bound, and 0 otherwise.
+    singular : array of shape (K, m), or None
+        Whether each entry is singular along the arc: the Hamiltonian is linear in the entry, its switching function
+        vanishes there, and no constraint determines it. Its discrete values may chatter between the bounds.
     """
 
     times: np.ndarray
     sides: np.ndarray
+    singular: np.ndarray | None = None
 
     @property
     def arcs(self) -> int:
@@ -61,10 +69,10 @@ class SwitchingStructure(NamedTuple):
 
     def __str__(self) -> str:
         """A line for each arc."""
-        rows = zip(pairwise(self.times), self.sides, strict=True)
-        return "\n".join(
-            f"{a:.10g} to {b:.10g}: " + ", ".join(SIDE_NAMES[int(side)] for side in row) for (a, b), row in rows
-        )
+        names = np.vectorize(SIDE_NAMES.get, otypes=[object])(self.sides)
+        names = names if self.singular is None else np.where(self.singular, "singular", names)
+        rows = zip(pairwise(self.times), names, strict=True)
+        return "\n".join(f"{a:.10g} to {b:.10g}: {', '.join(row)}" for (a, b), row in rows)
 
 
 def switching_structure(problem: OptimalControlProblem, solution: Solution) -> SwitchingStructure:
@@ -85,7 +93,7 @@ def switching_structure(problem: OptimalControlProblem, solution: Solution) -> S
     Notes
     -----
     An arc ends where an entry leaves a bound by a jump. An entry that leaves its bound continuously counts as free on
-    both sides.
+    both sides. An entry along a singular arc is printed as ``singular``.
     """
     if not isinstance(solution, Solution):
         raise InvalidInputError(f"switching_structure takes a Solution, got {brief(solution)}; try what solve returns")
@@ -93,14 +101,59 @@ def switching_structure(problem: OptimalControlProblem, solution: Solution) -> S
         raise InvalidInputError(
             f"the structure is that of bounded controls, got a problem without control_bounds, {problem!r}"
         )
-    lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
-    u = np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
-    room = upper - lower
-    spread = np.ptp(u, axis=0)
-    room = np.where(np.isfinite(room), room, np.where(spread > 0, spread, 1.0))
-    sides = np.where(u - lower < CONTROL_AT_BOUND * room, -1, np.where(upper - u < CONTROL_AT_BOUND * room, 1, 0))
-    stages = len(u) // solution.steps
-    runs = [_runs(side, column, stages) for side, column in zip(sides.T, (u / room).T, strict=True)]
+    linear = ControlCurvature(problem, solution.parameters)(solution, solution.parameters) == 0
+    return singular_structure(problem, solution, linear)
+
+
+def singular_structure(problem: OptimalControlProblem, solution: Solution, linear: np.ndarray) -> SwitchingStructure:
+    """The arcs of the controls with the singular arcs among them.
+
+    An arc at a bound beside a singular arc is part of the singular arc if the switching function vanishes there too:
+    the discrete control chatters. ``linear``: at which stages the Hamiltonian is linear in each entry, ``(N s, m)``.
+    """
+    times, sides, _ = control_arcs(problem, solution, linear.all(axis=0))
+    weak = switching_sizes(problem, solution) <= WEAK_PULL * solution.checks.hamiltonian_size
+    weak |= stage_sides(problem, solution)[0] == 0
+    weak &= linear & ~solution.held_by(problem._limits.every_name)[:, None]
+    arcs, weak_stages = np.searchsorted(times[1:-1], solution.stage_times), np.zeros(sides.shape)
+    np.add.at(weak_stages, arcs, weak)
+    vanishes = weak_stages >= WEAK_SHARE * np.bincount(arcs, minlength=len(sides))[:, None]
+    singular = vanishes & (sides == 0)
+    for _ in sides:
+        beside = np.zeros_like(singular)
+        beside[1:] |= singular[:-1]
+        beside[:-1] |= singular[1:]
+        singular |= vanishes & beside
+    sides = np.where(singular, 0, sides)
+    changes = np.any((sides[1:] != sides[:-1]) | (singular[1:] != singular[:-1]), axis=1)
+    begins = np.concatenate([[True], changes])
+    return SwitchingStructure(np.append(times[:-1][begins], times[-1]), sides[begins], singular[begins])
+
+
+def switching_sizes(problem: OptimalControlProblem, solution: Solution) -> np.ndarray:
+    """Sizes of the switching functions of bounded controls at the stages, times the room of the control, ``(N s,
+    m)``."""
+    limits, u = problem._limits, np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
+    room, pull = np.ptp(u, axis=0), np.zeros(u.shape)
+    if limits.lower:
+        wide = np.array(limits.upper) - np.array(limits.lower)
+        room = np.where(np.isfinite(wide), wide, room)
+    for name in (LOWER, UPPER):
+        pull += solution.stage_multipliers.get(name, 0.0)
+    return pull * room
+
+
+def control_arcs(
+    problem: OptimalControlProblem, solution: Solution, linear: np.ndarray | None = None
+) -> SwitchingStructure:
+    """The arcs along which entries of the control stay at their bounds, without their singular arcs.
+
+    ``linear``: the entries whose arcs at a bound need not begin and end by a jump, shape ``(m,)``; by default none.
+    """
+    sides, shares = stage_sides(problem, solution)
+    stages = len(sides) // solution.steps
+    jumping = np.ones(sides.shape[1], bool) if linear is None else ~linear
+    runs = [_runs(*own, stages) for own in zip(sides.T, shares.T, jumping, strict=True)]
     switches = [[_between(solution, a.end - 1, b.begin) for a, b in pairwise(own)] for own in runs]
     first, last = solution.times[[0, -1]]
     times = np.unique(np.concatenate([[first, last], *map(np.array, switches)]))
@@ -112,6 +165,17 @@ def switching_structure(problem: OptimalControlProblem, solution: Solution) -> S
     return SwitchingStructure(times, np.stack(found, axis=1))
 
 
+def stage_sides(problem: OptimalControlProblem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+    """The side of each entry of the control at the stages, -1, 0 or 1, and the entries in units of their room, ``(N s,
+    m)``."""
+    lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
+    u = np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
+    room, spread = upper - lower, np.ptp(u, axis=0)
+    room = np.where(np.isfinite(room), room, np.where(spread > 0, spread, 1.0))
+    near = CONTROL_AT_BOUND * room
+    return np.where(u - lower < near, -1, np.where(upper - u < near, 1, 0)), u / room
+
+
 def _between(solution: Solution, before: int, after: int) -> float:
     """A time between two stages: the node if there is one, else the middle."""
     begin, end = solution.stage_times[[before, after]]
@@ -119,11 +183,13 @@ def _between(solution: Solution, before: int, after: int) -> float:
     return float(nodes[0]) if len(nodes) == 1 else float(begin + end) / 2
 
 
-def _runs(sides: np.ndarray, u: np.ndarray, stages: int) -> list[_Run]:
-    """The runs of one entry; a run at a bound begins and ends by a jump, or at an end."""
+def _runs(sides: np.ndarray, u: np.ndarray, jumping: bool, stages: int) -> list[_Run]:
+    """The runs of one entry; if ``jumping``, a run at a bound begins and ends by a jump, or at an end."""
     cuts = [0, *(np.flatnonzero(np.diff(sides)) + 1), len(sides)]
     every = [_Run(int(a), int(b), int(sides[a])) for a, b in pairwise(cuts)]
     runs = _merge([run for run in every if run.end - run.begin > stages] or every[:1])
+    if not jumping:
+        return runs
     jumps = [True, *(a.side * b.side != 0 or _is_jump(u, a, b) for a, b in pairwise(runs)), True]
     held = [run.side if before and after else 0 for run, before, after in zip(runs, jumps[:-1], jumps[1:], strict=True)]
     return _merge([run._replace(side=side) for run, side in zip(runs, held, strict=True)])

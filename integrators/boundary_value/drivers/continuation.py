@@ -27,6 +27,7 @@ from ..solution.record import Solution
 from ..solver import Solver
 
 FIRST_STEP = 0.1  # of the path
+# Largest and smallest ratio of successive steps; a failed step shrinks by the smallest.
 STEP_GROWTH, STEP_SHRINKING = 2.0, 0.3
 CORRECTED = 0.4  # of the predicted change: a correction by that much leaves a step as long as it is
 NO_MINIMA = "The extremals there are not strict minima any more, as behind a conjugate point."

@@ -13,7 +13,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER
 from ..audit import status
 from ..audit.step_errors import StepErrorEstimator, StepErrors
-from ..audit.switching_structure import SwitchingStructure, switching_structure
+from ..audit.switching_structure import SwitchingStructure, control_arcs
 from ..guess import Guess, Mesh
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import Inputs
@@ -24,6 +24,7 @@ from ..solution.record import Solution
 from ..solver import Solver
 
 REFINEMENT_ROUNDS = 25  # at most
+# Limits of a refined mesh: its steps, and the stages of its Gauss method, which then has order 12.
 MOST_REFINED_STEPS, MOST_STAGES = 5000, 6
 FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most
@@ -248,7 +249,7 @@ class MeshRefinement:
         """
         if self.given.start_time or not any(self.problem._limits.bounded.values()):
             return found
-        structure, known = switching_structure(self.problem, found.solution), found.structure
+        structure, known = control_arcs(self.problem, found.solution), found.structure
         if known is not None and np.array_equal(known.sides, structure.sides):
             return found
         try:
@@ -289,7 +290,7 @@ class MeshRefinement:
     def _posed_in_arcs(
         self, guess: Solution, structure: SwitchingStructure, lengths: np.ndarray, arcs: np.ndarray, horizon: Any
     ) -> tuple[Solution, SwitchingStructure]:
-        """The same with a horizon, free without bounds or given."""
+        """The solution in arcs with a horizon, which is free without bounds or given, and its structure."""
         key = structure.sides.tobytes(), None if is_free(horizon) else float(horizon)
         if key not in self._arcs:
             self._arcs[key] = SwitchingArcs(self.problem, structure.sides, horizon, _unit(guess))

@@ -20,7 +20,7 @@ from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
 from ..iteration import Iteration, IterationTable
 
-DEFAULT_TOLERANCE_POWER = 0.7
+DEFAULT_TOLERANCE_POWER = 0.7  # of the rounding, the tolerance by default: 1e-11 in double precision
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends
 LIMITS = "control bounds", "constraints", "node constraints"
 ALONG = *LIMITS, "an initial cost", "a node cost", "an explicit time"
@@ -39,7 +39,7 @@ class BoundaryData(NamedTuple):
     start_time: float = 0.0  # of problems with an explicit time
 
     def near(self, solution: Any) -> "BoundaryData":
-        """The same, with what is free guessed as it was found."""
+        """The data, in which a free horizon and free parameters have their values in a solution as guesses."""
         found = solution.horizon, solution.parameters
         horizon, parameters = jax.tree.map(with_guess, (self.horizon, self.parameters), found, is_leaf=is_free)
         return self._replace(horizon=horizon, parameters=parameters)

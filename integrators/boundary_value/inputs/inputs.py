@@ -70,7 +70,7 @@ class InputReader:
         )
 
     def on(self, mesh: Mesh) -> "InputReader":
-        """The same on another mesh."""
+        """A reader of the same inputs for another mesh."""
         other = copy(self)
         other.mesh, other.guesses = mesh, GuessReader(self.problem, len(mesh.fractions), len(mesh.stages))
         return other

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any, final
 from weakref import WeakKeyDictionary
 
@@ -33,6 +34,7 @@ from .reformulation import Reformulation
 BOUND_MARGIN, MULTIPLIER_MARGIN = 1e-2, 1e-8
 BOUND_NAMES = {HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER}
 OWN_FACTOR = f"{factor_name(0)}, "  # how the names of the factors of Q begin in the product with the added states
+OWN_EQUATION = f"{factor_name(0)}: "  # how the names of the equations of Q begin there
 
 
 @final
@@ -175,7 +177,8 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         states: Any = {
             name: getattr(found, name)[0] for name in ("states", "costates", "stage_states", "stage_costates")
         }
-        named: Any = {name: _names(getattr(found, name)) for name in ("momenta", "body_costates", "spatial_costates")}
+        along = "momenta", "body_costates", "spatial_costates"
+        named: Any = {name: self._named(getattr(found, name)) for name in along}
         solution = replace(
             found,
             times=begin + rate * found.times,
@@ -199,14 +202,17 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         times = {name: own[name] / (rate * found.horizon) for name in (HORIZON_LOWER, HORIZON_UPPER) if name in own}
         return {**own, **times}
 
-    @staticmethod
-    def _checks(checks: Checks, rate: float) -> Checks:
+    def _checks(self, checks: Checks, rate: float) -> Checks:
         """The checks in the time of the problem; the Hamiltonian that is constant has the clock's part."""
         names = "hamiltonian", "hamiltonian_spread", "hamiltonian_size"
         own: Any = {name: float(getattr(checks, name) / rate) for name in names}
-        named: Any = {name: _names(getattr(checks, name)) for name in ("momentum_spreads", "conserved")}
-        violations = {name.removeprefix(f"{factor_name(0)}: "): value for name, value in checks.violations.items()}
-        return replace(checks, violations=violations, **own, **named)
+        named: Any = {name: self._named(getattr(checks, name)) for name in ("momentum_spreads", "conserved")}
+        return replace(checks, violations=self._named(checks.violations, OWN_EQUATION), **own, **named)
+
+    def _named(self, values: dict[str, Any], prefix: str = OWN_FACTOR) -> dict[str, Any]:
+        """Values of the factors of Q, without the added states, under the names of the problem."""
+        label = partial(self.own.quantities.labelled, count=len(getattr(self.own.manifold, "factors", ())))
+        return {label(name.removeprefix(prefix)): own for name, own in values.items() if name.startswith(prefix)}
 
     def recover_sensitivity(self, found: Sensitivity) -> Sensitivity:
         """The derivatives of a solution of the problem; by what is free there are none."""
@@ -324,11 +330,6 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         return (
             (lambda y, u, given: function(y, u, given)) if self.takes else (lambda y, u: function(y, u, ((), (), ())))
         )
-
-
-def _names(values: dict[str, Any]) -> dict[str, Any]:
-    """Values of the factors of Q, without the added states, under the names of the factors in Q."""
-    return {name.removeprefix(OWN_FACTOR): value for name, value in values.items() if name.startswith(OWN_FACTOR)}
 
 
 def extend_method(method: Method, beside: list[Addition]) -> Method:

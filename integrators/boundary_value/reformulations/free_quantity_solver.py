@@ -49,7 +49,7 @@ class FreeQuantitySolver:
         self._found: WeakKeyDictionary[Solution, tuple[FreeQuantities, Any]] = WeakKeyDictionary()
 
     def on(self, reader: InputReader, make: Callable[[FreeQuantities], Any], steps: Any) -> "FreeQuantitySolver":
-        """The same on another mesh."""
+        """A solver of the reformulations on another mesh."""
         other = FreeQuantitySolver(reader, make, self.at_guess)
         other._made = {
             kind: (formulation, solver.with_steps(steps)) for kind, (formulation, solver) in self._made.items()

@@ -22,7 +22,7 @@ from ..inputs.boundary_data import EndPart, NodeCondition
 from .least_squares import least_squares
 from .segments import Pair
 
-MOST_STARTS = 8
+MOST_STARTS = 8  # points of P_f from which a point that meets the end conditions is searched
 FINAL_ROUNDING = 1e-6  # of the equations of P_f, of order one: their rounding at a point of it
 CONTRADICTED = 1e-9  # residual of the equations of P_f, over their terms
 RANDOM = 5  # points at which a terminal cost is looked at
@@ -42,7 +42,7 @@ class EndConditions(eqx.Module):
     unit: Array | float = 1.0
 
     def in_units_of(self, c: Classification) -> "EndConditions":
-        """The same with the largest as unit of the sizes of ``dPhi`` at the ends and random points, and of ``p`` on
+        """The conditions with their unit: the largest size of ``dPhi`` at the ends and random points, and of ``p`` on
         ``P_f``.
 
         The size of ``p`` says nothing where ``p = 0`` meets the equations: it is any number, or rounding.

@@ -38,7 +38,7 @@ from .legendre_clebsch import generalised_legendre_clebsch
 from .segments import Iterate, Nodes, Pair, Shooting, StepwiseGauge
 from .verification import Stationarity, find_end_violation, find_violation, stationarity
 
-MOST_SEGMENTS = 12
+MOST_SEGMENTS = 12  # segments of multiple shooting, so that its system stays small
 
 
 def solve_on_final_manifold(inputs: Inputs, c: Classification) -> Solution:
@@ -78,7 +78,8 @@ def _on_piece(inputs: Inputs, conditions: EndConditions, c: Classification) -> S
     guess = Iterate(_first_points(shooting, c, inputs, first, last), _no_gauge(shooting, c, inputs.integrator))
     prepared = time.perf_counter()
     shown(f"shooting over {counted(shooting.segments, 'segment')} of {counted(shooting.length, 'step')} is compiled")
-    found = meet_conditions(shooting, conditions, guess, *inputs.options)
+    options = inputs.options
+    found = meet_conditions(shooting, conditions, guess, options.tolerance, options.max_iterations, options.callback)
     shown("the trajectory is examined")
     outcome: Any = jax.device_get(
         _trajectory_of()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes))

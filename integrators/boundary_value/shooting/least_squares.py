@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 from ....manifolds.numerics.levenberg import RELATIVE_DAMPING, levenberg
 
 CUTOFF = 1e-11  # singular values below this fraction of the largest are taken for zero
-SOLVED = 1e-13
+SOLVED = 1e-13  # largest residual at which the iteration ends, in the units of the residual: its rounding
 
 
 def least_squares(

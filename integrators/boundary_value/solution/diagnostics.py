@@ -13,7 +13,9 @@ from ..transcription.diagnosis import Diagnostics
 
 Record = TypeVar("Record", bound=Any)
 
-TOO_COARSE = 0.1
+TOO_COARSE = (
+    0.1  # of the largest term of the Hamiltonian: a larger spread along an extremal says that steps are too long
+)
 
 
 FIGURES = "violations", "hamiltonian", "hamiltonian_spread", "hamiltonian_size", "momentum_spreads", "conserved"
@@ -210,6 +212,8 @@ class Statistics:
     Notes
     -----
     If the search from the guess fails, others follow from moved guesses, each with its own ``max_iterations``.
+    A member of a batch has a share of the seconds of the batch: an equal share of the seconds to compile, and a share
+    of the seconds to run by its iterations. The shares of all members add up to the batch.
     """
 
     iterations: int

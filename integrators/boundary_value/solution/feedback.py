@@ -141,14 +141,23 @@ def _require_near(apart: np.ndarray, times: np.ndarray) -> None:
         )
 
 
-def _require_minimum(problem: OptimalControlProblem, kept: Any, solution: Any) -> None:
-    """Raise unless feedback is defined along a solution, whose system the solver has ``kept``."""
+def _require_minimum(problem: OptimalControlProblem, kept: Any, reformulated: bool, solution: Any) -> None:
+    """Raise unless feedback is defined along a solution, whose system the solver has ``kept``.
+
+    ``reformulated``: whether the solver found the solution in more states, with a free horizon or free parameters.
+    """
     require_treated(problem, "feedback", *LIMITS)
-    if kept is None:
+    if reformulated:
         raise InvalidInputError(
-            "feedback takes a solution of a regular problem that this solver found with a fixed horizon and fixed "
-            f"parameters, got {brief(solution)}; try solver.feedback(solver.solve(...)) with one and the same solver; "
-            "if the horizon or a parameter is free, solve again with the value found"
+            "feedback needs a fixed horizon and fixed parameters, got a solution with a free horizon or a free "
+            "parameter; try solver.solve(start, end, solution.horizon, parameters=solution.parameters), and the "
+            "feedback along its solution"
+        )
+    if kept is None:
+        got = "another solution" if isinstance(solution, Solution) else brief(solution)
+        raise InvalidInputError(
+            f"feedback needs a solution of a regular problem that this solver found, got {got}; try "
+            "solver.feedback(solver.solve(...)) with one and the same solver"
         )
     if solution.status != "minimum":
         raise InvalidInputError(
@@ -167,7 +176,7 @@ def feedback(self: Any, solution: Solution) -> Feedback:
         ``InvalidInputError`` for all others.
     """
     kept: Any = self._kept.get(solution) if isinstance(solution, Solution) else None
-    _require_minimum(self.problem, kept, solution)
+    _require_minimum(self.problem, kept, self._reformulation.origin(solution) is not None, solution)
     with self._required(kept.parameters), np.errstate(all="ignore"):
         key = "feedback", structure_of(kept.parameters)
         if key not in self._derivatives:

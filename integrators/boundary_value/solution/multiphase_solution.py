@@ -109,17 +109,7 @@ class PhasedSolution(HistoryPlots):
         )
 
     def __str__(self) -> str:
-        return self._text()
-
-    def require_success(self) -> "PhasedSolution":
-        """This solution; raises ``ConvergenceError`` with its result if the conditions are not met."""
-        if not self.success:
-            raise ConvergenceError(f"{self.result}\n{self._text(result=False)}", self)
-        return self
-
-    def _text(self, *, result: bool = True) -> str:
-        """The figures that a user checks, of all phases and of each phase, with the result first unless it is printed
-        already."""
+        """The figures that a user checks, of all phases and of each phase."""
         kind = "strict local minimum" if self.strict_minimum else "not shown to be a strict local minimum"
         rows = [
             ("result", self.result),
@@ -132,7 +122,14 @@ class PhasedSolution(HistoryPlots):
             ),
         ]
         parts = (f"phase {k}\n{phase}" for k, phase in enumerate(self.phases))
-        return "\n\n".join([table(rows if result else rows[1:]), *parts])
+        return "\n\n".join([table(rows), *parts])
+
+    def require_success(self) -> "PhasedSolution":
+        """This solution; raises ``ConvergenceError`` with its result if the conditions are not met."""
+        if not self.success:
+            row = "report", "print(error.solution), or solve_phases(..., throw=False), which returns this solution"
+            raise ConvergenceError(f"{self.result}\n{table([('cost', f'{self.cost:.9g}'), row])}", self)
+        return self
 
 
 def _at(phase: Solution, begin: float) -> Solution:

@@ -20,7 +20,7 @@ from ...reporting.records import RecordFile, Values, not_finite, shapes
 from ..guess import Guess, Mesh, MeshGuess
 from .diagnostics import RegularChecks
 from .interpolation import Interpolant, Sample
-from .report import report_text
+from .report import failure_text, report_text
 from .solution_fields import SolutionFields, at_stages
 
 FILE_VERSION = 7  # of the file
@@ -233,7 +233,7 @@ class Solution(SolutionFields, HistoryPlots, MeshGuess):
     def require_success(self) -> "Solution":
         """This solution; raises ``ConvergenceError`` with its result if the conditions are not met."""
         if not self.success:
-            raise ConvergenceError(f"{self.result}\n{report_text(self, result=False)}", self)
+            raise ConvergenceError(failure_text(self), self)
         return self
 
     @property

@@ -1,6 +1,5 @@
 """The printed report of a solution."""
 
-import re
 from collections.abc import Iterator
 
 import numpy as np
@@ -11,18 +10,29 @@ from .diagnostics import RegularChecks, SingularArc
 from .factor_distances import factor_distances
 from .solution_fields import SolutionFields, at_stages
 
-LONGEST_MOMENTUM = 6
+LONGEST_MOMENTUM = 6  # components of a momentum that the report prints; of a longer momentum only its size
 LONGEST_TURN = 2 * np.pi / 3  # radians: larger turns in one step hardly tell one direction from the other
+REPORT_ROW = "report", "print(error.solution), or solve(..., throw=False), which returns this solution"
 EQUAL = 1e-9  # relative: steps that differ by less are of one length
 
 
-def report_text(solution: SolutionFields, *, result: bool = True) -> str:
-    """The report of a solution: the outcome and the effort, then the residuals and the geometry.
-
-    ``result``: whether the report begins with the sentence on how the search ended.
-    """
+def report_text(solution: SolutionFields) -> str:
+    """The report of a solution: the outcome and the effort, then the residuals and the geometry."""
     rows = [*_outcome(solution), *_turns(solution), *_effort(solution)]
-    return "\n\n".join(map(table, (rows if result else rows[1:], [*_residuals(solution), *_geometry(solution)])))
+    return "\n\n".join(map(table, (rows, [*_residuals(solution), *_geometry(solution)])))
+
+
+def failure_text(solution: SolutionFields) -> str:
+    """The message of the error of a solution without success: the result, a few figures and the way to the report."""
+    checks, rows = solution.checks, [("cost", f"{solution.cost:.9g} after {solution.statistics.iterations} iterations")]
+    rows += _residuals(solution)
+    if isinstance(checks, RegularChecks) and (solution.stage_multipliers or solution.node_multipliers):
+        rows += [("inequalities", f"violated by {checks.violation:.1e} (relative)")]
+    missed = {} if solution.singular is None else solution.singular.conditions
+    if missed:
+        name = max(missed, key=lambda name: missed[name])
+        rows += [("ends", f"{name} missed by {missed[name]:.1e}")]
+    return "\n".join([solution.result, table([*rows, REPORT_ROW])])
 
 
 def _outcome(solution: SolutionFields) -> Iterator[tuple[str, str]]:
@@ -149,7 +159,7 @@ def name_with_label(name: str, solution: SolutionFields) -> str:
     states, quantities = solution.states, solution.quantities
     if not isinstance(states, tuple) or quantities is None:
         return name
-    return re.sub(r"^factor (\d+)", lambda found: quantities.factors(len(states))[int(found[1])], name)
+    return quantities.labelled(name, len(states))
 
 
 def _effort(solution: SolutionFields) -> Iterator[tuple[str, str]]:

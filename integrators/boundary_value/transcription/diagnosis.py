@@ -68,9 +68,10 @@ class Diagnosis:
         states, controls, given = self.state.size, self.control.size, self.parameter.size
         example = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), problem.manifold.ambient)
         factors = list(homogeneous_factors(problem.manifold, example))
-        self._names = [name for name, *_ in factors]
-        self._groups = [name for name, factor, _ in factors if isinstance(factor, MatrixLieGroup)]
-        self._equations = list(jax.eval_shape(problem.manifold.violations, example))
+        label = partial(problem.quantities.labelled, count=len(getattr(problem.manifold, "factors", ())))
+        self._names = [label(name) for name, *_ in factors]
+        self._groups = [label(name) for name, factor, _ in factors if isinstance(factor, MatrixLieGroup)]
+        self._equations = [label(name) for name in jax.eval_shape(problem.manifold.violations, example)]
         self._stage = evaluator.values(self._at_stage, states, controls, states, given)
         self._node = evaluator.values(self._at_node, states, states)
         dimension = problem.manifold.dimension + problem.controls.dimension

@@ -18,7 +18,7 @@ class MemberIterate(NamedTuple):
 
     @property
     def bare(self) -> "MemberIterate":
-        """The same without the multipliers of inequalities."""
+        """The iterate without the multipliers of inequalities."""
         phases = tuple(own.copy() for own in self.phases)
         for own in phases:
             own.array("LIMIT_MULTIPLIERS")[...] = 0.0
@@ -62,5 +62,5 @@ class SearchRecord(NamedTuple):
         return sum(float(own.totals[0]) for own in self.phases)
 
     def with_facts(self, **changes: Any) -> "SearchRecord":
-        """The same with other facts."""
+        """The record with other facts."""
         return self._replace(facts=self.facts._replace(**changes))

@@ -70,7 +70,7 @@ class Transcription:
         self._fits = set[Any]()  # structures of parameters with entries for all nodes
 
     def on(self, fractions: np.ndarray) -> "Transcription":
-        """The same on another mesh; what is traced serves both."""
+        """The transcription on another mesh; both share the traced functions."""
         other = Transcription(self.problem, self.method, fractions, self.evaluator)
         other._found, other._start = self._found, self._start
         return other
@@ -83,7 +83,7 @@ class Transcription:
         return self._found[key]
 
     def _traced(self, parameters: Any) -> TracedFunctions:
-        """The same, traced anew."""
+        """The functions with parameters of this structure, traced anew."""
         example = self.problem.with_parameters(parameters)
         require_values(example)
         given = self.problem, parameters, self.evaluator

@@ -44,7 +44,7 @@ DIFFERENCE_SPANS = 10.0 ** np.arange(-11.5, 1.0)  # of the sizes of coordinates:
 POINT_DISTANCE = 1e-3  # of these sizes: not where a user begins, which may be at a kink
 # Difference quotients over neighbouring spans that change by less of what the derivative misses.
 SETTLED_QUOTIENT, LASTING_SPANS = 0.1, 2
-RANDOM_BASES = 3
+RANDOM_BASES = 3  # random lines near each point, of which the median counts
 TRAJECTORY_PLACES = 8  # along a trajectory
 
 

@@ -83,7 +83,7 @@ def _taylor(field: Callable[..., Flat], slope: Callable[..., Array], w: Flat, u:
 def _nested(
     field: Callable[..., Flat], slope: Callable[..., Array], order: int
 ) -> Callable[[Flat, Jet], tuple[Array, ...]]:
-    """The same by ``order`` nested directional derivatives, each of which returns all before it."""
+    """The function of ``_taylor`` by ``order`` nested directional derivatives; each returns all lower derivatives."""
     if order == 0:
         return lambda w, u: (slope(w, u[0]),)
     lower = _nested(field, slope, order - 1)

@@ -14,7 +14,7 @@ from ....manifolds.numerics.tolerances import EPS
 COUNTED = 1e3  # an entry is not zero if it is this many times what it changes by
 # Ranks are decided where all that counts is at least the first, and all else at most the second.
 CERTAIN, RANK_GAP = 1e4, 1e2
-LARGEST_RATIO = 1 / EPS
+LARGEST_RATIO = 1 / EPS  # of an entry to its change: a smaller change is rounding
 # Relative changes of all entries, so that the rounding of the elimination itself is not the same in a stack.
 JITTER = 1e-13
 BALANCED = 4  # sweeps that scale rows and columns

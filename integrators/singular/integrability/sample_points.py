@@ -114,7 +114,7 @@ class Points:
         return self._slopes(JITTER)
 
     def _slopes(self, change: float) -> tuple[np.ndarray, np.ndarray]:
-        """The same, also without what is as small and changes relatively by at most this much."""
+        """Derivatives along the state and the jet, without entries that are small and change by at most ``change``."""
         least = LEAST * self.units.terms[..., None]
         by_state, by_jet = self.stack("by_state"), self.stack("by_jet")
         return (
@@ -151,7 +151,7 @@ class Points:
         return in_units(*self.slopes, self.units, level)
 
     def matrices(self, level: int) -> tuple[np.ndarray, np.ndarray]:
-        """The same at the points alone, ``(batch, rows, 2n)`` and ``(batch, rows, rows)``."""
+        """``F_z`` and ``F_U`` at the points alone, in units, ``(batch, rows, 2n)`` and ``(batch, rows, rows)``."""
         by_state, by_jet = in_units(self.at.by_state[:, None], self.at.by_jet[:, None], self.units, level)
         return by_state[:, 0], by_jet[:, 0]
 
@@ -232,7 +232,7 @@ def _turn(beside: Linearisation, at: Linearisation) -> Linearisation:
 
 
 def with_order(points: Points, order: int) -> Points:
-    """The same points with an array of this order, and sizes as if they were starts."""
+    """The points with a derivative array of this order, and with sizes as if they were starts."""
     more = order - points.array.order
     jets = np.concatenate([points.at.jet, np.zeros((len(points.slow), more, points.at.jet.shape[-1]))], axis=1)
     return evaluate(

@@ -10,11 +10,11 @@ from ....manifolds.numerics.levenberg import SHORTENING
 from .sample_points import CONVERGED_VALUE, Linearisation, Points, in_units, move, relative, tiny_steps
 from .units import Units, units_at
 
-ITERATIONS = 100
+ITERATIONS = 100  # most steps of a search
 FURTHER = 1e-3  # of what counts as converged: the search ends at as little
 ARMIJO = 1e-4  # of a step: what the equations shrink by at least, relative
-PSEUDO_INVERSE_CUTOFF = 1e-9
-LARGEST_SHIFT = 1e-2
+PSEUDO_INVERSE_CUTOFF = 1e-9  # of the largest singular value: smaller singular values are zero
+LARGEST_SHIFT = 1e-2  # of the squares of the equations, in units: a larger shift would make steps far from P_f short
 DESCENTS = 30  # steps of descent
 # How much rather these move the control than the state, and steps of stiff points the state than the costate.
 EASE = 10.0

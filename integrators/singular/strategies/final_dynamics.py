@@ -58,8 +58,7 @@ class FinalDynamics(eqx.Module):
         return self.equations.array.problem
 
     def on(self, system: OptimalControlProblem) -> Self:
-        """The same dynamics with the data of ``system``, which may be traced, unlike the data of the classified
-        problem."""
+        """The dynamics with the data of ``system``, which may be traced, unlike the data of the classified problem."""
 
         def problems(dynamics: Any) -> list[OptimalControlProblem]:
             final = dynamics.manifold if isinstance(self.manifold, Submanifold) else None

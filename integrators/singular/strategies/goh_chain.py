@@ -52,7 +52,7 @@ class ReductionChain(eqx.Module):
         return self.reductions[-1].reduced
 
     def of(self, problem: OptimalControlProblem) -> "ReductionChain":
-        """The same reductions of a problem with other data but these control fields."""
+        """The chain of reductions for a problem with the same control fields and other data."""
         made: list[GohReduction] = []
         for reduction in self.reductions:
             made.append(eqx.tree_at(lambda r: r.problem, reduction, made[-1].reduced if made else problem))

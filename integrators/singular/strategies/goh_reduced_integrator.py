@@ -126,8 +126,7 @@ def _there_and_back(chain: ReductionChain, q: Ambient, p: Ambient) -> tuple[Poin
 
 
 def _restrict(discretization: DiscretizationMap, reduced: Manifold) -> DiscretizationMap:
-    """The same discretization of the factors that a reduction leaves as they are, with addition on the Euclidean
-    part."""
+    """A discretization on the factors that a reduction leaves as they are, with addition on the Euclidean part."""
     if not isinstance(discretization, Theta):
         raise _unrestrict(discretization, reduced)
     backward, other = discretization.backward, discretization.other

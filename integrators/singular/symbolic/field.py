@@ -205,7 +205,8 @@ def _rank(rows: list[dict[Expression, int]]) -> int:
 
 
 def normal_form(expression: Expression) -> Expression:
-    """The same function, such that one that vanishes is zero. Raises ``UntreatableError`` for what is not treated."""
+    """An expression in its normal form, in which a function that vanishes is 0; raises ``UntreatableError`` outside
+    the treated functions."""
     if expression.is_rational_function() and expression.is_finite is not False:
         return sympy.cancel(expression)
     field = field_of(expression)

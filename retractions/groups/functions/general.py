@@ -12,7 +12,7 @@ from ....manifolds.numerics.tolerances import tolerance
 
 Matrix = Shaped[Array, "n n"]
 
-_HALVINGS = 5
+_HALVINGS = 5  # square roots before the series of the logarithm, whose argument is small then
 _FIRST, _LATER = 30, 8  # iterations of the first square root, up to 1e-8 from the negative axis, and of those after it
 _GREGORY = tuple(2.0 / (2 * k + 1) for k in range(12))
 

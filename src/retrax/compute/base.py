@@ -24,7 +24,7 @@ class PointwiseFunction(ABC):
         """The values for arrays with some leading axes in common, of length 1 where an array is shared."""
 
     def of_any(self, axes: int, *arguments: np.ndarray) -> Arrays:
-        """The same for numbers of points that differ from call to call."""
+        """The values for a number of points that differs from call to call."""
         return self.at(axes, *arguments)
 
     @property

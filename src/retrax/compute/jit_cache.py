@@ -22,7 +22,7 @@ from .program_digest import PLAIN, content_key, program_key
 P = ParamSpec("P")
 R = TypeVar("R")
 
-MOST_COMPILED = 256
+MOST_COMPILED = 256  # programs that are kept, so that memory has a bound
 CHUNK = 256  # rows that a program takes at once
 _compiled: dict[Hashable, Any] = {}  # executables by program and settings, oldest first
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..tape import Tape
 
 SHAPE = attrgetter("shape")
-MOST_TAPES = 256
+MOST_TAPES = 256  # tapes that are kept, so that memory has a bound
 MOST_OPERATIONS = 2_500_000  # of a graph, expected: a tape of more takes half a minute to make, and XLA a tenth of it
 PLANS = 8  # of a tape, for as many shapes of its arrays
 SHARED_MEMORY = 2**17  # numbers that the small tapes of a thread share, in the near caches

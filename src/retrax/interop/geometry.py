@@ -19,7 +19,7 @@ from .conventions import Conventions, Theirs
 from .distances import distance, trusted_inverse
 from .metrics import exponential_map, has_unique_geodesics, is_symmetric
 
-_RESTORATIONS = 8
+_RESTORATIONS = 8  # restorations in a row: the last ones change a point near the manifold by rounding alone
 
 
 @final

@@ -46,7 +46,7 @@ from ..retractions import (
     default_retraction,
 )
 
-_ROUNDING = 1e-12
+_ROUNDING = 1e-12  # relative: a smaller difference of two Gram matrices is rounding
 # Symmetric spaces in the metric of the ambient space.
 _SYMMETRIC = (Euclidean, Sphere, SO, SE, U, SU, Grassmann, Oblique)
 

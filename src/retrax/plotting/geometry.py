@@ -13,9 +13,9 @@ from .axes import legend, one, record_handles, styles
 from .marks import checked_cones, checked_pairs
 from .series import picture_series
 
-DRAWN_FRAMES = 8
+DRAWN_FRAMES = 8  # body frames along a path in a picture, by default
 FRAME_ARM = 0.08  # length of the axes of a frame, of the extent of the path
-SMALLEST_EXTENT = 1e-9
+SMALLEST_EXTENT = 1e-9  # in the unit of length: a path of less is a point, whose frames have arms of length one
 TICKS = 8  # on the longest axis of a box
 FLATTEST = 0.2  # of a box, that its names fit
 BOX_SHARE, LONGEST_SIDE = 0.85, 0.7  # of a box and of its longest side in its axes: names would be cut off at 1

@@ -21,10 +21,10 @@ from .axes import STYLES
 from .marks import checked_cones, checked_pairs, circle
 from .series import History, every_panel, named, picture_series
 
-PAGE_FRAMES = 241
+PAGE_FRAMES = 241  # times at which a page shows the motion
 BODY_SIZE, BODY_ARM = 0.62, 1.0  # of the body on the sphere of directions, and of its axes
 BODY_SHARE = 0.15  # of the extent of a path: a body that moves along it
-DIGITS = 9
+DIGITS = 9  # significant digits of the numbers in a page
 # A box whose three lengths differ, so that its attitude can be seen.
 BOX = np.array([[x, y, z] for x in (-1, 1) for y in (-0.65, 0.65) for z in (-0.35, 0.35)], float)
 BOX_SIDES = [

@@ -79,10 +79,10 @@ def three_turns(s: np.ndarray) -> tuple[Any, Any]:
 
 @known
 def failed_actuator() -> KnownProblem:
-    """The same slew in 120 s without torque about the third axis."""
+    """The slew of Betts' spacecraft in 120 s without torque about the third axis."""
     return KnownProblem(
         name="failed-actuator",
-        title="the same in 120 s without the torque about the third axis",
+        title="150 degrees about (1, 2, -2)/3 in 120 s without torque about the third axis",
         equations=(
             r"\text{minimise } \tfrac12 \int_0^T u_1^2 + u_2^2\,dt",
             r"\dot R = R\,\hat w, \quad J\dot w + w \times Jw = (u_1, u_2, 0), \quad R \in SO(3)",

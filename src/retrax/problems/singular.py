@@ -90,7 +90,7 @@ def aly_chan() -> KnownClassification:
 
 
 def aly_chan_mayer() -> KnownClassification:
-    """The same with ``x3' = (x2^2 - x1^2)/2`` and the terminal cost ``x3``: Pontryagin's principle excludes ``p =
+    """``aly_chan`` with ``x3' = (x2^2 - x1^2)/2`` and the terminal cost ``x3``: Pontryagin's principle excludes ``p =
     0``."""
 
     def dynamics(q: Array, u: Array) -> Array:

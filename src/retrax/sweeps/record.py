@@ -59,7 +59,7 @@ class Sweep:
         return len(self._parts) == self._store.parts
 
     def chunks(self) -> Iterator["Sweep"]:
-        """The same record chunk by chunk, for sweeps that do not fit into memory."""
+        """The record chunk by chunk, for sweeps that do not fit into memory."""
         for part in self._parts:
             yield Sweep(self._store, [part])
 

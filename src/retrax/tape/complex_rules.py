@@ -44,7 +44,7 @@ def size(x: Pair) -> ca.SX:
 
 
 def _constant(x: ca.SX) -> ca.SX:
-    """The same numbers, whose derivatives are zero: times so much every number from 2^-548 on is a whole one."""
+    """Numbers without derivatives: 2^600 times a number of at least 2^-548 is a whole number, which ``floor`` keeps."""
     return ca.floor(x * 2.0**600) * 2.0**-600
 
 

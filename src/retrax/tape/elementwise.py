@@ -17,7 +17,7 @@ Function = Callable[..., ca.SX]
 
 SQUARES = {ca.OP_SQ, ca.OP_FABS, ca.OP_EXP, ca.OP_SQRT, ca.OP_COSH, ca.OP_HYPOT}
 SUM_OPERATIONS = {ca.OP_ADD, ca.OP_TWICE, ca.OP_FMAX}  # none of these is negative if what they are made of is not
-LONGEST_SUM = 200
+LONGEST_SUM = 200  # nodes of an expression that are looked at for a sum of squares
 
 
 def larger(x: ca.SX, y: ca.SX) -> ca.SX:

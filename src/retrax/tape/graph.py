@@ -132,7 +132,7 @@ class Graph:
         return _replaced(values, self.marks)
 
     def scheduled(self, values: Sequence[ca.SX]) -> tuple[list[ca.SX], list[Loop]]:
-        """The same but for loops, and the loops that the values need, in order, which need no other marks."""
+        """The values with every mark replaced except loops, and the loops that the values need, in order."""
         marks = [mark for mark in self.marks if isinstance(mark, Mark)]
         loops = [mark for mark in self.marks if isinstance(mark, Loop)]
         values, loops = changed(lambda parts: _replaced(parts, marks), values, loops)

@@ -11,7 +11,6 @@ from ..compute.binding.tape_machine import MachineProgram
 from .graph import Loop
 from .instructions import CODES, OPERANDS, Instruction, lasting, read
 
-VECTOR = 8  # lanes of the machine are multiples of so many
 FOUR = 4  # inputs or outputs that stand together: the machine reads and writes as many at once
 SUMMANDS = {"ADD": (0, 1), "MUL_ADD": (2,), "MUL_SUB": (2,)}  # the operands of sums that may be sums themselves
 FUSED_SUMS = {

@@ -10,13 +10,13 @@ import casadi as ca
 import jax
 import numpy as np
 
-from ..compute.binding.tape_machine import MachineProgram
+from ..compute.binding.tape_machine import VECTOR, MachineProgram
 from ..compute.threads import in_threads
 from ..errors import InvalidInputError
 from .arrays import Entries, column, is_complex, parts, scalars
 from .graph import Graph, Loop
 from .packing import Argnums, Leaf, argument_places, packed, require_numbers, unpacked
-from .program import VECTOR, Program, assembled
+from .program import Program, assembled
 from .trace import Flat, flat, readable, trace
 
 

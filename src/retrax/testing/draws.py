@@ -13,8 +13,8 @@ from ..retractions import Retraction
 from .numerics import Vector, compiled, flat, unflat, violation_kernel
 from .precision import precision
 
-RESTORING_STEPS = 12
-DRAW_HALVINGS = 50
+RESTORING_STEPS = 12  # restorations in a row of a point near the manifold: enough for its rounding
+DRAW_HALVINGS = 50  # of a step whose end cannot be restored; after the last one the step is rounding
 RUNGS = 16  # multiples of a vector, evenly up to the longest, among which the first outside a domain is looked for
 
 

@@ -98,7 +98,7 @@ def differences(values: np.ndarray, h: float) -> np.ndarray:
 
 
 def coarse_differences(values: np.ndarray, h: float) -> np.ndarray:
-    """The same derivative to order ``h^4``; how far it is from the finer one bounds the finer one's error."""
+    """Derivative at 0 to order ``h^4``; its distance from ``differences`` bounds the error of the latter."""
     return central_difference(values, h, 4)
 
 

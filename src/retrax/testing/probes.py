@@ -9,7 +9,7 @@ from .draws import Sampler
 from .precision import precision
 
 LENGTH_RATIO = 2.0**7  # the longer of two displacements over the shorter: curvature is small beside the longer one
-NEIGHBOURHOODS = 8
+NEIGHBOURHOODS = 8  # points of a cloud whose neighbourhoods are examined
 
 
 def least_seen(

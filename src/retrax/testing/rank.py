@@ -9,7 +9,7 @@ from .report import number
 
 GRADIENT_DISTANCE = 1e-2  # distance at which gradients are compared with those on the manifold
 VANISHES = 1e-4  # of the gradient beside the manifold: a smaller one on it is zero, to the precision of the point
-DIRECTIONS = 3
+DIRECTIONS = 3  # random directions, along each of which a gradient is examined
 
 
 def lost_rank(manifold: LevelSet, points: np.ndarray) -> str:

@@ -11,10 +11,9 @@ from ..threads import in_threads
 from ..working_memory import scratch
 from .library import BYTES, FLOAT, PLACE, address_of, best_instruction_set, library
 from .structs import STEP_ROWS, IntegrationStruct, MethodStruct
-from .tape_machine import MachineProgram
+from .tape_machine import VECTOR, MachineProgram
 
 MOST_LANES = 64  # trajectories side by side, enough to hide the choice of an instruction
-VECTOR = 8  # the number of lanes is a multiple of this, or 1
 ORDERS = 6  # of the differences by which predictions are corrected
 PUSH = 2  # place of the function that has directions
 

@@ -10,6 +10,8 @@ from ..working_memory import scratch
 from .library import CODE, FLOAT, OPERANDS, PLACE, REGISTER, address_of, best_instruction_set, library, require_ok
 from .structs import FunctionStruct, TapeDataStruct, TapeFunctionStruct, TapeStruct
 
+VECTOR = 8  # lanes of the machine are a multiple of this, or 1
+
 Ends = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 

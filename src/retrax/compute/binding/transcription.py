@@ -62,7 +62,7 @@ class Scale(NamedTuple):
 
     @property
     def copy(self) -> "Scale":
-        """The same sizes in arrays of their own."""
+        """The sizes in arrays of their own."""
         return Scale(self.unknowns.copy(), self.nodes.copy(), self.cost)
 
 
@@ -207,7 +207,7 @@ class IterateNumbers(NamedTuple):
         return self.numbers[self.parts[name]]
 
     def copy(self) -> "IterateNumbers":
-        """The same numbers in memory of their own."""
+        """The iterate in memory of its own."""
         return self._replace(numbers=self.numbers.copy())
 
 

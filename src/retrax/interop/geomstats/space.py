@@ -39,7 +39,7 @@ class RetraxSpace(GeomstatsManifold):
         super().__init__(geometry.manifold.dimension, shape, intrinsic=False, equip=equip)
 
     def new(self, equip: bool = True) -> "RetraxSpace":
-        """The same space, with or without its metric.
+        """A copy of the space, with or without its metric.
 
         Parameters
         ----------

@@ -7,7 +7,8 @@ from ...manifolds.numerics.rank import numerical_rank
 from .differences import slopes
 from .manifold import HostSpace, WrappedManifold, WrappedRetraction, moved_points, projectors_of
 
-_POINTS = 2
+_POINTS = 2  # random points at which a wrapped manifold is checked
+# Distances from the manifold that are rounding, and singular values of projected vectors that are zero.
 _ROUNDING, _TOLERANCE = 1e-9, 1e-6
 
 

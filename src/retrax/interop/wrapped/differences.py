@@ -16,6 +16,7 @@ from jaxtyping import Array
 
 from ...manifolds.numerics.differences import central_difference, central_nodes
 
+# Steps of difference quotients: the first length in the coordinates, the ratio of the next one, and how many.
 FIRST_STEP_LENGTH, STEP_RATIO, SHORTENINGS = 1e-2, 0.25, 6
 # Relative difference at which a first derivative is not made better; for each order more, LOSS times as much.
 ENOUGH = 1e-11

@@ -18,7 +18,7 @@ from ..sites import Site
 from .inverses import conditioning
 from .manifold import max_violation
 
-MAP_REACH = 0.3
+MAP_REACH = 0.3  # length of the tangent vectors of a sample, by default
 
 
 class DiscretizationFacts(Facts):

@@ -19,8 +19,8 @@ from ..sites import Site
 
 # Longest tangent vector of a sample where the domain has no edge, and of those at which derivatives are measured.
 LONGEST_SAMPLE, MODERATE = 10.0, 1.0
-SAMPLE_REACH = 0.1
-NEAR_VECTOR = 0.3
+SAMPLE_REACH = 0.1  # length of the tangent vectors of a sample, by default
+NEAR_VECTOR = 0.3  # of the reach: distance of a second point from the first one
 BEYOND_EDGE = (1.01, 1.5)  # multiples of a vector to the edge that lead where a point may have no inverse
 NEIGHBOURS = (-8, -4, -2, -1, 1, 2, 4, 8)  # of a vector, in roundings of it
 
