@@ -41,8 +41,7 @@ void retrax_evaluate_functions(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) { retrax_evaluate_points(phase->layout, iterate + phase->place); }
 }
 
-void retrax_evaluate(retrax_search *search, double *iterate) {
-    retrax_evaluate_functions(search, iterate);
+void retrax_assemble(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) {
         double *const trajectory = iterate + phase->place;
         if (retrax_is_limited(phase->layout->problem)) {
@@ -52,6 +51,11 @@ void retrax_evaluate(retrax_search *search, double *iterate) {
         retrax_write_right_sides(phase->layout, trajectory);
         retrax_survey_trajectory(phase->layout, trajectory);
     }
+}
+
+void retrax_evaluate(const retrax_search *search, double *iterate) {
+    retrax_evaluate_functions(search, iterate);
+    retrax_assemble(search, iterate);
 }
 
 void retrax_measure(retrax_search *search, double *iterate) {

@@ -268,11 +268,6 @@ static border_sizes eliminate_border(retrax_search *search, retrax_inertia *iner
     return sizes;
 }
 
-retrax_index retrax_add_border(retrax_search *search, retrax_inertia *inertia) {
-    const border_sizes sizes = eliminate_border(search, inertia);
-    return sizes.forces + sizes.equations;
-}
-
 void retrax_eliminate_coupled(retrax_search *search, double shift) {
     retrax_border *const border = &search->coupling.border;
     retrax_direction *const found = &search->direction;
@@ -280,8 +275,7 @@ void retrax_eliminate_coupled(retrax_search *search, double shift) {
     retrax_inertia inertia = {0, INFINITY};
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
-        double *const hessian = search->at + phase->place + layout->first[RETRAX_ARRAY_HESSIANS];
-        retrax_add_inertia(&inertia, retrax_respond(search, phase, retrax_newton_system(search, phase, shift), hessian));
+        retrax_add_inertia(&inertia, retrax_respond(search, phase, shift));
         count += layout->count[RETRAX_ARRAY_DEFECTS];
     }
     const border_sizes sizes = eliminate_border(search, &inertia);

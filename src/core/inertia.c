@@ -110,7 +110,7 @@ retrax_block_system retrax_newton_system(const retrax_search *search, const retr
 }
 
 /* Solves the linear system of an iterate of one trajectory. */
-static void eliminate(retrax_search *search, double shift) {
+static void eliminate_one(retrax_search *search, double shift) {
     const retrax_phase *const phase = search->phases;
     const retrax_layout *const layout = phase->layout;
     double *const trajectory = search->at;
@@ -150,10 +150,14 @@ static double complete_step(const retrax_search *search, retrax_phase *phase) {
     return fmin(phase->cap, ARRAY(LIMIT_STEP)[RETRAX_STEP_PRIMAL]);
 }
 
+void retrax_eliminate(retrax_search *search, double shift) {
+    EACH_PHASE(phase) { write_curvatures(search, phase); }
+    (retrax_is_coupled(search) ? retrax_eliminate_coupled : eliminate_one)(search, shift);
+}
+
 void retrax_newton_step(retrax_search *search, double shift) {
     retrax_direction *const found = &search->direction;
-    EACH_PHASE(phase) { write_curvatures(search, phase); }
-    (retrax_is_coupled(search) ? retrax_eliminate_coupled : eliminate)(search, shift);
+    retrax_eliminate(search, shift);
     found->cap = found->reach = 1.0;
     EACH_PHASE(phase) {
         found->reach = fmin(found->reach, complete_step(search, phase));

@@ -20,11 +20,6 @@ double retrax_duration(const retrax_layout *layout, const double *trajectory) {
     return sum;
 }
 
-retrax_index retrax_augmented_size(const retrax_problem *problem) {
-    const retrax_index own = problem->control_size + problem->inequalities;
-    return problem->state_size + problem->points * own + problem->node_inequalities;
-}
-
 bool retrax_is_limited(const retrax_problem *problem) {
     return problem->inequalities > 0 || problem->node_inequalities > 0;
 }

@@ -42,9 +42,6 @@ double retrax_duration(const retrax_layout *layout, const double *trajectory);
 /* Unknowns of a point that inequalities depend on: (dx, dxi, dnu, du), or of a discretization map (dx, du). */
 retrax_index retrax_point_unknowns(const retrax_problem *problem);
 
-/* Unknowns of a step with the multipliers of its inequalities. */
-retrax_index retrax_augmented_size(const retrax_problem *problem);
-
 /* Whether there are inequalities. */
 bool retrax_is_limited(const retrax_problem *problem);
 

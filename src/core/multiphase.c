@@ -67,7 +67,7 @@ void retrax_take_coupling(retrax_block *block, retrax_coupling *coupling) {
 
 void retrax_take_response(const retrax_layout *layout, retrax_block *block, retrax_response *response) {
     const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    const retrax_index z = retrax_augmented_size(layout->problem), columns = 1 + 2 * n;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = 1 + 2 * n;
     response->free = retrax_take(block, 2, n, sizeof(retrax_index));
     response->slope = retrax_take(block, N * z, columns, sizeof(double));
     response->defect = retrax_take(block, (N + 1) * n, columns, sizeof(double));

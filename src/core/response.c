@@ -85,13 +85,13 @@ static void weigh(const retrax_phase *phase, retrax_response *own) {
     }
 }
 
-retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, retrax_block_system of,
-                              double *hessian) {
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift) {
     const retrax_layout *const layout = phase->layout;
-    const double *const trajectory = search->at + phase->place;
+    double *const trajectory = search->at + phase->place;
+    retrax_block_system of = retrax_newton_system(search, phase, shift);
     const retrax_index size = of.stage_size * of.stage_size;
     retrax_response *const own = &phase->response;
-    double *const last = hessian + (of.stages - 1) * size;
+    double *const last = ARRAY(HESSIANS) + (of.stages - 1) * size;
     list_free(layout, trajectory, own);
     weigh(phase, own);
     write_columns(layout, trajectory, &of, last, own);

@@ -11,26 +11,6 @@
 /* The largest penalty, relative to the unit of the multipliers. */
 #define LAST_PENALTY 1e6
 
-/* Takes the arrays of the linear system with the multipliers of the inequalities from a block. */
-static void take_augmented(const retrax_problem *problem, retrax_block *block, retrax_augmented *to) {
-    const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, z = n + s * problem->control_size;
-    const retrax_index y = retrax_augmented_size(problem), limits = y - z;
-    to->size = y;
-    if (limits == 0) {
-        return;
-    }
-    to->rows = retrax_take(block, N * limits, z, sizeof(double));
-    to->gives = retrax_take(block, N, limits, sizeof(double));
-    to->sizes = retrax_take(block, y, 1, sizeof(double));
-    to->hessian = retrax_take(block, N * y, y, sizeof(double));
-    to->left = retrax_take(block, N * n, y, sizeof(double));
-    to->right = retrax_take(block, N * n, y, sizeof(double));
-    to->zeros = retrax_take(block, N + 1, y + n, sizeof(double));
-    to->step = retrax_take(block, N, y, sizeof(double));
-    to->multipliers = retrax_take(block, N + 1, n, sizeof(double));
-    to->largest = retrax_take(block, y, 1, sizeof(double));
-}
-
 /* Takes the arrays of a phase from a block. */
 static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *block, retrax_phase *to) {
     const retrax_problem *const problem = layout->problem;
@@ -54,7 +34,6 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
     to->limit_curvatures = retrax_take(block, retrax_curved_limits(problem) * points, m, sizeof(double));
     to->square = retrax_take(block, z, z, sizeof(double));
     to->steady = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
-    take_augmented(problem, block, &to->augmented);
     if (coupled) {
         retrax_take_response(layout, block, &to->response);
     }
@@ -64,8 +43,8 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
 static size_t workspace_of(const retrax_layout *layout, bool coupled) {
     const retrax_problem *const problem = layout->problem;
     const size_t own = retrax_workspace(problem);
-    const retrax_index n = problem->state_size, columns = coupled ? 1 + 2 * n : 1;
-    const size_t more = retrax_block_workspace(problem->steps, n, retrax_augmented_size(problem), columns);
+    const retrax_index n = problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
+    const size_t more = retrax_block_workspace(problem->steps, n, z, coupled ? 1 + 2 * n : 1);
     return own == 0 || more == 0 ? 0 : (own > more ? own : more);
 }
 

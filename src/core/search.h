@@ -34,19 +34,6 @@ typedef struct {
     double infeasibility, cost, held;
 } retrax_merit;
 
-/* The linear system of the Lagrangian alone, with the multipliers of the inequalities among the unknowns of a step. */
-typedef struct {
-    retrax_index size;          /* y: unknowns of a step, its inequalities last */
-    double *rows;               /* [N][y - z][z] derivatives of the inequalities */
-    double *gives;              /* [N][y - z] one over stiffness and weight */
-    double *sizes;              /* [y] natural sizes of the unknowns */
-    double *hessian;            /* [N][y][y] */
-    double *left, *right;       /* [N][n][y] */
-    double *zeros;              /* [N + 1][y + n] right-hand sides */
-    double *step, *multipliers; /* [N][y], [N + 1][n] */
-    double *largest;            /* [y] */
-} retrax_augmented;
-
 /* What a search knows of one of its trajectories; arrays stand in the memory of the search. */
 typedef struct {
     const retrax_layout *layout;
@@ -70,7 +57,6 @@ typedef struct {
     double dual;                 /* the fraction of the steps of the multipliers of its inequalities that stays inside */
     bool knows;                  /* whether the guess knows multipliers of its inequalities */
     retrax_response response;    /* where ends are coupled */
-    retrax_augmented augmented;  /* without inequalities its arrays are missing */
 } retrax_phase;
 
 /* A search; arrays stand in its memory. An iterate is the numbers of all trajectories, then those of the coupling. */
@@ -126,6 +112,9 @@ double retrax_step_cap(const retrax_layout *layout, double *trajectory, const do
 
 /* inertia.c: computes the Newton step at the iterate with a shift of the Hessian. */
 void retrax_newton_step(retrax_search *search, double shift);
+
+/* inertia.c: solves the linear system of the iterate with a shift of the Hessian, of which that is a part. */
+void retrax_eliminate(retrax_search *search, double shift);
 
 /* inertia.c: the linear system of a trajectory of the iterate with a shift of the Hessian. */
 retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double shift);
@@ -261,8 +250,11 @@ double retrax_control_size(const retrax_layout *layout, const double *trajectory
 /* algorithm.c: evaluates the functions of the problem at an iterate. */
 void retrax_evaluate_functions(const retrax_search *search, double *iterate);
 
+/* algorithm.c: assembles the linear system of an iterate whose functions were evaluated. */
+void retrax_assemble(const retrax_search *search, double *iterate);
+
 /* algorithm.c: evaluates an iterate and assembles its linear system. */
-void retrax_evaluate(retrax_search *search, double *iterate);
+void retrax_evaluate(const retrax_search *search, double *iterate);
 
 /* algorithm.c: measures an evaluated iterate. */
 void retrax_measure(retrax_search *search, double *iterate);
@@ -299,16 +291,11 @@ void retrax_find_coupled_scales(retrax_search *search, double *iterate);
 /* multiphase.c: writes the multipliers of the coupling after a fraction of the step from search->at. */
 void retrax_move_coupling(const retrax_search *search, double part, double *iterate);
 
-/* response.c: finds how a trajectory of the iterate follows its ends by a linear system, whose Hessian is changed and
- * put back; returns its inertia. */
-retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, retrax_block_system of, double *hessian);
+/* response.c: finds how a trajectory of the iterate follows its ends with a shift of the Hessian; returns the inertia. */
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift);
 
 /* border.c: computes the Newton step of coupled trajectories with a shift of the Hessian. */
 void retrax_eliminate_coupled(retrax_search *search, double shift);
-
-/* border.c: adds the inertia of the border of the responses of all phases; returns how many of its eigenvalues are
- * negative at a minimum. */
-retrax_index retrax_add_border(retrax_search *search, retrax_inertia *inertia);
 
 /* border.c: adds what the coupling changes to what a step promises. */
 void retrax_add_coupled_promise(retrax_search *search);
