@@ -106,24 +106,6 @@ static void reset_funnel(retrax_search *search) {
     search->fraction = 1.0;
 }
 
-/* Raises what is still wanted of a trajectory, relative to its sizes, and how far it has grown, in its natural sizes. */
-static void raise_wanted(const retrax_phase *phase, const double *trajectory, double *most_wanted, double *most_grown) {
-    const retrax_layout *const layout = phase->layout;
-    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
-    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-        const double unit = phase->judging.unknowns[i];
-        double own = i < n ? 0.0 : retrax_control_size(layout, trajectory, i - n), spread = own;
-        for (retrax_index e = 0; e < E && i < n; e++) {
-            const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], value = retrax_larger(high, low);
-            const double share = ARRAY(SUPPORT)[i * E + e];
-            spread = retrax_larger(spread, share * (high + low));
-            own = retrax_larger(own, share * (high + low + (high + low > RETRAX_STILL * value ? value : RETRAX_SHARE * value)));
-        }
-        *most_wanted = retrax_larger(*most_wanted, phase->largest[i] / fmax(own, RETRAX_SHARE * unit));
-        *most_grown = retrax_larger(*most_grown, spread / unit);
-    }
-}
-
 /* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
  *
  * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is
@@ -133,7 +115,13 @@ static void settle(retrax_search *search) {
     if (!(RESIDUAL(search->at, FINAL) <= search->options.tolerance)) {
         return;
     }
-    EACH_PHASE(phase) { raise_wanted(phase, search->at + phase->place, &wanted, &grown); }
+    EACH_PHASE(phase) {
+        for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
+            const double unit = phase->judging.unknowns[i], span = retrax_span_of(phase->layout, search->at + phase->place, i);
+            wanted = retrax_larger(wanted, phase->largest[i] / fmax(span, RETRAX_SHARE * unit));
+            grown = retrax_larger(grown, span / unit);
+        }
+    }
     const bool was_isolated = search->isolated, stuck = wanted > SHRINKS * search->correction;
     search->isolated = wanted <= sqrt(search->options.tolerance);
     search->claimed = search->isolated || (stuck && grown <= GROWN);
@@ -213,25 +201,6 @@ static void iterate(retrax_search *search) {
     settle(search);
 }
 
-/* Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
- *
- * Near the end, or where all was met before, the normal part of what is missing is the square of its size: from there
- * it moves. */
-static bool is_elsewhere(const retrax_search *search) {
-    const double tolerance = search->options.tolerance;
-    bool met = !retrax_is_coupled(search) || retrax_apart(search, search->at) <= tolerance;
-    EACH_PHASE(phase) {
-        const retrax_layout *const layout = phase->layout;
-        const double *const trajectory = search->at + phase->place;
-        met = met && ARRAY(RESIDUALS)[RETRAX_UNMET] <= sqrt(tolerance);
-        for (retrax_index a = 0; a < layout->problem->state_size; a++) {
-            met = met && ARRAY(LACKING)[a] <= tolerance * ARRAY(ALONG)[a];
-        }
-    }
-    return met && RESIDUAL(search->at, STATIONARITY) <= tolerance && RESIDUAL(search->at, DEFECT) > sqrt(tolerance) &&
-           isinf(search->correction);
-}
-
 /* Whether there is nothing to go on with, and why. */
 static retrax_search_status status_of(const retrax_search *search) {
     const retrax_direction *const step = &search->direction;
@@ -247,12 +216,7 @@ static retrax_search_status status_of(const retrax_search *search) {
     if (retrax_is_infeasible(search)) {
         return RETRAX_INFEASIBLE;
     }
-    if (is_elsewhere(search)) {
-        return RETRAX_ELSEWHERE;
-    }
-    const bool arrived = RESIDUAL(search->at, STEADY) <= search->options.tolerance;
-    const retrax_index most = search->options.max_iterations + (arrived ? RETRAX_SETTLING : 0);
-    return search->trials > most ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
+    return search->trials > search->options.max_iterations ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
 }
 
 /* Stands at the iterate with a step that is not tried yet. */

@@ -226,8 +226,7 @@ static double stationarity_of(const retrax_layout *layout, const double *traject
     return found;
 }
 
-/* What an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size of a control. */
-static double span_of(const retrax_layout *layout, const double *trajectory, retrax_index i) {
+double retrax_span_of(const retrax_layout *layout, const double *trajectory, retrax_index i) {
     const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
     double found = i < n ? 0.0 : retrax_control_size(layout, trajectory, i - n);
     for (retrax_index e = 0; e < E && i < n; e++) {
@@ -264,7 +263,7 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
         found = retrax_larger(found, fabs(ARRAY(COSTS)[k]));
     }
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-        const double span = span_of(layout, trajectory, i), unit = phase->judging.unknowns[i];
+        const double span = retrax_span_of(layout, trajectory, i), unit = phase->judging.unknowns[i];
         const double size = i < layout->problem->state_size ? span : retrax_larger(span, unit); /* at rest controls are 0 */
         found = retrax_larger(found, span * ARRAY(PARTS)[i]);
         found = retrax_larger(found, size * size * own_curvature(layout, trajectory, i));
@@ -291,7 +290,7 @@ void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
         double *const trajectory = iterate + phase->place, *const found = ARRAY(RESIDUALS);
         const bool judged = is_judged_by_spans(layout->problem);
         for (retrax_index i = 0; judged && i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-            double span = span_of(layout, trajectory, i);
+            double span = retrax_span_of(layout, trajectory, i);
             if (i >= layout->problem->state_size) { /* a control that should not be zero may be: what costs as much counts */
                 const double curvature = own_curvature(layout, trajectory, i);
                 span = retrax_larger(span, curvature > 0.0 ? sqrt(content / curvature) : 0.0);
@@ -331,12 +330,12 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
         defect = retrax_larger(defect, ARRAY(DISTANCE)[e] / retrax_or_one(ARRAY(ENTRIES)[e]));
     }
     for (retrax_index a = 0; a < n; a++) {
-        const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
+        const double unit = scale->judging_nodes[a];
+        const double most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
         const double size = retrax_or_one(retrax_larger(unit * points[RETRAX_POINTS_PARTS * n + a], RETRAX_SHARE * parts));
         defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / retrax_or_one(ARRAY(ALONG)[a]));
         stationarity = retrax_larger(stationarity, unit * points[RETRAX_POINTS_SLOPE * n + a] / size);
         found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / scale->nodes[a];
-        found[RETRAX_UNMET] = retrax_larger(found[RETRAX_UNMET], most / unit);
         found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], most / scale->nodes[a]);
     }
     found[RETRAX_DEFECT] = defect;

@@ -229,7 +229,8 @@ static double missed_of(const retrax_search *search, const double *iterate) {
     return found;
 }
 
-double retrax_apart(const retrax_search *search, const double *iterate) {
+/* The most that an equation between the ends lacks, in its natural size. */
+static double apart_of(const retrax_search *search, const double *iterate) {
     double found = 0.0;
     for (retrax_index i = 0; i < search->coupling.count[RETRAX_COUPLED_VALUES]; i++) {
         found = retrax_larger(found, fabs(COUPLED(VALUES)[i]) / search->coupling.sizes[i]);
@@ -258,7 +259,7 @@ void retrax_join_residuals(const retrax_search *search, double *iterate) {
     }
     found[RETRAX_HELD] += held / search->phases->steps.cost;
     found[RETRAX_DEFECT] = retrax_larger(found[RETRAX_DEFECT], missed_of(search, iterate));
-    found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], retrax_apart(search, iterate));
+    found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], apart_of(search, iterate));
     found[RETRAX_STEADY] = retrax_larger(found[RETRAX_STEADY], found[RETRAX_DEFECT]);
     found[RETRAX_FINAL] = retrax_larger(found[RETRAX_FINAL], found[RETRAX_DEFECT]);
     found[RETRAX_LARGEST] = retrax_larger(found[RETRAX_LARGEST], found[RETRAX_DEFECT]);

@@ -429,7 +429,8 @@ typedef struct {
     X(POINT_CENTRES, v *E) X(XI, v *n) X(ETA, v / s *n) X(POINT_WEIGHTS, v)                                           \
     /* nodes */                                                                                                       \
     X(BEGINS, N *E) X(FINISHES, N *E) X(NODES, (N + 1) * E) X(GAPS, (N + 1) * E) X(SEEN, (N + 1) * E)                 \
-    X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID, 3 * E) X(NODE_FRAMES, (N + 1) * n * E)                \
+    X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID_ENDS, 2 * E) X(AMID, E)                                \
+    X(NODE_FRAMES, (N + 1) * n * E)                                                                                   \
     X(DEFECTS, (N + 1) * n) X(ASKED, (N + 1) * n) X(MULTIPLIERS, (N + 1) * n) X(NODE_COSTATES, (N + 1) * E)           \
     X(TURNED_COSTATES, (N + 1) * E) X(START_COST, 1 + E + n + n * n) X(END_COST, 1 + E + n + n * n)                   \
     /* points of collocation */                                                                                       \
@@ -533,9 +534,6 @@ RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double
 typedef struct {
     double rate;          /* of the cost per time: unit of the barrier */
     const double *limits; /* [c + d] of the inequalities */
-    double first_penalty; /* relative to rate / limits: the usual first penalty */
-    double near;          /* share of its penalty at which a multiplier says that this is too small */
-    double last_penalty;  /* relative: the largest penalty */
 } retrax_limit_scale;
 
 /* Rows of LIMIT_SURVEY. */
@@ -610,8 +608,7 @@ enum {
     RETRAX_INFEASIBILITY,   /* sum of what all nodes, points and inequalities lack, in units of steps */
     RETRAX_MERIT,           /* cost with its barrier, in its unit */
     RETRAX_HELD,            /* sum of the multipliers times what is lacking, in the unit of the cost */
-    RETRAX_UNMET,           /* the most that a node or point lacks in a coordinate, in units of success */
-    RETRAX_SHORTFALL,       /* the same in units of steps */
+    RETRAX_SHORTFALL,       /* the most that a node or point lacks in a coordinate, in units of steps */
     RETRAX_RESIDUALS        /* their number */
 };
 
@@ -707,7 +704,6 @@ typedef enum {
     RETRAX_CONVERGED,       /* at an extremal */
     RETRAX_SINGULAR,        /* the linear system has no solution that can be used */
     RETRAX_INFEASIBLE,      /* inequalities contradict each other, or the ends */
-    RETRAX_ELSEWHERE,       /* the equations hold where a point is not at its end, and no step leads on */
     RETRAX_DEGENERATE,      /* the guess is one from which Newton's method cannot set out; another one may do */
     RETRAX_ITERATION_LIMIT,
     RETRAX_STOPPED          /* as the report has asked */

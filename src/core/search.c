@@ -6,10 +6,6 @@
 
 /* Bound of the iterations of a search, whose costs are kept. */
 #define MOST_ITERATIONS ((retrax_index)1 << 20)
-/* Share of its penalty at which a multiplier says that the penalty is too small. */
-#define NEAR_PENALTY 0.5
-/* The largest penalty, relative to the unit of the multipliers. */
-#define LAST_PENALTY 1e6
 
 /* Takes the arrays of a phase from a block. */
 static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *block, retrax_phase *to) {
@@ -89,7 +85,7 @@ static retrax_search *lay_out(const retrax_multiphase *problem, retrax_index max
     to->guess_multipliers = place_guess(problem, to->phases);
     const retrax_index multipliers = coupled ? to->coupling.count[RETRAX_COUPLED_MULTIPLIERS] : 0;
     to->first = retrax_take(block, to->guess_multipliers + multipliers, 1, sizeof(double));
-    to->costs = retrax_take(block, max_iterations + RETRAX_SETTLING + 3, 1, sizeof(double));
+    to->costs = retrax_take(block, max_iterations + 3, 1, sizeof(double));
     size_t workspace = 0;
     for (retrax_index k = 0; k < problem->phases; k++) {
         retrax_phase phase;
@@ -128,7 +124,7 @@ retrax_search *retrax_search_make(const retrax_multiphase *problem, const retrax
     search->limited = false;
     EACH_PHASE(phase) {
         search->limited = search->limited || retrax_is_limited(phase->layout->problem);
-        phase->limits = (retrax_limit_scale){0.0, phase->limit_sizes, RETRAX_FIRST_PENALTY, NEAR_PENALTY, LAST_PENALTY};
+        phase->limits = (retrax_limit_scale){0.0, phase->limit_sizes};
     }
     const bool coupled = retrax_is_coupled(search);
     const retrax_index *const first = search->phases->layout->first;

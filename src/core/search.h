@@ -10,9 +10,6 @@
 /* The largest shift of a Hessian: with a larger one a step says nothing. */
 #define RETRAX_LARGEST_SHIFT 1e10
 
-/* Trials beyond the limit where all but the barrier meets the tolerance there: they tell what the iterate is. */
-#define RETRAX_SETTLING 5
-
 /* A Newton step, and what its elimination tells of the linear system. */
 typedef struct {
     double shift;       /* of the Hessian, which makes the step descend */
@@ -74,7 +71,7 @@ struct retrax_search {
     double *first;               /* the guess: what is given of each trajectory and its unknowns, then MULTIPLIERS */
     retrax_index guess_multipliers; /* place of these */
     void *workspace;
-    double *costs;               /* [max_iterations + RETRAX_SETTLING + 3] of the iterates after 1, 2, ... trials */
+    double *costs;               /* [max_iterations + 3] of the iterates after 1, 2, ... trials */
     double first_cost;           /* natural size of the cost at the guess */
     retrax_direction direction;
     retrax_merit merit;
@@ -172,6 +169,10 @@ void retrax_conclude(retrax_search *search);
 /* convergence.c: raises the stationarity of an iterate, of which each trajectory was measured, to that relative to what
  * its unknowns span: natural sizes are what controls reach, and an unstable system reaches farther than any solution. */
 void retrax_measure_by_spans(const retrax_search *search, double *iterate);
+
+/* convergence.c: what an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size of a
+ * control. */
+double retrax_span_of(const retrax_layout *layout, const double *trajectory, retrax_index i);
 
 /* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
@@ -280,9 +281,6 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
 
 /* multiphase.c: writes the residuals of all trajectories together, each of which was measured. */
 void retrax_join_residuals(const retrax_search *search, double *iterate);
-
-/* multiphase.c: the most that an equation between the ends lacks, in its natural size. */
-double retrax_apart(const retrax_search *search, const double *iterate);
 
 /* multiphase.c: writes the natural sizes of all trajectories of an evaluated iterate, and of the equations between their
  * ends. */

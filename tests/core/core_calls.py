@@ -17,9 +17,6 @@ class LimitScaleStruct(Structure):
     _fields_ = (
         ("rate", c_double),
         ("limits", c_void_p),
-        ("first_penalty", c_double),
-        ("near", c_double),
-        ("last_penalty", c_double),
     )
 
 
@@ -40,9 +37,6 @@ class LimitScale(NamedTuple):
 
     rate: float
     limits: np.ndarray  # (c,)
-    first_penalty: float
-    near: float
-    last_penalty: float
 
 
 _LAYOUT, _LIMITS = POINTER(LayoutStruct), POINTER(LimitScaleStruct)
@@ -82,7 +76,7 @@ def measure(at: Trajectory, judging: Scale, steps: Scale, limits: LimitScale, le
     places = [address_of(own, FLOAT, own.shape, "natural sizes") for own in vectors]
     scale = ResidualScaleStruct(*places[:2], least_part, places[2], steps.cost)
     place = address_of(limits.limits, FLOAT, limits.limits.shape, "natural sizes of inequalities")
-    of_limits = byref(LimitScaleStruct(limits.rate, place, *limits[2:]))
+    of_limits = byref(LimitScaleStruct(limits.rate, place))
     here = byref(at._layout), at._address
     core().retrax_survey_inequalities(*here, of_limits)
     core().retrax_measure_residuals(*here, byref(scale), of_limits)

@@ -90,7 +90,7 @@ def test_systems_are_the_derivatives_of_the_discrete_equations(name):
     lacking = at["LIMITS"] + at["SLACKS"] - at["EXCESSES"]
     held = np.sum(at["LIMIT_WEIGHTS"] * at["LIMIT_MULTIPLIERS"] * lacking)
     measured = Scale(np.ones(len(at["PARTS"])), np.ones(equations.n), 1.0)
-    limits = LimitScale(1.0, np.ones(steps.inequalities), 1e3, 0.9, 1e9)
+    limits = LimitScale(1.0, np.ones(steps.inequalities))
     measure(at, measured, measured, limits, 1.0)
     rest, asked, survey = at["PENALTIES"] - at["LIMIT_MULTIPLIERS"], at["LIMIT_WEIGHTS"] > 0, at["LIMIT_SURVEY"]
     np.testing.assert_allclose(survey[6], held, rtol=1e-9)

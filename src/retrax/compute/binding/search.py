@@ -29,10 +29,9 @@ class SearchStatus(IntEnum):
     CONVERGED = 1
     SINGULAR = 2
     INFEASIBLE = 3
-    ELSEWHERE = 4
-    DEGENERATE = 5
-    ITERATION_LIMIT = 6
-    STOPPED = 7
+    DEGENERATE = 4
+    ITERATION_LIMIT = 5
+    STOPPED = 6
 
 
 @final

@@ -166,7 +166,7 @@ class ProblemStruct(Structure):
     )
 
 
-ARRAYS = 112  # of a trajectory
+ARRAYS = 113  # of a trajectory
 
 
 @final
