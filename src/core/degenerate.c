@@ -292,8 +292,8 @@ static double change_of(const retrax_search *search, const double *spreads, doub
     return most;
 }
 
-/* Returns how many times the step changes what is lacking by half a spread, to second order; 0 where it changes
- * nothing. */
+/* Returns how many times the step changes what is lacking by half a spread, to second order; 0 where it changes nothing
+ * [test_an_area_is_gone_around_in_any_unit]. */
 static double bending_size(retrax_search *search) {
     const retrax_layout *const layout = search->phases->layout;
     const double *const trajectory = search->at;

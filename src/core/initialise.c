@@ -161,7 +161,7 @@ static bool is_without_way(const retrax_search *search) {
  *
  * Without multipliers the Hessian of the Lagrangian is that of the cost. Where it is flat in a direction that the
  * constraints leave free, as in every problem of least time, how the constraints bend is what bounds a step, and that
- * the multipliers weigh. */
+ * the multipliers weigh [test_least_time_with_a_heading_needs_no_bounds_of_the_horizon]. */
 static void find_first_multipliers(retrax_search *search) {
     retrax_newton_step(search, FIRST_SHIFT);
     if (!search->direction.finite) {

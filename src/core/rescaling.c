@@ -18,6 +18,7 @@ static double lacking(const retrax_layout *layout, const double *trajectory, ret
     return ARRAY(MISSING)[a] + ARRAY(POINT_SURVEY)[RETRAX_POINTS_TOTAL * layout->problem->state_size + a];
 }
 
+/* [test_a_rate_that_only_products_change_is_no_obstacle] */
 bool retrax_widen_scale(retrax_search *search, double part, double length) {
     retrax_phase *const phase = search->phases;
     const double moved = part * length;
@@ -40,7 +41,8 @@ bool retrax_cost_falls(const retrax_search *search) {
     return early + late > FALLEN * search->first_cost && last >= FEWEST && late >= early;
 }
 
-/* Whether its controls move it by more than rounding of its states; a trajectory without controls moves by itself [test_a_wild_guess_does_not_set_the_measure_of_success]. */
+/* Whether its controls move it by more than rounding of its states, or it has none: else no success is what it seems
+ * [test_a_wild_guess_does_not_set_the_measure_of_success]. */
 static bool acts(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
@@ -85,6 +87,7 @@ static void take_fresh(const retrax_search *search, retrax_phase *phase) {
     phase->scale.cost = fmin(phase->scale.cost, phase->fresh.cost); /* multipliers make it larger than it is */
 }
 
+/* [test_members_of_a_batch_have_units_of_their_own] */
 bool retrax_renew_scale(retrax_search *search) {
     if (!search->claimed && retrax_cost_falls(search)) { /* a cost that falls without end has no size */
         return false;

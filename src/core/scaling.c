@@ -8,7 +8,8 @@
 #include <math.h>
 #include <string.h>
 
-/* Share of what changes the cost by as much as all others do: a size is no less. */
+/* Share of what changes the cost by as much as all others do: a size is no less
+ * [test_an_upright_pendulum_that_is_not_linear]. */
 #define MATTERS 1e-3
 /* Times as far in twice the time, controls move a coordinate without bound: no chain of six integrators comes as far. */
 #define EXPLODES 64.0
@@ -207,7 +208,8 @@ static double reached(const scaling *own, retrax_index a, int sizes) {
     return isfinite(largest) ? sqrt(fmax(largest, 0.0)) : 0.0;
 }
 
-/* Whether controls move a coordinate much farther in half of the time than in a quarter of it. */
+/* Whether controls move a coordinate much farther in half of the time than in a quarter of it
+ * [test_a_pendulum_is_held_upright]. */
 static bool explodes(const scaling *own, retrax_index a) {
     const retrax_index N = own->N, n = own->n, whole = N / 2, half = N / 4;
     if (half < 1) {
