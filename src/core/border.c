@@ -290,7 +290,6 @@ void retrax_eliminate_coupled(retrax_search *search, double shift) {
     found->shift = shift;
     found->curvature = curvature / search->phases->scale.cost + shift * size;
     found->size = size;
-    found->smallest = inertia.smallest;
     found->convex = inertia.negative == count + sizes.forces + sizes.equations;
     found->strict = found->convex && retrax_is_clear(inertia.smallest, count);
 }

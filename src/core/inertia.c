@@ -129,7 +129,6 @@ static void eliminate_one(retrax_search *search, double shift) {
     found->shift = shift;
     found->curvature = solution.curvature;
     found->size = solution.size;
-    found->smallest = solution.inertia.smallest;
     found->finite = finite != 0;
     found->strict = right && clear;
     found->convex = right || (!retrax_is_limited(layout->problem) && hidden);

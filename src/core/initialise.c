@@ -44,8 +44,6 @@ static void copy_guess(retrax_search *search, bool back) {
     }
 }
 
-void retrax_keep_guess(retrax_search *search) { copy_guess(search, false); }
-
 void retrax_return_to_guess(retrax_search *search) { copy_guess(search, true); }
 
 /* ---------------------------------------------------------------------------------------------------------- scale */
@@ -229,7 +227,7 @@ void retrax_begin(retrax_search *search) {
         phase->knows = !retrax_is_zero(ARRAY(LIMIT_MULTIPLIERS), layout->count[RETRAX_ARRAY_LIMIT_MULTIPLIERS]);
         known = known || phase->knows;
     }
-    retrax_keep_guess(search);
+    copy_guess(search, false);
     retrax_swap(search);
     retrax_return_to_guess(search); /* both have the same data */
     retrax_swap(search);
@@ -261,6 +259,6 @@ void retrax_initialise(retrax_search *search) {
         find_first_multipliers(search);
         retrax_regularised_step(search, 0.0, linear, linear);
     }
-    retrax_keep_guess(search);
+    copy_guess(search, false);
     search->degenerate = search->options.looks && retrax_is_degenerate(search);
 }

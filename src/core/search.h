@@ -15,7 +15,6 @@ typedef struct {
     double shift;       /* of the Hessian, which makes the step descend */
     double curvature;   /* along the step, in units of the cost */
     double size;        /* of the step in the same units */
-    double smallest;    /* pivot */
     bool finite;        /* whether there is a step */
     bool strict;        /* whether the Hessian is positive definite on the null space of the constraints, beyond rounding */
     bool convex;        /* whether the inertia is that of such a one, or without inequalities is hidden by rounding */
@@ -200,9 +199,6 @@ void retrax_initialise(retrax_search *search);
 
 /* initialise.c: the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. */
 void retrax_begin(retrax_search *search);
-
-/* initialise.c: keeps the iterate as the guess. */
-void retrax_keep_guess(retrax_search *search);
 
 /* initialise.c: takes what is given and the unknowns of the guess. */
 void retrax_return_to_guess(retrax_search *search);
