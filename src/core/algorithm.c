@@ -27,12 +27,6 @@ void retrax_swap(retrax_search *search) {
     search->trial = before;
 }
 
-void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, retrax_scale *to) {
-    memcpy(to->unknowns, from->unknowns, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_PARTS]);
-    memcpy(to->nodes, from->nodes, sizeof(double) * (size_t)layout->problem->state_size);
-    to->cost = from->cost;
-}
-
 void retrax_evaluate_functions(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) { retrax_evaluate_nodes(phase->layout, iterate + phase->place); }
     if (retrax_is_coupled(search)) {
@@ -41,8 +35,7 @@ void retrax_evaluate_functions(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) { retrax_evaluate_points(phase->layout, iterate + phase->place); }
 }
 
-void retrax_evaluate(retrax_search *search, double *iterate) {
-    retrax_evaluate_functions(search, iterate);
+void retrax_assemble(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) {
         double *const trajectory = iterate + phase->place;
         if (retrax_is_limited(phase->layout->problem)) {
@@ -54,18 +47,21 @@ void retrax_evaluate(retrax_search *search, double *iterate) {
     }
 }
 
+void retrax_evaluate(const retrax_search *search, double *iterate) {
+    retrax_evaluate_functions(search, iterate);
+    retrax_assemble(search, iterate);
+}
+
 void retrax_measure(retrax_search *search, double *iterate) {
     const bool coupled = retrax_is_coupled(search);
     const double curvature = coupled ? retrax_largest_curvature(search, iterate) : 0.0;
     EACH_PHASE(phase) {
         const bool limited = retrax_is_limited(phase->layout->problem);
-        const retrax_residual_scale scale = {phase->judging.nodes, phase->judging.unknowns,
-                                             limited ? phase->judging.cost : curvature, phase->steps.nodes,
-                                             phase->steps.cost};
         if (limited) {
             retrax_survey_inequalities(phase->layout, iterate + phase->place, &phase->limits);
         }
-        retrax_measure_residuals(phase->layout, iterate + phase->place, &scale, limited ? &phase->limits : NULL);
+        retrax_measure_residuals(phase->layout, iterate + phase->place, &phase->scale,
+                                 limited ? phase->scale.cost : curvature, limited ? &phase->limits : NULL);
     }
     retrax_measure_by_spans(search, iterate);
     if (coupled) {
@@ -102,24 +98,6 @@ static void reset_funnel(retrax_search *search) {
     search->fraction = 1.0;
 }
 
-/* Raises what is still wanted of a trajectory, relative to its sizes, and how far it has grown, in its natural sizes. */
-static void raise_wanted(const retrax_phase *phase, const double *trajectory, double *most_wanted, double *most_grown) {
-    const retrax_layout *const layout = phase->layout;
-    const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
-    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-        const double unit = phase->judging.unknowns[i];
-        double own = i < n ? 0.0 : retrax_control_size(layout, trajectory, i - n), spread = own;
-        for (retrax_index e = 0; e < E && i < n; e++) {
-            const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e], value = retrax_larger(high, low);
-            const double share = ARRAY(SUPPORT)[i * E + e];
-            spread = retrax_larger(spread, share * (high + low));
-            own = retrax_larger(own, share * (high + low + (high + low > RETRAX_STILL * value ? value : RETRAX_SHARE * value)));
-        }
-        *most_wanted = retrax_larger(*most_wanted, phase->largest[i] / fmax(own, RETRAX_SHARE * unit));
-        *most_grown = retrax_larger(*most_grown, spread / unit);
-    }
-}
-
 /* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
  *
  * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is
@@ -129,7 +107,13 @@ static void settle(retrax_search *search) {
     if (!(RESIDUAL(search->at, FINAL) <= search->options.tolerance)) {
         return;
     }
-    EACH_PHASE(phase) { raise_wanted(phase, search->at + phase->place, &wanted, &grown); }
+    EACH_PHASE(phase) {
+        for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
+            const double unit = phase->scale.unknowns[i], span = retrax_span_of(phase->layout, search->at + phase->place, i);
+            wanted = retrax_larger(wanted, phase->largest[i] / fmax(span, RETRAX_SHARE * unit));
+            grown = retrax_larger(grown, span / unit);
+        }
+    }
     const bool was_isolated = search->isolated, stuck = wanted > SHRINKS * search->correction;
     search->isolated = wanted <= sqrt(search->options.tolerance);
     search->claimed = search->isolated || (stuck && grown <= GROWN);
@@ -138,7 +122,7 @@ static void settle(retrax_search *search) {
     search->done = (search->isolated && exact) || stuck;
 }
 
-/* Whether no shift shortens the step, as where the constraints ask for it: then the same step is cut further. */
+/* Whether no shift shortens the step, as where the constraints ask for it. */
 static bool is_vain(retrax_search *search, double length) {
     if (!(retrax_step_length(search) > SHORTER * length)) {
         return false;
@@ -147,51 +131,46 @@ static bool is_vain(retrax_search *search, double length) {
     return retrax_step_length(search) > SHORTER * length;
 }
 
-/* Computes the next step, from the iterate as it is now. */
-static void next_step(retrax_search *search, const retrax_direction *before, double fraction, double length,
-                      double residual, bool cut) {
-    const bool limited = search->limited, good = search->accepted;
+/* Cuts the step before further, which was refused, where no shift shortens it; else the next step has the shift that it
+ * was computed with, whatever the inertia [test_a_trajectory_that_grows_without_end_is_no_success]. */
+static void cut_further(retrax_search *search, const retrax_direction *before, double fraction, double length) {
+    const double shift = search->direction.shift;
+    if (is_vain(search, length)) {
+        retrax_newton_step(search, before->shift);
+        search->direction.descends = before->descends;
+        search->fraction = fraction / 2.0;
+    } else {
+        retrax_regularised_step(search, shift, true, false);
+    }
+}
+
+/* Computes the next step, from the iterate as it is now; residual: of the iterate before. */
+static void next_step(retrax_search *search, double residual) {
     const double now = RESIDUAL(search->at, LARGEST), tolerance = search->options.tolerance;
     const bool arrived = RESIDUAL(search->at, FINAL) <= tolerance;
-    const bool keep = arrived || (good && now <= sqrt(tolerance));
-    const bool gains = good && now <= GAINED * residual && !limited;
+    const bool keep = arrived || (search->accepted && now <= sqrt(tolerance));
+    const bool gains = search->accepted && now <= GAINED * residual && !search->limited;
     retrax_regularised_step(search, arrived ? 0.0 : search->direction.shift, keep, gains);
-    if (cut && before->descends && fraction > SLOW && fraction / 2.0 < RETRAX_SHORTEST) {
-        const double shift = search->direction.shift;
-        if (is_vain(search, length)) {
-            retrax_newton_step(search, before->shift);
-            search->direction.descends = before->descends;
-            search->fraction = fraction / 2.0;
-        } else {
-            retrax_regularised_step(search, shift, true, gains);
-        }
-    }
 }
 
 /* One iteration: try the step, judge the trial, update the barrier, compute the next step. */
 static void iterate(retrax_search *search) {
     const retrax_direction before = search->direction;
-    const double fraction = search->fraction, residual = RESIDUAL(search->at, LARGEST);
+    const double residual = RESIDUAL(search->at, LARGEST), fraction = search->fraction;
     const double length = retrax_step_length(search);
-    const bool was_isolated = search->isolated, limited = search->limited;
+    const bool was_isolated = search->isolated;
     bool again;
     retrax_move_trial(search);
     retrax_assess(search, search->trial);
-    search->accepted = retrax_judge_trial(search, search->trials == 1 && !limited, &again);
-    if (!search->accepted && retrax_reset_slacks(search, search->trial)) {
-        search->direction = before;
-        search->fraction = fraction;
-        retrax_assess(search, search->trial);
-        search->accepted = retrax_judge_trial(search, false, &again);
-    }
+    search->accepted = retrax_judge_trial(search, search->trials == 1 && !search->limited, &again);
     if (search->accepted) {
         retrax_swap(search);
     }
     const bool refused = again && !search->accepted && !was_isolated;
     const bool wider = refused && retrax_widen_scale(search, fraction * before.reach, length);
     if (wider) {
-        retrax_measure(search, search->at);
         const double tried = search->fraction;
+        retrax_measure(search, search->at);
         reset_funnel(search);
         search->fraction = tried;
         search->direction.shift = before.shift;
@@ -205,27 +184,12 @@ static void iterate(retrax_search *search) {
     if (search->done || !(again || changed)) {
         return;
     }
-    next_step(search, &before, fraction, length, residual, again && !search->accepted && !changed && !wider);
-    settle(search);
-}
-
-/* Whether the equations hold at points of which one is not at its end: from there Newton's method does not move.
- *
- * Near the end, or where all was met before, the normal part of what is missing is the square of its size: from there
- * it moves. */
-static bool is_elsewhere(const retrax_search *search) {
-    const double tolerance = search->options.tolerance;
-    bool met = !retrax_is_coupled(search) || retrax_apart(search, search->at) <= tolerance;
-    EACH_PHASE(phase) {
-        const retrax_layout *const layout = phase->layout;
-        const double *const trajectory = search->at + phase->place;
-        met = met && ARRAY(RESIDUALS)[RETRAX_UNMET] <= sqrt(tolerance);
-        for (retrax_index a = 0; a < layout->problem->state_size; a++) {
-            met = met && ARRAY(LACKING)[a] <= tolerance * ARRAY(ALONG)[a];
-        }
+    next_step(search, residual);
+    const bool cut = !search->accepted && !changed && !wider;
+    if (cut && before.descends && fraction > SLOW && fraction / 2.0 < RETRAX_SHORTEST) {
+        cut_further(search, &before, fraction, length);
     }
-    return met && RESIDUAL(search->at, STATIONARITY) <= tolerance && RESIDUAL(search->at, DEFECT) > sqrt(tolerance) &&
-           isinf(search->correction);
+    settle(search);
 }
 
 /* Whether there is nothing to go on with, and why. */
@@ -243,12 +207,7 @@ static retrax_search_status status_of(const retrax_search *search) {
     if (retrax_is_infeasible(search)) {
         return RETRAX_INFEASIBLE;
     }
-    if (is_elsewhere(search)) {
-        return RETRAX_ELSEWHERE;
-    }
-    const bool arrived = RESIDUAL(search->at, STEADY) <= search->options.tolerance;
-    const retrax_index most = search->options.max_iterations + (arrived ? RETRAX_SETTLING : 0);
-    return search->trials > most ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
+    return search->trials > search->options.max_iterations ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
 }
 
 /* Stands at the iterate with a step that is not tried yet. */

@@ -67,7 +67,8 @@ void retrax_find_limit_curvatures(retrax_search *search) {
     }
 }
 
-/* Lowers the ways of the controls to those inside inequality j, which is curved: for |u|^2 <= r^2 that is |u| + r. */
+/* Lowers the ways of the controls to those inside inequality j, which is curved: for |u|^2 <= r^2 that is |u| + r
+ * [test_a_solution_as_guess_is_still_a_strict_minimum]. */
 static void find_curved_ways(const retrax_phase *phase, const double *trajectory, retrax_index j, double *ways) {
     const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
@@ -103,7 +104,8 @@ static void find_curved_ways(const retrax_phase *phase, const double *trajectory
     }
 }
 
-/* Lowers the ways of the controls to either side, to those to inequality j by its slope. */
+/* Lowers the ways of the controls to either side, to those to inequality j by its slope
+ * [test_a_crane_is_judged_by_what_it_costs_in_the_end]. */
 static void find_straight_ways(const retrax_layout *layout, const double *trajectory, retrax_index j, double *ways) {
     const retrax_problem *const problem = layout->problem;
     const retrax_index c = problem->inequalities, m = problem->control_size, q = retrax_point_unknowns(problem);

@@ -207,27 +207,26 @@ static void write_measures(const retrax_layout *layout, double *trajectory, cons
 }
 
 /* The derivative of the Lagrangian by the unknowns of the steps relative to its parts, and the scale of these. */
-static double stationarity_of(const retrax_layout *layout, const double *trajectory, const retrax_residual_scale *units,
-                              double *scale) {
+static double stationarity_of(const retrax_layout *layout, const double *trajectory, const retrax_scale *scale,
+                              double least_part, double *parts) {
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
     double found = 0.0;
-    *scale = units->least_part;
+    *parts = least_part;
     for (retrax_index i = 0; i < z; i++) {
-        const double unit = units->judging_unknowns[i], reach = i < n ? retrax_larger(unit, ARRAY(ALONG)[i]) : unit;
-        *scale = retrax_larger(*scale, unit * ARRAY(PARTS)[i]);
-        if (units->least_part == 0.0) {
-            *scale = retrax_larger(*scale, unit * reach * ARRAY(CURVATURES)[i]);
+        const double unit = scale->unknowns[i], reach = i < n ? retrax_larger(unit, ARRAY(ALONG)[i]) : unit;
+        *parts = retrax_larger(*parts, unit * ARRAY(PARTS)[i]);
+        if (least_part == 0.0) {
+            *parts = retrax_larger(*parts, unit * reach * ARRAY(CURVATURES)[i]);
         }
     }
     for (retrax_index i = 0; i < z; i++) {
-        const double unit = units->judging_unknowns[i];
-        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / retrax_or_one(retrax_larger(unit * ARRAY(PARTS)[i], RETRAX_SHARE * *scale)));
+        const double unit = scale->unknowns[i];
+        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / retrax_or_one(retrax_larger(unit * ARRAY(PARTS)[i], RETRAX_SHARE * *parts)));
     }
     return found;
 }
 
-/* What an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size of a control. */
-static double span_of(const retrax_layout *layout, const double *trajectory, retrax_index i) {
+double retrax_span_of(const retrax_layout *layout, const double *trajectory, retrax_index i) {
     const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
     double found = i < n ? 0.0 : retrax_control_size(layout, trajectory, i - n);
     for (retrax_index e = 0; e < E && i < n; e++) {
@@ -264,7 +263,7 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
         found = retrax_larger(found, fabs(ARRAY(COSTS)[k]));
     }
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-        const double span = span_of(layout, trajectory, i), unit = phase->judging.unknowns[i];
+        const double span = retrax_span_of(layout, trajectory, i), unit = phase->scale.unknowns[i];
         const double size = i < layout->problem->state_size ? span : retrax_larger(span, unit); /* at rest controls are 0 */
         found = retrax_larger(found, span * ARRAY(PARTS)[i]);
         found = retrax_larger(found, size * size * own_curvature(layout, trajectory, i));
@@ -291,7 +290,7 @@ void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
         double *const trajectory = iterate + phase->place, *const found = ARRAY(RESIDUALS);
         const bool judged = is_judged_by_spans(layout->problem);
         for (retrax_index i = 0; judged && i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-            double span = span_of(layout, trajectory, i);
+            double span = retrax_span_of(layout, trajectory, i);
             if (i >= layout->problem->state_size) { /* a control that should not be zero may be: what costs as much counts */
                 const double curvature = own_curvature(layout, trajectory, i);
                 span = retrax_larger(span, curvature > 0.0 ? sqrt(content / curvature) : 0.0);
@@ -319,25 +318,25 @@ static void measure_inequalities(const retrax_layout *layout, double *trajectory
     found[RETRAX_HELD] += survey[RETRAX_LIMIT_HELD];
 }
 
-void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, const retrax_residual_scale *scale,
-                              const retrax_limit_scale *limits) {
+void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, const retrax_scale *scale,
+                              double least_part, const retrax_limit_scale *limits) {
     const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
     const double *const points = ARRAY(POINT_SURVEY);
     double *const found = ARRAY(RESIDUALS), parts;
     fill(found, 0.0, RETRAX_RESIDUALS);
-    write_measures(layout, trajectory, scale->judging_nodes);
-    double defect = 0.0, stationarity = stationarity_of(layout, trajectory, scale, &parts);
+    write_measures(layout, trajectory, scale->unknowns);
+    double defect = 0.0, stationarity = stationarity_of(layout, trajectory, scale, least_part, &parts);
     for (retrax_index e = 0; e < E; e++) {
         defect = retrax_larger(defect, ARRAY(DISTANCE)[e] / retrax_or_one(ARRAY(ENTRIES)[e]));
     }
     for (retrax_index a = 0; a < n; a++) {
-        const double unit = scale->judging_nodes[a], most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
+        const double unit = scale->unknowns[a];
+        const double most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
         const double size = retrax_or_one(retrax_larger(unit * points[RETRAX_POINTS_PARTS * n + a], RETRAX_SHARE * parts));
         defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / retrax_or_one(ARRAY(ALONG)[a]));
         stationarity = retrax_larger(stationarity, unit * points[RETRAX_POINTS_SLOPE * n + a] / size);
-        found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / scale->nodes[a];
-        found[RETRAX_UNMET] = retrax_larger(found[RETRAX_UNMET], most / unit);
-        found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], most / scale->nodes[a]);
+        found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / unit;
+        found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], most / unit);
     }
     found[RETRAX_DEFECT] = defect;
     found[RETRAX_STATIONARITY] = stationarity;

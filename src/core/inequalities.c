@@ -7,6 +7,10 @@
 
 /* Factor of mu / s within which multipliers stay. */
 #define KEPT 1e10
+/* Share of its penalty at which a multiplier says that the penalty is too small. */
+#define NEAR_PENALTY 0.5
+/* The largest penalty, relative to the unit of the multipliers. */
+#define LAST_PENALTY 1e6
 
 /* The inequalities of a trajectory: those of all points, then those of the ends of all steps. */
 typedef struct {
@@ -119,11 +123,11 @@ static double size_of(const inequalities *own, limit_row row, double limit) {
 static void survey_excess(const inequalities *own, retrax_index i, double limit, const retrax_limit_scale *scale,
                           double *found) {
     const double unit = scale->rate / limit, penalty = own->penalties[i];
-    found[RETRAX_LIMIT_DEAR] = retrax_larger(found[RETRAX_LIMIT_DEAR], penalty / (scale->first_penalty * unit));
-    if (own->multipliers[i] <= scale->near * penalty) {
+    found[RETRAX_LIMIT_DEAR] = retrax_larger(found[RETRAX_LIMIT_DEAR], penalty / (RETRAX_FIRST_PENALTY * unit));
+    if (own->multipliers[i] <= NEAR_PENALTY * penalty) {
         return;
     }
-    if (penalty < scale->last_penalty * unit) {
+    if (penalty < LAST_PENALTY * unit) {
         found[RETRAX_LIMIT_CHEAP] = 1.0;
     } else {
         found[RETRAX_LIMIT_LEFT] = retrax_larger(found[RETRAX_LIMIT_LEFT], own->excesses[i] / limit);

@@ -32,27 +32,19 @@ void retrax_copy_iterate(const retrax_search *search, const double *from, double
     }
 }
 
-void retrax_keep_guess(retrax_search *search) {
+/* Copies what is given and the unknowns of all trajectories, between the iterate and the guess. */
+static void copy_guess(retrax_search *search, bool back) {
     EACH_PHASE(phase) {
-        const retrax_index known = phase->layout->first[RETRAX_ARRAY_POINT_CENTRES];
-        retrax_copy(search->first + phase->guess_place, search->at + phase->place, known);
+        double *const guess = search->first + phase->guess_place, *const at = search->at + phase->place;
+        retrax_copy(back ? at : guess, back ? guess : at, phase->layout->first[RETRAX_ARRAY_POINT_CENTRES]);
     }
     if (retrax_is_coupled(search)) {
-        const retrax_index count = search->coupling.count[RETRAX_COUPLED_MULTIPLIERS];
-        retrax_copy(search->first + search->guess_multipliers, retrax_search_multipliers(search, false), count);
+        double *const at = retrax_search_multipliers(search, false), *const guess = retrax_search_multipliers(search, true);
+        retrax_copy(back ? at : guess, back ? guess : at, search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
     }
 }
 
-void retrax_return_to_guess(retrax_search *search) {
-    EACH_PHASE(phase) {
-        const retrax_index known = phase->layout->first[RETRAX_ARRAY_POINT_CENTRES];
-        retrax_copy(search->at + phase->place, search->first + phase->guess_place, known);
-    }
-    if (retrax_is_coupled(search)) {
-        const retrax_index count = search->coupling.count[RETRAX_COUPLED_MULTIPLIERS];
-        retrax_copy(retrax_search_multipliers(search, false), search->first + search->guess_multipliers, count);
-    }
-}
+void retrax_return_to_guess(retrax_search *search) { copy_guess(search, true); }
 
 /* ---------------------------------------------------------------------------------------------------------- scale */
 
@@ -123,16 +115,6 @@ void retrax_find_scales(retrax_search *search, double *iterate) {
 
 /* ------------------------------------------------------------------------------------------------ first multipliers */
 
-/* Whether all costates are zero. */
-static bool is_without_costates(const retrax_layout *layout, const double *trajectory) {
-    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_COSTATES]; i++) {
-        if (ARRAY(COSTATES)[i] != 0.0) {
-            return false;
-        }
-    }
-    return true;
-}
-
 /* Whether no block of the Hessian has a negative eigenvalue beyond rounding; matrix: [z][z] workspace. */
 static bool is_convex(const retrax_layout *layout, const double *trajectory, double *matrix) {
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
@@ -163,8 +145,12 @@ static bool has_flat_controls(const retrax_layout *layout, const double *traject
 /* Whether the cost alone does not say which way to go: no trajectory has costates, and no Hessian is curved downward. */
 static bool is_without_way(const retrax_search *search) {
     bool found = true;
-    EACH_PHASE(phase) { found = found && is_without_costates(phase->layout, search->at + phase->place); }
-    EACH_PHASE(phase) { found = found && is_convex(phase->layout, search->at + phase->place, phase->square); }
+    EACH_PHASE(phase) {
+        const retrax_layout *const layout = phase->layout;
+        const double *const trajectory = search->at + phase->place;
+        found = found && retrax_is_zero(ARRAY(COSTATES), layout->count[RETRAX_ARRAY_COSTATES]) &&
+                is_convex(layout, trajectory, phase->square);
+    }
     return found;
 }
 
@@ -173,7 +159,7 @@ static bool is_without_way(const retrax_search *search) {
  *
  * Without multipliers the Hessian of the Lagrangian is that of the cost. Where it is flat in a direction that the
  * constraints leave free, as in every problem of least time, how the constraints bend is what bounds a step, and that
- * the multipliers weigh. */
+ * the multipliers weigh [test_least_time_with_a_heading_needs_no_bounds_of_the_horizon]. */
 static void find_first_multipliers(retrax_search *search) {
     retrax_newton_step(search, FIRST_SHIFT);
     if (!search->direction.finite) {
@@ -191,16 +177,6 @@ static void find_first_multipliers(retrax_search *search) {
     retrax_assess(search, search->at);
 }
 
-/* Whether the guess of a trajectory knows multipliers of inequalities. */
-static bool knows_multipliers(const retrax_layout *layout, const double *trajectory) {
-    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMIT_MULTIPLIERS]; i++) {
-        if (ARRAY(LIMIT_MULTIPLIERS)[i] != 0.0) {
-            return true;
-        }
-    }
-    return false;
-}
-
 /* Evaluates the guess as where inequalities do not pull yet, and finds its natural sizes. */
 static void measure_guess(retrax_search *search) {
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
@@ -208,8 +184,8 @@ static void measure_guess(retrax_search *search) {
     retrax_find_limit_curvatures(search);
     retrax_find_scales(search, search->at);
     EACH_PHASE(phase) {
-        retrax_copy_scale(phase->layout, &phase->fresh, &phase->judging);
-        retrax_copy_scale(phase->layout, &phase->fresh, &phase->steps);
+        retrax_copy(phase->scale.unknowns, phase->fresh.unknowns, phase->layout->count[RETRAX_ARRAY_PARTS]);
+        phase->scale.cost = phase->fresh.cost;
         if (retrax_is_limited(phase->layout->problem)) {
             retrax_find_limits(phase, search->at + phase->place);
         }
@@ -217,7 +193,7 @@ static void measure_guess(retrax_search *search) {
     if (retrax_is_coupled(search)) {
         retrax_copy(search->coupling.sizes, search->coupling.fresh, search->coupling.count[RETRAX_COUPLED_VALUES]);
     }
-    search->first_cost = search->phases->judging.cost;
+    search->first_cost = search->phases->scale.cost;
 }
 
 void retrax_forget_multipliers(const retrax_search *search, double *iterate) {
@@ -246,10 +222,12 @@ static void start_slacks(retrax_search *search) {
 void retrax_begin(retrax_search *search) {
     bool known = false;
     EACH_PHASE(phase) {
-        phase->knows = knows_multipliers(phase->layout, search->at + phase->place);
+        const retrax_layout *const layout = phase->layout;
+        const double *const trajectory = search->at + phase->place;
+        phase->knows = !retrax_is_zero(ARRAY(LIMIT_MULTIPLIERS), layout->count[RETRAX_ARRAY_LIMIT_MULTIPLIERS]);
         known = known || phase->knows;
     }
-    retrax_keep_guess(search);
+    copy_guess(search, false);
     retrax_swap(search);
     retrax_return_to_guess(search); /* both have the same data */
     retrax_swap(search);
@@ -281,6 +259,6 @@ void retrax_initialise(retrax_search *search) {
         find_first_multipliers(search);
         retrax_regularised_step(search, 0.0, linear, linear);
     }
-    retrax_keep_guess(search);
+    copy_guess(search, false);
     search->degenerate = search->options.looks && retrax_is_degenerate(search);
 }

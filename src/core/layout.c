@@ -20,11 +20,6 @@ double retrax_duration(const retrax_layout *layout, const double *trajectory) {
     return sum;
 }
 
-retrax_index retrax_augmented_size(const retrax_problem *problem) {
-    const retrax_index own = problem->control_size + problem->inequalities;
-    return problem->state_size + problem->points * own + problem->node_inequalities;
-}
-
 bool retrax_is_limited(const retrax_problem *problem) {
     return problem->inequalities > 0 || problem->node_inequalities > 0;
 }
@@ -95,223 +90,137 @@ static retrax_index place_arrays(const retrax_problem *problem, retrax_layout *l
 
 /* ---------------------------------------------------------------------------------------- places of functions */
 
-/* What a function reads or writes at one place: `width` numbers of an array, from number `offset` on; the numbers of
- * the next place are `stride` farther. */
+/* Arrays that a function reads or writes at one place, at most; with NEXT, that of the next place. */
+#define MOST_ARRAYS 12
+#define NEXT 1000
+#define NONE RETRAX_ARRAY_TOTAL
+#define A(name) RETRAX_ARRAY_##name
+#define AROUND A(NODES), NEXT + A(NODES), A(NODE_COSTATES), NEXT + A(NODE_COSTATES) /* a step */
+
+typedef enum { OF_MAP, OF_COLLOCATION, OF_BOTH } method;
+
+/* What a function of a method reads and writes at one place. */
 typedef struct {
-    retrax_array array;
+    retrax_function_name name;
+    method of;
+    int in[MOST_ARRAYS], out[MOST_ARRAYS];
+} function_arrays;
+
+static const function_arrays arrays_of_functions[] = {
+    {RETRAX_ENDS, OF_MAP, {A(CENTRES), A(CONTROLS), A(STEP_SIZE), A(PARAMETERS), NONE}, {A(BEGINS), A(FINISHES), NONE}},
+    {RETRAX_ENDS, OF_COLLOCATION, {A(CENTRES), A(ETA), NONE}, {A(BEGINS), A(FINISHES), NONE}},
+    {RETRAX_MIDDLE, OF_BOTH, {A(AMID_ENDS), NONE}, {A(AMID), NONE}},
+    {RETRAX_FRAMES, OF_BOTH, {A(NODES), A(FIXED), A(GAPS), A(TURNED_COSTATES), NONE},
+     {A(NODE_FRAMES), A(DEFECTS), A(MULTIPLIERS), A(NODE_COSTATES), NONE}},
+    {RETRAX_POINTS, OF_MAP, {A(CENTRES), A(CONTROLS), AROUND, A(STEP_SIZE), A(PARAMETERS), A(LIMIT_MULTIPLIERS),
+      A(NODE_INDICES), NONE},
+     {A(HESSIANS), A(SLOPES), A(LEFT), A(RIGHT), A(GRADIENTS), A(LIMIT_JACOBIANS), A(END_COORDINATES), A(COSTS), A(LIMITS),
+      NONE}},
+    {RETRAX_POINTS, OF_COLLOCATION,
+     {A(POINT_CENTRES), A(XI), A(VELOCITIES), A(CONTROLS), A(POINT_COSTATES), A(POINT_WEIGHTS), A(PARAMETERS),
+      A(LIMIT_MULTIPLIERS), NONE},
+     {A(POINT_HESSIANS), A(POINT_SLOPES), A(POINT_JACOBIANS), A(POINT_GRADIENTS), A(LIMIT_JACOBIANS), A(POINT_DEFECTS),
+      A(POINT_COSTS), A(LIMITS), A(POINT_FRAMES), A(POINT_MULTIPLIERS), NONE}},
+    {RETRAX_BOTH_ENDS, OF_COLLOCATION,
+     {A(CENTRES), A(ETA), AROUND, A(STEP_SIZE), A(PARAMETERS), A(LIMIT_MULTIPLIERS), A(NODE_INDICES), NONE},
+     {A(END_HESSIANS), A(END_SLOPES), A(END_LEFT), A(END_RIGHT), A(END_GRADIENTS), A(LIMIT_JACOBIANS), A(END_COORDINATES),
+      A(END_COSTS), A(LIMITS), NONE}},
+    {RETRAX_MOVE, OF_MAP, {A(CENTRES_BEFORE), A(CONTROLS_BEFORE), A(CENTRE_PARTS), A(STEP_SIZE), A(PARAMETERS), NONE},
+     {A(CENTRES), A(CONTROLS), NONE}},
+    {RETRAX_MOVE, OF_COLLOCATION, {A(CENTRES_BEFORE), A(CENTRE_PARTS), NONE}, {A(CENTRES), A(CARRIED), NONE}},
+    {RETRAX_MOVE_CONTROLS, OF_COLLOCATION, {A(CONTROLS_BEFORE), A(CONTROL_PARTS), NONE}, {A(CONTROLS), NONE}},
+    {RETRAX_START_COST, OF_BOTH, {A(NODES), A(PARAMETERS), NONE}, {A(START_COST), NONE}},
+    {RETRAX_END_COST, OF_BOTH, {A(NODES), A(PARAMETERS), NONE}, {A(END_COST), NONE}},
+    {RETRAX_CONTROL_FRAMES, OF_BOTH, {A(CONTROLS), NONE}, {A(CONTROL_FRAMES), NONE}},
+};
+
+/* The places at which a function is evaluated. */
+static retrax_index places_of(const retrax_problem *problem, retrax_function_name name) {
+    const retrax_index N = problem->steps;
+    switch (name) {
+        case RETRAX_POINTS:
+        case RETRAX_MOVE_CONTROLS:
+        case RETRAX_CONTROL_FRAMES:
+            return N * problem->points;
+        case RETRAX_FRAMES:
+        case RETRAX_START_COST: /* these two at the first, and the last, of the nodes */
+        case RETRAX_END_COST:
+            return N + 1;
+        case RETRAX_MIDDLE:
+            return 1;
+        default:
+            return N;
+    }
+}
+
+/* Numbers of an array at one place: `width` of them from number `offset` on, those of the next place `stride` farther. */
+typedef struct {
     retrax_index offset, width, stride;
 } part;
 
-/* The parts that a function reads or writes. */
-typedef struct {
-    part parts[16];
-    int count;
-} part_list;
-
-static void add(part_list *list, retrax_array array, retrax_index width) {
-    list->parts[list->count++] = (part){array, 0, width, width};
-}
-
-static void add_strided(part_list *list, retrax_array array, retrax_index offset, retrax_index width,
-                        retrax_index stride) {
-    list->parts[list->count++] = (part){array, offset, width, stride};
-}
-
-/* States and covectors of the nodes on either side of a step. */
-static void add_around(part_list *list, retrax_index E) {
-    add(list, RETRAX_ARRAY_NODES, E);
-    add_strided(list, RETRAX_ARRAY_NODES, E, E, E);
-    add(list, RETRAX_ARRAY_NODE_COSTATES, E);
-    add_strided(list, RETRAX_ARRAY_NODE_COSTATES, E, E, E);
-}
-
-/* Lists what a function of a discretization map reads and writes. */
-static void list_of_map(const retrax_problem *problem, retrax_function_name name, part_list *in, part_list *out) {
-    const retrax_index n = problem->state_size, E = problem->state_numbers, U = problem->control_numbers;
-    const retrax_index c = problem->inequalities, z = n + problem->control_size;
-    switch (name) {
-        case RETRAX_ENDS:
-            add(in, RETRAX_ARRAY_CENTRES, E);
-            add(in, RETRAX_ARRAY_CONTROLS, U);
-            add(in, RETRAX_ARRAY_STEP_SIZE, 1);
-            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
-            break;
-        case RETRAX_POINTS:
-            add(in, RETRAX_ARRAY_CENTRES, E);
-            add(in, RETRAX_ARRAY_CONTROLS, U);
-            add_around(in, E);
-            add(in, RETRAX_ARRAY_STEP_SIZE, 1);
-            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
-            add(in, RETRAX_ARRAY_LIMIT_MULTIPLIERS, c);
-            add(in, RETRAX_ARRAY_NODE_INDICES, problem->node_costs);
-            add(out, RETRAX_ARRAY_HESSIANS, z * z);
-            add(out, RETRAX_ARRAY_SLOPES, z);
-            add(out, RETRAX_ARRAY_LEFT, n * z);
-            add(out, RETRAX_ARRAY_RIGHT, n * z);
-            add(out, RETRAX_ARRAY_GRADIENTS, z);
-            add(out, RETRAX_ARRAY_LIMIT_JACOBIANS, c * z);
-            add(out, RETRAX_ARRAY_END_COORDINATES, 2 * n);
-            add(out, RETRAX_ARRAY_COSTS, 1);
-            add(out, RETRAX_ARRAY_LIMITS, c);
-            break;
-        case RETRAX_MOVE:
-            add(in, RETRAX_ARRAY_CENTRES_BEFORE, E);
-            add(in, RETRAX_ARRAY_CONTROLS_BEFORE, U);
-            add(in, RETRAX_ARRAY_CENTRE_PARTS, z);
-            add(in, RETRAX_ARRAY_STEP_SIZE, 1);
-            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
-            add(out, RETRAX_ARRAY_CENTRES, E);
-            add(out, RETRAX_ARRAY_CONTROLS, U);
-            break;
-        default:
-            break;
+static part part_of(const retrax_problem *problem, const retrax_index *count, retrax_function_name name, int asked) {
+    const retrax_index N = problem->steps, d = problem->node_inequalities, of_points = N * problem->points;
+    const retrax_array array = (retrax_array)(asked % NEXT);
+    const bool at_ends = name == RETRAX_BOTH_ENDS, of_ends = name == RETRAX_START_COST || name == RETRAX_END_COST;
+    if (array == A(PARAMETERS) || array == A(STEP_SIZE)) {
+        const bool any = !at_ends || d > 0 || problem->node_costs > 0;
+        return (part){0, !any ? 0 : (array == A(PARAMETERS) ? problem->parameters : 1), array == A(STEP_SIZE) ? 1 : 0};
     }
-}
-
-/* Lists what a function of a collocation method reads and writes. */
-static void list_of_collocation(const retrax_problem *problem, retrax_function_name name, part_list *in,
-                                part_list *out) {
-    const retrax_index n = problem->state_size, E = problem->state_numbers, U = problem->control_numbers;
-    const retrax_index m = problem->control_size, c = problem->inequalities, q = 3 * n + m;
-    const retrax_index d = problem->node_inequalities, of_points = problem->steps * problem->points * c;
-    const retrax_index w = problem->node_costs;
-    switch (name) {
-        case RETRAX_ENDS:
-            add(in, RETRAX_ARRAY_CENTRES, E);
-            add(in, RETRAX_ARRAY_ETA, n);
-            break;
-        case RETRAX_POINTS:
-            add(in, RETRAX_ARRAY_POINT_CENTRES, E);
-            add(in, RETRAX_ARRAY_XI, n);
-            add(in, RETRAX_ARRAY_VELOCITIES, n);
-            add(in, RETRAX_ARRAY_CONTROLS, U);
-            add(in, RETRAX_ARRAY_POINT_COSTATES, E);
-            add(in, RETRAX_ARRAY_POINT_WEIGHTS, 1);
-            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
-            add(in, RETRAX_ARRAY_LIMIT_MULTIPLIERS, c);
-            add(out, RETRAX_ARRAY_POINT_HESSIANS, q * q);
-            add(out, RETRAX_ARRAY_POINT_SLOPES, q);
-            add(out, RETRAX_ARRAY_POINT_JACOBIANS, n * q);
-            add(out, RETRAX_ARRAY_POINT_GRADIENTS, q);
-            add(out, RETRAX_ARRAY_LIMIT_JACOBIANS, c * q);
-            add(out, RETRAX_ARRAY_POINT_DEFECTS, n);
-            add(out, RETRAX_ARRAY_POINT_COSTS, 1);
-            add(out, RETRAX_ARRAY_LIMITS, c);
-            add(out, RETRAX_ARRAY_POINT_FRAMES, n * E);
-            add(out, RETRAX_ARRAY_POINT_MULTIPLIERS, n);
-            break;
-        case RETRAX_BOTH_ENDS:
-            add(in, RETRAX_ARRAY_CENTRES, E);
-            add(in, RETRAX_ARRAY_ETA, n);
-            add_around(in, E);
-            if (d > 0 || w > 0) {
-                add(in, RETRAX_ARRAY_STEP_SIZE, 1);
-                add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
-                add_strided(in, RETRAX_ARRAY_LIMIT_MULTIPLIERS, of_points, d, d);
-                add(in, RETRAX_ARRAY_NODE_INDICES, w);
-            }
-            add(out, RETRAX_ARRAY_END_HESSIANS, 4 * n * n);
-            add(out, RETRAX_ARRAY_END_SLOPES, 2 * n);
-            add(out, RETRAX_ARRAY_END_LEFT, 2 * n * n);
-            add(out, RETRAX_ARRAY_END_RIGHT, 2 * n * n);
-            add(out, RETRAX_ARRAY_END_GRADIENTS, w * 2 * n);
-            add_strided(out, RETRAX_ARRAY_LIMIT_JACOBIANS, of_points * q, d * 2 * n, d * 2 * n);
-            add(out, RETRAX_ARRAY_END_COORDINATES, 2 * n);
-            add(out, RETRAX_ARRAY_END_COSTS, w);
-            add_strided(out, RETRAX_ARRAY_LIMITS, of_points, d, d);
-            break;
-        case RETRAX_MOVE:
-            add(in, RETRAX_ARRAY_CENTRES_BEFORE, E);
-            add(in, RETRAX_ARRAY_CENTRE_PARTS, n);
-            add(out, RETRAX_ARRAY_CENTRES, E);
-            add(out, RETRAX_ARRAY_CARRIED, n * n);
-            break;
-        case RETRAX_MOVE_CONTROLS:
-            add(in, RETRAX_ARRAY_CONTROLS_BEFORE, U);
-            add(in, RETRAX_ARRAY_CONTROL_PARTS, m);
-            add(out, RETRAX_ARRAY_CONTROLS, U);
-            break;
-        default:
-            break;
+    if (array == A(START_COST) || array == A(END_COST)) {
+        return (part){0, count[array], count[array]};
     }
-}
-
-/* Lists what a function reads and writes; nothing of one that the method does not have. */
-static void list(const retrax_problem *problem, retrax_function_name name, part_list *in, part_list *out) {
-    const retrax_index n = problem->state_size, E = problem->state_numbers;
-    in->count = 0;
-    out->count = 0;
-    (retrax_collocates(problem) ? list_of_collocation : list_of_map)(problem, name, in, out);
-    switch (name) {
-        case RETRAX_ENDS:
-            add(out, RETRAX_ARRAY_BEGINS, E);
-            add(out, RETRAX_ARRAY_FINISHES, E);
-            break;
-        case RETRAX_MIDDLE: /* of one node at a time, in the array of its own */
-            add_strided(in, RETRAX_ARRAY_AMID, 0, 2 * E, 0);
-            add_strided(out, RETRAX_ARRAY_AMID, 2 * E, E, 0);
-            break;
-        case RETRAX_FRAMES:
-            add(in, RETRAX_ARRAY_NODES, E);
-            add(in, RETRAX_ARRAY_FIXED, n);
-            add(in, RETRAX_ARRAY_GAPS, E);
-            add(in, RETRAX_ARRAY_TURNED_COSTATES, E);
-            add(out, RETRAX_ARRAY_NODE_FRAMES, n * E);
-            add(out, RETRAX_ARRAY_DEFECTS, n);
-            add(out, RETRAX_ARRAY_MULTIPLIERS, n);
-            add(out, RETRAX_ARRAY_NODE_COSTATES, E);
-            break;
-        case RETRAX_CONTROL_FRAMES:
-            add(in, RETRAX_ARRAY_CONTROLS, problem->control_numbers);
-            add(out, RETRAX_ARRAY_CONTROL_FRAMES, problem->control_size * problem->control_numbers);
-            break;
-        case RETRAX_START_COST:
-            add(in, RETRAX_ARRAY_NODES, E);
-            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
-            add(out, RETRAX_ARRAY_START_COST, 1 + E + n + n * n);
-            break;
-        case RETRAX_END_COST:
-            add_strided(in, RETRAX_ARRAY_NODES, problem->steps * E, E, E);
-            add_strided(in, RETRAX_ARRAY_PARAMETERS, 0, problem->parameters, 0);
-            add(out, RETRAX_ARRAY_END_COST, 1 + E + n + n * n);
-            break;
-        default:
-            break;
+    if (array == A(LIMITS) || array == A(LIMIT_MULTIPLIERS) || array == A(LIMIT_JACOBIANS)) {
+        const bool slopes = array == A(LIMIT_JACOBIANS);
+        const retrax_index each = problem->inequalities * (slopes ? retrax_point_unknowns(problem) : 1);
+        const retrax_index of_step = d * (slopes ? 2 * problem->state_size : 1);
+        return at_ends ? (part){of_points * each, of_step, of_step} : (part){0, each, each};
     }
+    const bool of_nodes = array == A(NODES) || array == A(NODE_COSTATES);
+    const retrax_index width = count[array] / (of_nodes ? N + 1 : places_of(problem, name));
+    const retrax_index first = asked >= NEXT ? 1 : (of_ends && name == RETRAX_END_COST ? N : 0);
+    return (part){first * width, width, width};
 }
 
-static retrax_index width_of(const part_list *parts) {
-    retrax_index found = 0;
-    for (int i = 0; i < parts->count; i++) {
-        found += parts->parts[i].width;
+/* What a function reads, or writes; nothing of one that the method does not have. */
+static const int *arrays_of(const retrax_problem *problem, retrax_function_name name, bool out) {
+    static const int nothing[] = {NONE};
+    const method own = retrax_collocates(problem) ? OF_COLLOCATION : OF_MAP;
+    for (size_t i = 0; i < sizeof(arrays_of_functions) / sizeof(arrays_of_functions[0]); i++) {
+        const function_arrays *const found = &arrays_of_functions[i];
+        if (found->name == name && (found->of == own || found->of == OF_BOTH)) {
+            return out ? found->out : found->in;
+        }
+    }
+    return nothing;
+}
+
+static retrax_index width_of(const retrax_problem *problem, retrax_function_name name, bool out) {
+    retrax_index count[RETRAX_ARRAY_TOTAL], found = 0;
+    count_arrays(problem, count);
+    for (const int *array = arrays_of(problem, name, out); *array != NONE; array++) {
+        found += part_of(problem, count, name, *array).width;
     }
     return found;
 }
 
 retrax_index retrax_function_inputs(const retrax_problem *problem, retrax_function_name name) {
-    part_list in, out;
-    list(problem, name, &in, &out);
-    return width_of(&in);
+    return width_of(problem, name, false);
 }
 
 retrax_index retrax_function_outputs(const retrax_problem *problem, retrax_function_name name) {
-    part_list in, out;
-    list(problem, name, &in, &out);
-    return width_of(&out);
+    return width_of(problem, name, true);
 }
 
-/* Takes the places of some parts from a block and writes them. */
-static const retrax_index (*take_places(retrax_block *block, const retrax_layout *layout, const part_list *parts))[2] {
-    retrax_index(*const places)[2] = retrax_take(block, width_of(parts), 2, sizeof(retrax_index));
-    if (places == NULL) {
-        return NULL;
-    }
+/* Takes the places of what a function reads, or writes, from a block and writes them. */
+static const retrax_index (*take_places(retrax_block *block, const retrax_problem *problem, const retrax_layout *layout,
+                                        retrax_function_name name, bool out))[2] {
+    retrax_index(*const places)[2] = retrax_take(block, width_of(problem, name, out), 2, sizeof(retrax_index));
     retrax_index k = 0;
-    for (int i = 0; i < parts->count; i++) {
-        const part *const own = &parts->parts[i];
-        for (retrax_index j = 0; j < own->width; j++, k++) {
-            places[k][0] = layout->first[own->array] + own->offset + j;
-            places[k][1] = own->stride;
+    for (const int *array = arrays_of(problem, name, out); *array != NONE && places != NULL; array++) {
+        const part own = part_of(problem, layout->count, name, *array);
+        for (retrax_index j = 0; j < own.width; j++, k++) {
+            places[k][0] = layout->first[*array % NEXT] + own.offset + j;
+            places[k][1] = own.stride;
         }
     }
     return (const retrax_index(*)[2])places;
@@ -320,10 +229,8 @@ static const retrax_index (*take_places(retrax_block *block, const retrax_layout
 /* Takes the places of all functions from a block. */
 static void take_all_places(const retrax_problem *problem, retrax_block *block, retrax_layout *layout) {
     for (int name = 0; name < RETRAX_FUNCTIONS; name++) {
-        part_list in, out;
-        list(problem, (retrax_function_name)name, &in, &out);
-        layout->sources[name] = take_places(block, layout, &in);
-        layout->targets[name] = take_places(block, layout, &out);
+        layout->sources[name] = take_places(block, problem, layout, (retrax_function_name)name, false);
+        layout->targets[name] = take_places(block, problem, layout, (retrax_function_name)name, true);
     }
 }
 

@@ -36,14 +36,20 @@ static inline bool retrax_is_finite(const double *numbers, retrax_index count) {
     return sum == 0.0;
 }
 
+/* Whether all numbers are zero. */
+static inline bool retrax_is_zero(const double *numbers, retrax_index count) {
+    bool found = true;
+    for (retrax_index i = 0; i < count; i++) {
+        found = found && numbers[i] == 0.0;
+    }
+    return found;
+}
+
 /* The duration of a trajectory. */
 double retrax_duration(const retrax_layout *layout, const double *trajectory);
 
 /* Unknowns of a point that inequalities depend on: (dx, dxi, dnu, du), or of a discretization map (dx, du). */
 retrax_index retrax_point_unknowns(const retrax_problem *problem);
-
-/* Unknowns of a step with the multipliers of its inequalities. */
-retrax_index retrax_augmented_size(const retrax_problem *problem);
 
 /* Whether there are inequalities. */
 bool retrax_is_limited(const retrax_problem *problem);

@@ -67,7 +67,7 @@ void retrax_take_coupling(retrax_block *block, retrax_coupling *coupling) {
 
 void retrax_take_response(const retrax_layout *layout, retrax_block *block, retrax_response *response) {
     const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
-    const retrax_index z = retrax_augmented_size(layout->problem), columns = 1 + 2 * n;
+    const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], columns = 1 + 2 * n;
     response->free = retrax_take(block, 2, n, sizeof(retrax_index));
     response->slope = retrax_take(block, N * z, columns, sizeof(double));
     response->defect = retrax_take(block, (N + 1) * n, columns, sizeof(double));
@@ -176,12 +176,12 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
         const double *const trajectory = iterate + phase->place;
         const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
         for (retrax_index i = 0; i < 2 * n; i++) {
-            const double own = phase->judging.nodes[i % n];
+            const double own = phase->scale.unknowns[i % n];
             const double size = own * retrax_larger(own, RETRAX_VALUE_SHARE * value_of(layout, trajectory, i % n));
             found = retrax_larger(found, fabs(curvature[(first + i) * Z + first + i]) * size);
         }
         for (retrax_index i = 0; i < z && !retrax_is_limited(layout->problem); i++) { /* with a barrier it has no bound */
-            const double unit = phase->judging.unknowns[i];
+            const double unit = phase->scale.unknowns[i];
             found = retrax_larger(found, ARRAY(CURVATURES)[i] * unit * unit);
         }
         first += 2 * n;
@@ -200,7 +200,7 @@ static double change_of(const retrax_search *search, const double *iterate, retr
         const retrax_layout *const layout = phase->layout;
         const double *const trajectory = iterate + phase->place;
         const retrax_index n = layout->problem->state_size, N = layout->problem->steps;
-        const double *const own = by == BY_FRESH ? phase->fresh.nodes : phase->response.ways;
+        const double *const own = by == BY_FRESH ? phase->fresh.unknowns : phase->response.ways;
         const double *const sizes = by == BY_ALONG ? ARRAY(ALONG) : own;
         for (retrax_index i = 0; i < 2 * n; i++, row++) {
             const bool fixed = by == BY_WAYS && ARRAY(FIXED)[i < n ? i : N * n + i - n] != 0.0;
@@ -229,7 +229,8 @@ static double missed_of(const retrax_search *search, const double *iterate) {
     return found;
 }
 
-double retrax_apart(const retrax_search *search, const double *iterate) {
+/* The most that an equation between the ends lacks, in its natural size. */
+static double apart_of(const retrax_search *search, const double *iterate) {
     double found = 0.0;
     for (retrax_index i = 0; i < search->coupling.count[RETRAX_COUPLED_VALUES]; i++) {
         found = retrax_larger(found, fabs(COUPLED(VALUES)[i]) / search->coupling.sizes[i]);
@@ -256,9 +257,9 @@ void retrax_join_residuals(const retrax_search *search, double *iterate) {
         found[RETRAX_INFEASIBILITY] += fabs(COUPLED(VALUES)[i]) / search->coupling.sizes[i];
         held += COUPLED(COORDINATES)[i] * COUPLED(VALUES)[i];
     }
-    found[RETRAX_HELD] += held / search->phases->steps.cost;
+    found[RETRAX_HELD] += held / search->phases->scale.cost;
     found[RETRAX_DEFECT] = retrax_larger(found[RETRAX_DEFECT], missed_of(search, iterate));
-    found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], retrax_apart(search, iterate));
+    found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], apart_of(search, iterate));
     found[RETRAX_STEADY] = retrax_larger(found[RETRAX_STEADY], found[RETRAX_DEFECT]);
     found[RETRAX_FINAL] = retrax_larger(found[RETRAX_FINAL], found[RETRAX_DEFECT]);
     found[RETRAX_LARGEST] = retrax_larger(found[RETRAX_LARGEST], found[RETRAX_DEFECT]);
@@ -289,7 +290,7 @@ static void find_ways(const retrax_search *search, retrax_phase *phase, double *
     retrax_measure_scale(layout, trajectory, &data, search->workspace, search->set, &phase->fresh);
     retrax_copy(ARRAY(GRADIENTS), gradients, layout->count[RETRAX_ARRAY_GRADIENTS]);
     for (retrax_index a = 0; a < n; a++) {
-        least[a] = phase->fresh.nodes[a] > DBL_MIN ? phase->fresh.nodes[a] : 0.0;
+        least[a] = phase->fresh.unknowns[a] > DBL_MIN ? phase->fresh.unknowns[a] : 0.0;
         ways[a] = least[a] > 0.0 ? least[a] : ways[a];
     }
 }
@@ -312,10 +313,8 @@ static double cost_of(const retrax_phase *phase, const double *trajectory) {
     static const retrax_array paid[] = {RETRAX_ARRAY_GRADIENTS, RETRAX_ARRAY_COSTS, RETRAX_ARRAY_HESSIANS};
     const retrax_layout *const layout = phase->layout;
     for (size_t k = 0; k < sizeof(paid) / sizeof(paid[0]); k++) {
-        for (retrax_index i = 0; i < layout->count[paid[k]]; i++) {
-            if (trajectory[layout->first[paid[k]] + i] != 0.0) {
-                return phase->fresh.cost * (double)layout->problem->steps;
-            }
+        if (!retrax_is_zero(trajectory + layout->first[paid[k]], layout->count[paid[k]])) {
+            return phase->fresh.cost * (double)layout->problem->steps;
         }
     }
     return 0.0;

@@ -53,7 +53,7 @@ typedef struct {
     retrax_index *free;      /* [2][n] the free coordinates of start and end */
     retrax_index counts[2];  /* their numbers, p and q */
     retrax_index rows[3];    /* of the border, where those of its start, its end and its forces begin */
-    double *slope;           /* [N][z][columns] right-hand sides; z with multipliers of inequalities where these count */
+    double *slope;           /* [N][z][columns] right-hand sides */
     double *defect;          /* [N + 1][n][columns] */
     double *steps;           /* [N][z][columns] */
     double *multipliers;     /* [N + 1][n][columns] */

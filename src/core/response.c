@@ -77,21 +77,21 @@ static void write_end(const retrax_layout *layout, const double *trajectory, con
 
 /* Writes the weights on the end, and which equations of the ends count: all at the start, none at the end. */
 static void weigh(const retrax_phase *phase, retrax_response *own) {
-    const double each = WEIGHT * (double)phase->layout->problem->steps * phase->steps.cost;
+    const double each = WEIGHT * (double)phase->layout->problem->steps * phase->scale.cost;
     for (retrax_index a = 0; a < phase->layout->problem->state_size; a++) {
-        own->weights[a] = each / (phase->steps.nodes[a] * phase->steps.nodes[a]);
+        own->weights[a] = each / (phase->scale.unknowns[a] * phase->scale.unknowns[a]);
         own->ones[a] = 1.0;
         own->none[a] = 0.0;
     }
 }
 
-retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, retrax_block_system of,
-                              double *hessian) {
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift) {
     const retrax_layout *const layout = phase->layout;
-    const double *const trajectory = search->at + phase->place;
+    double *const trajectory = search->at + phase->place;
+    retrax_block_system of = retrax_newton_system(search, phase, shift);
     const retrax_index size = of.stage_size * of.stage_size;
     retrax_response *const own = &phase->response;
-    double *const last = hessian + (of.stages - 1) * size;
+    double *const last = ARRAY(HESSIANS) + (of.stages - 1) * size;
     list_free(layout, trajectory, own);
     weigh(phase, own);
     write_columns(layout, trajectory, &of, last, own);

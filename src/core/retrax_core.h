@@ -429,7 +429,8 @@ typedef struct {
     X(POINT_CENTRES, v *E) X(XI, v *n) X(ETA, v / s *n) X(POINT_WEIGHTS, v)                                           \
     /* nodes */                                                                                                       \
     X(BEGINS, N *E) X(FINISHES, N *E) X(NODES, (N + 1) * E) X(GAPS, (N + 1) * E) X(SEEN, (N + 1) * E)                 \
-    X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID, 3 * E) X(NODE_FRAMES, (N + 1) * n * E)                \
+    X(DISTANCE, E) X(LARGEST, E) X(COLUMN_SIZES, 2 * E) X(AMID_ENDS, 2 * E) X(AMID, E)                                \
+    X(NODE_FRAMES, (N + 1) * n * E)                                                                                   \
     X(DEFECTS, (N + 1) * n) X(ASKED, (N + 1) * n) X(MULTIPLIERS, (N + 1) * n) X(NODE_COSTATES, (N + 1) * E)           \
     X(TURNED_COSTATES, (N + 1) * E) X(START_COST, 1 + E + n + n * n) X(END_COST, 1 + E + n + n * n)                   \
     /* points of collocation */                                                                                       \
@@ -533,9 +534,6 @@ RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double
 typedef struct {
     double rate;          /* of the cost per time: unit of the barrier */
     const double *limits; /* [c + d] of the inequalities */
-    double first_penalty; /* relative to rate / limits: the usual first penalty */
-    double near;          /* share of its penalty at which a multiplier says that this is too small */
-    double last_penalty;  /* relative: the largest penalty */
 } retrax_limit_scale;
 
 /* Rows of LIMIT_SURVEY. */
@@ -610,27 +608,24 @@ enum {
     RETRAX_INFEASIBILITY,   /* sum of what all nodes, points and inequalities lack, in units of steps */
     RETRAX_MERIT,           /* cost with its barrier, in its unit */
     RETRAX_HELD,            /* sum of the multipliers times what is lacking, in the unit of the cost */
-    RETRAX_UNMET,           /* the most that a node or point lacks in a coordinate, in units of success */
-    RETRAX_SHORTFALL,       /* the same in units of steps */
+    RETRAX_SHORTFALL,       /* the most that a node or point lacks in a coordinate, in units of steps */
     RETRAX_RESIDUALS        /* their number */
 };
 
-/* Natural sizes of a trajectory: those that success is judged by, and those of steps. */
+/* Natural sizes of a trajectory; the array belongs to the caller. See 9. */
 typedef struct {
-    const double *judging_nodes;    /* [n] */
-    const double *judging_unknowns; /* [z] */
-    double least_part;              /* cost that sets the scale of slopes where their parts vanish; 0: their curvature */
-    const double *nodes;            /* [n] */
-    double cost;
-} retrax_residual_scale;
+    double *unknowns; /* [z] of a step, of which the first n are those of the nodes too */
+    double cost;      /* of a step */
+} retrax_scale;
 
 /* Writes what is largest along an assembled trajectory: HIGHEST to CURVATURES and POINT_SURVEY; TOTALS are its cost,
  * and the sum of its multipliers times what is lacking. */
 RETRAX_API void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory);
 
-/* Writes ALONG, ENTRIES and RESIDUALS of a trajectory that was surveyed; limits: NULL without inequalities. */
-RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *trajectory,
-                                         const retrax_residual_scale *scale, const retrax_limit_scale *limits);
+/* Writes ALONG, ENTRIES and RESIDUALS of a trajectory that was surveyed. least_part: cost that sets the scale of slopes
+ * where their parts vanish, 0: their curvature does; limits: NULL without inequalities. */
+RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, const retrax_scale *scale,
+                                         double least_part, const retrax_limit_scale *limits);
 
 /* ------------------------------------------------------------------------------------------------------ 9. Scaling:
  * natural sizes of a trajectory, free of the units that its problem is written in
@@ -642,13 +637,6 @@ RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *tr
  * ends that a drifting trajectory misses, and what the slope of the cost asks for. No size is next to nothing: not
  * beside what each step makes of the sizes of others, nor beside what costs as much as all others do.
  * ------------------------------------------------------------------------------------------------------ */
-
-/* Natural sizes; the arrays belong to the caller. */
-typedef struct {
-    double *unknowns; /* [z] of a step */
-    double *nodes;    /* [n] */
-    double cost;      /* of a step */
-} retrax_scale;
 
 /* Of what the natural sizes of a trajectory are made beside its linear system; the arrays are only read. */
 typedef struct {
@@ -707,7 +695,6 @@ typedef enum {
     RETRAX_CONVERGED,       /* at an extremal */
     RETRAX_SINGULAR,        /* the linear system has no solution that can be used */
     RETRAX_INFEASIBLE,      /* inequalities contradict each other, or the ends */
-    RETRAX_ELSEWHERE,       /* the equations hold where a point is not at its end, and no step leads on */
     RETRAX_DEGENERATE,      /* the guess is one from which Newton's method cannot set out; another one may do */
     RETRAX_ITERATION_LIMIT,
     RETRAX_STOPPED          /* as the report has asked */
@@ -769,8 +756,7 @@ RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
 typedef struct {
     const double *trajectory;   /* the last iterate */
     const double *first;        /* the guess with its first multipliers and slacks: the arrays before POINT_CENTRES */
-    retrax_scale judging;       /* natural sizes that success was judged by */
-    retrax_scale steps;         /* those of steps */
+    retrax_scale scale;         /* natural sizes that success was judged by */
     const double *limits;       /* [c + d] of the inequalities */
     double rate;                /* unit of the barrier */
     const double *residuals;    /* [RETRAX_RESIDUALS] of all trajectories together */

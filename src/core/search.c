@@ -6,42 +6,14 @@
 
 /* Bound of the iterations of a search, whose costs are kept. */
 #define MOST_ITERATIONS ((retrax_index)1 << 20)
-/* Share of its penalty at which a multiplier says that the penalty is too small. */
-#define NEAR_PENALTY 0.5
-/* The largest penalty, relative to the unit of the multipliers. */
-#define LAST_PENALTY 1e6
-
-/* Takes the arrays of the linear system with the multipliers of the inequalities from a block. */
-static void take_augmented(const retrax_problem *problem, retrax_block *block, retrax_augmented *to) {
-    const retrax_index N = problem->steps, s = problem->points, n = problem->state_size, z = n + s * problem->control_size;
-    const retrax_index y = retrax_augmented_size(problem), limits = y - z;
-    to->size = y;
-    if (limits == 0) {
-        return;
-    }
-    to->rows = retrax_take(block, N * limits, z, sizeof(double));
-    to->gives = retrax_take(block, N, limits, sizeof(double));
-    to->sizes = retrax_take(block, y, 1, sizeof(double));
-    to->hessian = retrax_take(block, N * y, y, sizeof(double));
-    to->left = retrax_take(block, N * n, y, sizeof(double));
-    to->right = retrax_take(block, N * n, y, sizeof(double));
-    to->zeros = retrax_take(block, N + 1, y + n, sizeof(double));
-    to->step = retrax_take(block, N, y, sizeof(double));
-    to->multipliers = retrax_take(block, N + 1, n, sizeof(double));
-    to->largest = retrax_take(block, y, 1, sizeof(double));
-}
 
 /* Takes the arrays of a phase from a block. */
 static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *block, retrax_phase *to) {
     const retrax_problem *const problem = layout->problem;
-    const retrax_index n = problem->state_size, E = problem->state_numbers, m = problem->control_size;
+    const retrax_index E = problem->state_numbers, m = problem->control_size, points = problem->steps * problem->points;
     const retrax_index c = problem->inequalities + problem->node_inequalities, z = layout->count[RETRAX_ARRAY_PARTS];
-    const retrax_index points = problem->steps * problem->points;
-    retrax_scale *const scales[] = {&to->judging, &to->steps, &to->fresh};
-    for (int i = 0; i < 3; i++) {
-        scales[i]->unknowns = retrax_take(block, z, 1, sizeof(double));
-        scales[i]->nodes = retrax_take(block, n, 1, sizeof(double));
-    }
+    to->scale.unknowns = retrax_take(block, z, 1, sizeof(double));
+    to->fresh.unknowns = retrax_take(block, z, 1, sizeof(double));
     to->limit_sizes = retrax_take(block, c, 1, sizeof(double));
     to->curvatures = retrax_take(block, z, 1, sizeof(double));
     to->largest = retrax_take(block, z, 1, sizeof(double));
@@ -54,7 +26,6 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
     to->limit_curvatures = retrax_take(block, retrax_curved_limits(problem) * points, m, sizeof(double));
     to->square = retrax_take(block, z, z, sizeof(double));
     to->steady = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
-    take_augmented(problem, block, &to->augmented);
     if (coupled) {
         retrax_take_response(layout, block, &to->response);
     }
@@ -64,8 +35,8 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
 static size_t workspace_of(const retrax_layout *layout, bool coupled) {
     const retrax_problem *const problem = layout->problem;
     const size_t own = retrax_workspace(problem);
-    const retrax_index n = problem->state_size, columns = coupled ? 1 + 2 * n : 1;
-    const size_t more = retrax_block_workspace(problem->steps, n, retrax_augmented_size(problem), columns);
+    const retrax_index n = problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
+    const size_t more = retrax_block_workspace(problem->steps, n, z, coupled ? 1 + 2 * n : 1);
     return own == 0 || more == 0 ? 0 : (own > more ? own : more);
 }
 
@@ -110,7 +81,7 @@ static retrax_search *lay_out(const retrax_multiphase *problem, retrax_index max
     to->guess_multipliers = place_guess(problem, to->phases);
     const retrax_index multipliers = coupled ? to->coupling.count[RETRAX_COUPLED_MULTIPLIERS] : 0;
     to->first = retrax_take(block, to->guess_multipliers + multipliers, 1, sizeof(double));
-    to->costs = retrax_take(block, max_iterations + RETRAX_SETTLING + 3, 1, sizeof(double));
+    to->costs = retrax_take(block, max_iterations + 3, 1, sizeof(double));
     size_t workspace = 0;
     for (retrax_index k = 0; k < problem->phases; k++) {
         retrax_phase phase;
@@ -149,7 +120,7 @@ retrax_search *retrax_search_make(const retrax_multiphase *problem, const retrax
     search->limited = false;
     EACH_PHASE(phase) {
         search->limited = search->limited || retrax_is_limited(phase->layout->problem);
-        phase->limits = (retrax_limit_scale){0.0, phase->limit_sizes, RETRAX_FIRST_PENALTY, NEAR_PENALTY, LAST_PENALTY};
+        phase->limits = (retrax_limit_scale){0.0, phase->limit_sizes};
     }
     const bool coupled = retrax_is_coupled(search);
     const retrax_index *const first = search->phases->layout->first;
@@ -175,8 +146,7 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
     return (retrax_search_result){
         .trajectory = search->at + own->place,
         .first = search->first + own->guess_place,
-        .judging = own->judging,
-        .steps = own->steps,
+        .scale = own->scale,
         .limits = own->limit_sizes,
         .rate = own->limits.rate,
         .residuals = search->at + search->residuals,

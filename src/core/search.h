@@ -10,15 +10,11 @@
 /* The largest shift of a Hessian: with a larger one a step says nothing. */
 #define RETRAX_LARGEST_SHIFT 1e10
 
-/* Trials beyond the limit where all but the barrier meets the tolerance there: they tell what the iterate is. */
-#define RETRAX_SETTLING 5
-
 /* A Newton step, and what its elimination tells of the linear system. */
 typedef struct {
     double shift;       /* of the Hessian, which makes the step descend */
     double curvature;   /* along the step, in units of the cost */
     double size;        /* of the step in the same units */
-    double smallest;    /* pivot */
     bool finite;        /* whether there is a step */
     bool strict;        /* whether the Hessian is positive definite on the null space of the constraints, beyond rounding */
     bool convex;        /* whether the inertia is that of such a one, or without inequalities is hidden by rounding */
@@ -34,25 +30,12 @@ typedef struct {
     double infeasibility, cost, held;
 } retrax_merit;
 
-/* The linear system of the Lagrangian alone, with the multipliers of the inequalities among the unknowns of a step. */
-typedef struct {
-    retrax_index size;          /* y: unknowns of a step, its inequalities last */
-    double *rows;               /* [N][y - z][z] derivatives of the inequalities */
-    double *gives;              /* [N][y - z] one over stiffness and weight */
-    double *sizes;              /* [y] natural sizes of the unknowns */
-    double *hessian;            /* [N][y][y] */
-    double *left, *right;       /* [N][n][y] */
-    double *zeros;              /* [N + 1][y + n] right-hand sides */
-    double *step, *multipliers; /* [N][y], [N + 1][n] */
-    double *largest;            /* [y] */
-} retrax_augmented;
-
 /* What a search knows of one of its trajectories; arrays stand in the memory of the search. */
 typedef struct {
     const retrax_layout *layout;
     retrax_index place;          /* of its numbers in those of an iterate */
     retrax_index guess_place;    /* of its given arrays and unknowns in search->first */
-    retrax_scale judging, steps; /* natural sizes that success is judged by, and those of steps */
+    retrax_scale scale;          /* natural sizes of steps, which success is judged by */
     retrax_scale fresh;          /* those of the iterate, where they are measured again */
     retrax_limit_scale limits;
     double *limit_sizes;         /* [c] */
@@ -70,7 +53,6 @@ typedef struct {
     double dual;                 /* the fraction of the steps of the multipliers of its inequalities that stays inside */
     bool knows;                  /* whether the guess knows multipliers of its inequalities */
     retrax_response response;    /* where ends are coupled */
-    retrax_augmented augmented;  /* without inequalities its arrays are missing */
 } retrax_phase;
 
 /* A search; arrays stand in its memory. An iterate is the numbers of all trajectories, then those of the coupling. */
@@ -88,7 +70,7 @@ struct retrax_search {
     double *first;               /* the guess: what is given of each trajectory and its unknowns, then MULTIPLIERS */
     retrax_index guess_multipliers; /* place of these */
     void *workspace;
-    double *costs;               /* [max_iterations + RETRAX_SETTLING + 3] of the iterates after 1, 2, ... trials */
+    double *costs;               /* [max_iterations + 3] of the iterates after 1, 2, ... trials */
     double first_cost;           /* natural size of the cost at the guess */
     retrax_direction direction;
     retrax_merit merit;
@@ -120,12 +102,14 @@ struct retrax_search {
 static inline bool retrax_is_coupled(const retrax_search *search) { return search->problem->function.evaluate != NULL; }
 
 /* step_cap.c: returns the fraction of the step in which points that keep their size move by no more than a diameter.
- * largest: [z] steps of the unknowns; trial: a trajectory that is overwritten; steady: [E + U] workspace. */
-double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
-                       bool *steady);
+ * largest: [z] steps of the unknowns; steady: [E + U] workspace. */
+double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, bool *steady);
 
 /* inertia.c: computes the Newton step at the iterate with a shift of the Hessian. */
 void retrax_newton_step(retrax_search *search, double shift);
+
+/* inertia.c: solves the linear system of the iterate with a shift of the Hessian, of which that is a part. */
+void retrax_eliminate(retrax_search *search, double shift);
 
 /* inertia.c: the linear system of a trajectory of the iterate with a shift of the Hessian. */
 retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double shift);
@@ -146,19 +130,6 @@ bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
 
 /* funnel.c: the merit of an iterate that was measured. */
 retrax_merit retrax_merit_of(const retrax_search *search, const double *iterate);
-
-/* A piece of the states: an array, but for entries that have a coordinate of their own, which are pieces. */
-typedef struct {
-    double far;         /* the most that an entry of it is moved by the step, to first order */
-    double spread;      /* the most that an entry of it changes along the trajectory */
-    retrax_index first; /* its first entry */
-} retrax_piece;
-
-/* degenerate.c: finds out which entries of the iterate of one trajectory, which was surveyed, are pieces by themselves. */
-void retrax_find_pieces(retrax_search *search);
-
-/* degenerate.c: the piece that an entry belongs to, after retrax_find_pieces. */
-retrax_piece retrax_piece_of(const retrax_search *search, retrax_index e);
 
 /* degenerate.c: whether Newton's method cannot set out from the guess. */
 bool retrax_is_degenerate(retrax_search *search);
@@ -183,6 +154,10 @@ void retrax_conclude(retrax_search *search);
 /* convergence.c: raises the stationarity of an iterate, of which each trajectory was measured, to that relative to what
  * its unknowns span: natural sizes are what controls reach, and an unstable system reaches farther than any solution. */
 void retrax_measure_by_spans(const retrax_search *search, double *iterate);
+
+/* convergence.c: what an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size of a
+ * control. */
+double retrax_span_of(const retrax_layout *layout, const double *trajectory, retrax_index i);
 
 /* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
@@ -225,9 +200,6 @@ void retrax_initialise(retrax_search *search);
 /* initialise.c: the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. */
 void retrax_begin(retrax_search *search);
 
-/* initialise.c: keeps the iterate as the guess. */
-void retrax_keep_guess(retrax_search *search);
-
 /* initialise.c: takes what is given and the unknowns of the guess. */
 void retrax_return_to_guess(retrax_search *search);
 
@@ -261,8 +233,11 @@ double retrax_control_size(const retrax_layout *layout, const double *trajectory
 /* algorithm.c: evaluates the functions of the problem at an iterate. */
 void retrax_evaluate_functions(const retrax_search *search, double *iterate);
 
+/* algorithm.c: assembles the linear system of an iterate whose functions were evaluated. */
+void retrax_assemble(const retrax_search *search, double *iterate);
+
 /* algorithm.c: evaluates an iterate and assembles its linear system. */
-void retrax_evaluate(retrax_search *search, double *iterate);
+void retrax_evaluate(const retrax_search *search, double *iterate);
 
 /* algorithm.c: measures an evaluated iterate. */
 void retrax_measure(retrax_search *search, double *iterate);
@@ -289,9 +264,6 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
 /* multiphase.c: writes the residuals of all trajectories together, each of which was measured. */
 void retrax_join_residuals(const retrax_search *search, double *iterate);
 
-/* multiphase.c: the most that an equation between the ends lacks, in its natural size. */
-double retrax_apart(const retrax_search *search, const double *iterate);
-
 /* multiphase.c: writes the natural sizes of all trajectories of an evaluated iterate, and of the equations between their
  * ends. */
 void retrax_find_coupled_scales(retrax_search *search, double *iterate);
@@ -299,24 +271,16 @@ void retrax_find_coupled_scales(retrax_search *search, double *iterate);
 /* multiphase.c: writes the multipliers of the coupling after a fraction of the step from search->at. */
 void retrax_move_coupling(const retrax_search *search, double part, double *iterate);
 
-/* response.c: finds how a trajectory of the iterate follows its ends by a linear system, whose Hessian is changed and
- * put back; returns its inertia. */
-retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, retrax_block_system of, double *hessian);
+/* response.c: finds how a trajectory of the iterate follows its ends with a shift of the Hessian; returns the inertia. */
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift);
 
 /* border.c: computes the Newton step of coupled trajectories with a shift of the Hessian. */
 void retrax_eliminate_coupled(retrax_search *search, double shift);
-
-/* border.c: adds the inertia of the border of the responses of all phases; returns how many of its eigenvalues are
- * negative at a minimum. */
-retrax_index retrax_add_border(retrax_search *search, retrax_inertia *inertia);
 
 /* border.c: adds what the coupling changes to what a step promises. */
 void retrax_add_coupled_promise(retrax_search *search);
 
 /* algorithm.c: lets iterate and trial change places. */
 void retrax_swap(retrax_search *search);
-
-/* algorithm.c: copies natural sizes. */
-void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, retrax_scale *to);
 
 #endif /* RETRAX_SEARCH_H */

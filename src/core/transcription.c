@@ -58,8 +58,8 @@ static void write_displacements(const retrax_layout *layout, double *trajectory)
  * of the arc is 2 atan(t / r). The gap becomes that along the arc, of which a step sees the cosine of this angle. */
 static void meet_amid(const retrax_layout *layout, double *trajectory, const double *before, retrax_index node) {
     const retrax_index E = layout->problem->state_numbers, *const columns = layout->problem->columns;
-    double *const gap = ARRAY(GAPS) + node * E, *const seen = ARRAY(SEEN) + node * E, *const first = ARRAY(AMID);
-    double *const second = first + E, *const middle = first + 2 * E;
+    double *const gap = ARRAY(GAPS) + node * E, *const seen = ARRAY(SEEN) + node * E, *const first = ARRAY(AMID_ENDS);
+    double *const second = first + E, *const middle = ARRAY(AMID);
     double *const sagittas = ARRAY(COLUMN_SIZES), *const chords = sagittas + E;
     bool finite = true;
     for (retrax_index e = 0; e < E; e++) {

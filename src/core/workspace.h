@@ -19,6 +19,17 @@ typedef struct {
 } retrax_block;
 
 /* Takes rows * columns items of some bytes from a block; returns their address, NULL if the block has no memory. */
-void *retrax_take(retrax_block *block, retrax_index rows, retrax_index columns, size_t bytes);
+static inline void *retrax_take(retrax_block *block, retrax_index rows, retrax_index columns, size_t bytes) {
+    const size_t most = SIZE_MAX / 4;
+    const size_t count = (size_t)rows, each = (size_t)columns;
+    if (block->used == SIZE_MAX || (each > 0 && count > most / each) || count * each > most / bytes ||
+        block->used > most) {
+        block->used = SIZE_MAX;
+        return NULL;
+    }
+    void *const found = block->base == NULL ? NULL : (void *)(block->base + block->used);
+    block->used += (count * each * bytes + RETRAX_ALIGNMENT - 1) & ~(size_t)(RETRAX_ALIGNMENT - 1);
+    return found;
+}
 
 #endif /* RETRAX_WORKSPACE_H */

@@ -13,7 +13,7 @@ import numpy as np
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 ARITHMETIC = ["-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-DRETRAX_ONE_INSTRUCTION_SET", "-Icore"]
 STATUSES = (
-    "SOLVED", "ITERATION_LIMIT", "SINGULAR", "INFEASIBLE", "ELSEWHERE", "BAD_INPUT", "BAD_WORKSPACE"
+    "SOLVED", "ITERATION_LIMIT", "SINGULAR", "INFEASIBLE", "BAD_INPUT", "BAD_WORKSPACE"
 )  # fmt: skip
 RESIDUALS = "defect", "stationarity", "violation", "complementarity"
 

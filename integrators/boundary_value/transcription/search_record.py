@@ -33,8 +33,7 @@ class PhaseRecord(NamedTuple):
     totals: np.ndarray
     limits: np.ndarray
     iterate: IterateNumbers
-    judging: Scale  # natural sizes that success was judged by
-    steps: Scale  # natural sizes of steps
+    scale: Scale  # natural sizes that success was judged by
     limit_sizes: np.ndarray  # natural sizes of inequalities
     rate: float  # unit of the barrier
 

@@ -213,9 +213,6 @@ static void read_output(const head *own, const retrax_search *search, const @nam
         case RETRAX_INFEASIBLE:
             output->status = @NAME@_INFEASIBLE;
             break;
-        case RETRAX_ELSEWHERE:
-            output->status = @NAME@_ELSEWHERE;
-            break;
         case RETRAX_ITERATION_LIMIT:
         case RETRAX_STOPPED:
             output->status = @NAME@_ITERATION_LIMIT;

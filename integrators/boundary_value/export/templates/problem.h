@@ -46,7 +46,6 @@ typedef enum {
     @NAME@_ITERATION_LIMIT,  /* after the iterations that it may make they do not hold yet */
     @NAME@_SINGULAR,         /* the linear system of a step has no usable solution; another guess may do */
     @NAME@_INFEASIBLE,       /* constraints contradict each other, or the ends, near the guess */
-    @NAME@_ELSEWHERE,        /* the iteration stands where a state is not at its end; try another guess */
     @NAME@_BAD_INPUT,        /* a number of the input is not finite, or the horizon is not positive */
     @NAME@_BAD_WORKSPACE     /* the workspace is too small for this processor */
 } @name@_status;

@@ -19,7 +19,7 @@ from .structs import REPORT, IterationStruct, OptionsStruct, SearchResultStruct
 from .transcription import IterateNumbers, Scale, Sizes, Trajectory, Transcription, array_places
 
 MOST_ITERATIONS = 1 << 20  # as in search.c
-WAVES = 3  # as in perturbed_guess.c
+WAVES = 3  # as in degenerate.c
 
 
 class SearchStatus(IntEnum):
@@ -29,10 +29,9 @@ class SearchStatus(IntEnum):
     CONVERGED = 1
     SINGULAR = 2
     INFEASIBLE = 3
-    ELSEWHERE = 4
-    DEGENERATE = 5
-    ITERATION_LIMIT = 6
-    STOPPED = 7
+    DEGENERATE = 4
+    ITERATION_LIMIT = 5
+    STOPPED = 6
 
 
 @final
@@ -60,8 +59,7 @@ class SearchResult(NamedTuple):
 
     trajectory: Trajectory
     first: IterateNumbers
-    judging: Scale
-    steps: Scale
+    scale: Scale
     limits: np.ndarray
     rate: float
     residuals: np.ndarray
@@ -200,13 +198,11 @@ class Search:
         sizes, z = of.sizes, layout.count[array_places()["PARTS"]]
         at = Trajectory(of, self._part(found.trajectory, layout.numbers))
         first = IterateNumbers(self._part(found.first, of.iterate_numbers), of.parts)
-        judging, steps = [
-            Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
-            for own in (found.judging, found.steps)
-        ]
+        unknowns = self._part(found.scale.unknowns, z)
+        scale = Scale(unknowns, unknowns[: sizes.state_size], found.scale.cost)
         limits, residuals = self._part(found.limits, sizes.limits), self._part(found.residuals, len(at["RESIDUALS"]))
         coupled, facts = self._coupled(found), SearchFacts(*read_facts(found))
-        return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, facts)
+        return SearchResult(at, first, scale, limits, found.rate, residuals, *coupled, facts)
 
     def _coupled(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Natural sizes, values and derivatives of the equations between the ends."""

@@ -166,7 +166,7 @@ class ProblemStruct(Structure):
     )
 
 
-ARRAYS = 112  # of a trajectory
+ARRAYS = 113  # of a trajectory
 
 
 @final
@@ -208,7 +208,7 @@ class MultiphaseStruct(Structure):
 class ScaleStruct(Structure):
     """``retrax_scale``."""
 
-    _fields_ = (("unknowns", c_void_p), ("nodes", c_void_p), ("cost", c_double))
+    _fields_ = (("unknowns", c_void_p), ("cost", c_double))
 
 
 @final
@@ -253,8 +253,7 @@ class SearchResultStruct(Structure):
     _fields_ = (
         ("trajectory", c_void_p),
         ("first", c_void_p),
-        ("judging", ScaleStruct),
-        ("steps", ScaleStruct),
+        ("scale", ScaleStruct),
         ("limits", c_void_p),
         ("rate", c_double),
         ("residuals", c_void_p),
