@@ -27,6 +27,12 @@ void retrax_swap(retrax_search *search) {
     search->trial = before;
 }
 
+void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, retrax_scale *to) {
+    memcpy(to->unknowns, from->unknowns, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_PARTS]);
+    memcpy(to->nodes, from->nodes, sizeof(double) * (size_t)layout->problem->state_size);
+    to->cost = from->cost;
+}
+
 void retrax_evaluate_functions(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) { retrax_evaluate_nodes(phase->layout, iterate + phase->place); }
     if (retrax_is_coupled(search)) {
@@ -57,11 +63,13 @@ void retrax_measure(retrax_search *search, double *iterate) {
     const double curvature = coupled ? retrax_largest_curvature(search, iterate) : 0.0;
     EACH_PHASE(phase) {
         const bool limited = retrax_is_limited(phase->layout->problem);
+        const retrax_residual_scale scale = {phase->judging.nodes, phase->judging.unknowns,
+                                             limited ? phase->judging.cost : curvature, phase->steps.nodes,
+                                             phase->steps.cost};
         if (limited) {
             retrax_survey_inequalities(phase->layout, iterate + phase->place, &phase->limits);
         }
-        retrax_measure_residuals(phase->layout, iterate + phase->place, &phase->scale,
-                                 limited ? phase->scale.cost : curvature, limited ? &phase->limits : NULL);
+        retrax_measure_residuals(phase->layout, iterate + phase->place, &scale, limited ? &phase->limits : NULL);
     }
     retrax_measure_by_spans(search, iterate);
     if (coupled) {
@@ -109,7 +117,7 @@ static void settle(retrax_search *search) {
     }
     EACH_PHASE(phase) {
         for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
-            const double unit = phase->scale.unknowns[i], span = retrax_span_of(phase->layout, search->at + phase->place, i);
+            const double unit = phase->judging.unknowns[i], span = retrax_span_of(phase->layout, search->at + phase->place, i);
             wanted = retrax_larger(wanted, phase->largest[i] / fmax(span, RETRAX_SHARE * unit));
             grown = retrax_larger(grown, span / unit);
         }
@@ -122,7 +130,7 @@ static void settle(retrax_search *search) {
     search->done = (search->isolated && exact) || stuck;
 }
 
-/* Whether no shift shortens the step, as where the constraints ask for it. */
+/* Whether no shift shortens the step, as where the constraints ask for it: then the same step is cut further. */
 static bool is_vain(retrax_search *search, double length) {
     if (!(retrax_step_length(search) > SHORTER * length)) {
         return false;
@@ -131,46 +139,51 @@ static bool is_vain(retrax_search *search, double length) {
     return retrax_step_length(search) > SHORTER * length;
 }
 
-/* Cuts the step before further, which was refused, where no shift shortens it; else the next step has the shift that it
- * was computed with, whatever the inertia [test_a_trajectory_that_grows_without_end_is_no_success]. */
-static void cut_further(retrax_search *search, const retrax_direction *before, double fraction, double length) {
-    const double shift = search->direction.shift;
-    if (is_vain(search, length)) {
-        retrax_newton_step(search, before->shift);
-        search->direction.descends = before->descends;
-        search->fraction = fraction / 2.0;
-    } else {
-        retrax_regularised_step(search, shift, true, false);
-    }
-}
-
-/* Computes the next step, from the iterate as it is now; residual: of the iterate before. */
-static void next_step(retrax_search *search, double residual) {
+/* Computes the next step, from the iterate as it is now. */
+static void next_step(retrax_search *search, const retrax_direction *before, double fraction, double length,
+                      double residual, bool cut) {
+    const bool limited = search->limited, good = search->accepted;
     const double now = RESIDUAL(search->at, LARGEST), tolerance = search->options.tolerance;
     const bool arrived = RESIDUAL(search->at, FINAL) <= tolerance;
-    const bool keep = arrived || (search->accepted && now <= sqrt(tolerance));
-    const bool gains = search->accepted && now <= GAINED * residual && !search->limited;
+    const bool keep = arrived || (good && now <= sqrt(tolerance));
+    const bool gains = good && now <= GAINED * residual && !limited;
     retrax_regularised_step(search, arrived ? 0.0 : search->direction.shift, keep, gains);
+    if (cut && before->descends && fraction > SLOW && fraction / 2.0 < RETRAX_SHORTEST) {
+        const double shift = search->direction.shift;
+        if (is_vain(search, length)) {
+            retrax_newton_step(search, before->shift);
+            search->direction.descends = before->descends;
+            search->fraction = fraction / 2.0;
+        } else {
+            retrax_regularised_step(search, shift, true, gains);
+        }
+    }
 }
 
 /* One iteration: try the step, judge the trial, update the barrier, compute the next step. */
 static void iterate(retrax_search *search) {
     const retrax_direction before = search->direction;
-    const double residual = RESIDUAL(search->at, LARGEST), fraction = search->fraction;
+    const double fraction = search->fraction, residual = RESIDUAL(search->at, LARGEST);
     const double length = retrax_step_length(search);
-    const bool was_isolated = search->isolated;
+    const bool was_isolated = search->isolated, limited = search->limited;
     bool again;
     retrax_move_trial(search);
     retrax_assess(search, search->trial);
-    search->accepted = retrax_judge_trial(search, search->trials == 1 && !search->limited, &again);
+    search->accepted = retrax_judge_trial(search, search->trials == 1 && !limited, &again);
+    if (!search->accepted && retrax_reset_slacks(search, search->trial)) {
+        search->direction = before;
+        search->fraction = fraction;
+        retrax_assess(search, search->trial);
+        search->accepted = retrax_judge_trial(search, false, &again);
+    }
     if (search->accepted) {
         retrax_swap(search);
     }
     const bool refused = again && !search->accepted && !was_isolated;
     const bool wider = refused && retrax_widen_scale(search, fraction * before.reach, length);
     if (wider) {
-        const double tried = search->fraction;
         retrax_measure(search, search->at);
+        const double tried = search->fraction;
         reset_funnel(search);
         search->fraction = tried;
         search->direction.shift = before.shift;
@@ -184,11 +197,7 @@ static void iterate(retrax_search *search) {
     if (search->done || !(again || changed)) {
         return;
     }
-    next_step(search, residual);
-    const bool cut = !search->accepted && !changed && !wider;
-    if (cut && before.descends && fraction > SLOW && fraction / 2.0 < RETRAX_SHORTEST) {
-        cut_further(search, &before, fraction, length);
-    }
+    next_step(search, &before, fraction, length, residual, again && !search->accepted && !changed && !wider);
     settle(search);
 }
 

@@ -70,7 +70,7 @@ static void soften(const retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double limit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
-        const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->scale.cost / (limit * limit);
+        const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->judging.cost / (limit * limit);
         if (weight * retrax_stiffness(layout, trajectory, i) > unit / IDLE) {
             ARRAY(SLACKS)[i] = fmax(ARRAY(SLACKS)[i], weight * ARRAY(LIMIT_MULTIPLIERS)[i] / (STIFFEST * unit));
         } else {
