@@ -13,8 +13,9 @@
 #define MET 1e-6
 /* Share of the largest entry of an array: ends that are farther apart do not meet. */
 #define APART 1e-3
-/* In units of the cost and of the inequality: the largest stiffness, and one over the least that is not left out. */
-#define STIFFEST 1e4
+/* In units of the cost and of the inequality: the largest stiffness, and one over the least that is not left out. The
+ * keep-out cone of the problem library needs more than 1e8 of it. */
+#define STIFFEST 1e10
 #define IDLE 1e6
 
 /* Whether ends of steps are not as far apart as the arrays of the states are large, whatever gaps are measured by.
