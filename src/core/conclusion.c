@@ -13,9 +13,13 @@
 #define MET 1e-6
 /* Share of the largest entry of an array: ends that are farther apart do not meet. */
 #define APART 1e-3
-/* In units of the cost and of the inequality: the largest stiffness, and one over the least that is not left out. The
- * keep-out cone of the problem library needs more than 1e8 of it. */
-#define STIFFEST 1e10
+/* In units of the cost and of the inequality: the first limit of the stiffness, the last one, and the factor from one to
+ * the next. An inequality that curves much where it holds needs more, as the keep-out cone of the problem library 1e9;
+ * more than enough drowns the curvature beside it in rounding, as 1e9 in a case of tests/integrators/test_flat_limits.py. */
+#define LEAST_STIFF 1e4
+#define MOST_STIFF 1e10
+#define STIFFER 1e3
+/* In the same units: one over the least stiffness that is not left out. */
 #define IDLE 1e6
 
 /* Whether ends of steps are not as far apart as the arrays of the states are large, whatever gaps are measured by.
@@ -67,33 +71,44 @@ static bool is_convex(const retrax_phase *phase, const double *trajectory) {
 
 /* Limits the stiffness of the inequalities of a trajectory, which was evaluated: by longer slacks, and none of one that is
  * next to not stiff. */
-static void soften(const retrax_phase *phase, double *trajectory) {
+static void soften(const retrax_phase *phase, double *trajectory, double stiffest) {
     const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double limit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
         const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->judging.cost / (limit * limit);
         if (weight * retrax_stiffness(layout, trajectory, i) > unit / IDLE) {
-            ARRAY(SLACKS)[i] = fmax(ARRAY(SLACKS)[i], weight * ARRAY(LIMIT_MULTIPLIERS)[i] / (STIFFEST * unit));
+            ARRAY(SLACKS)[i] = fmax(ARRAY(SLACKS)[i], weight * ARRAY(LIMIT_MULTIPLIERS)[i] / (stiffest * unit));
         } else {
             ARRAY(LIMIT_MULTIPLIERS)[i] = 0.0;
         }
     }
 }
 
-/* Whether the Hessian of the Lagrangian is positive definite on the null space of the constraints, beyond rounding,
- * where there are inequalities; the trial is overwritten. */
-static bool is_strict(retrax_search *search) {
+/* Whether the Hessian of the Lagrangian with inequalities of limited stiffness is positive definite on the null space of
+ * the equations, beyond rounding; the trial is overwritten. */
+static bool is_strict_with(retrax_search *search, double stiffest) {
     const retrax_direction step = search->direction;
     retrax_copy_iterate(search, search->at, search->trial);
     retrax_swap(search);
     retrax_evaluate_functions(search, search->at);
-    EACH_PHASE(phase) { soften(phase, search->at + phase->place); }
+    EACH_PHASE(phase) { soften(phase, search->at + phase->place, stiffest); }
     retrax_assemble(search, search->at);
     retrax_eliminate(search, 0.0);
     const bool strict = search->direction.strict;
     retrax_swap(search);
     search->direction = step;
     return strict;
+}
+
+/* Whether the inequalities with some limit of their stiffness show a strict minimum: what is one with less stiffness is one
+ * with more. */
+static bool is_strict(retrax_search *search) {
+    for (double stiffest = LEAST_STIFF; stiffest <= MOST_STIFF; stiffest *= STIFFER) {
+        if (is_strict_with(search, stiffest)) {
+            return true;
+        }
+    }
+    return false;
 }
 
 /* Whether the linear system of the iterate has the inertia of a minimum without a shift. */
