@@ -26,7 +26,8 @@ from .transcription.discrete_extremals import DiscreteExtremals
 from .transcription.transcribed_problem import TranscribedProblem
 
 # Results that equations of the end which depend on each other may cause.
-STUCK_RESULTS = [sentence(name) for name in ("singular", "too_many_iterations", "no_improvement", "infeasible")]
+STUCK = "singular", "too_many_iterations", "nearly_converged", "no_improvement", "infeasible"  # names of results
+STUCK_RESULTS = tuple(map(sentence, STUCK))
 SMALL = 1e-3  # of the largest violation: smaller ones are not named
 VIOLATED = 1e-6  # in units of the inequalities: a violation of less is not why there is no success
 
@@ -121,7 +122,7 @@ class ExtremalRecords:
             if k in concave:
                 statuses[k] = concave_status(self._where(concave[k], k))
             elif notes[k] or not own.success:
-                more = self._unmoved(k) if own.result in STUCK_RESULTS else ""
+                more = self._unmoved(k) if own.result.startswith(STUCK_RESULTS) else ""
                 statuses[k] = own.because(more + _violation_words(transcribed, found, k, tolerance), notes[k])
         return statuses
 

@@ -45,7 +45,7 @@ HORIZON = r"for a free one give horizon=Free\(guess\)"
         *((name, ENDS) for name in ("terminal_constraint", "final_condition", "boundary_constraints")),
         *((name, r"did you mean tolerance\?") for name in ("toleranse", "tol")),
         *((name, r"did you mean max_iterations\?") for name in ("max_iter", "maxiter", "iterations")),
-        ("quiet", "integrator, callback, verbose$"),
+        ("quiet", "integrator, callback, verbose, start_time, through$"),
     ],
 )
 def test_an_option_that_does_not_exist_is_answered(name, words):

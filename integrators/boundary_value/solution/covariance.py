@@ -48,7 +48,7 @@ class Covariance:
 
 
 def require_estimate(kept: Any, solution: Any) -> Any:
-    """What the solver has ``kept`` of a solution; raises unless the solution is a strict minimum."""
+    """The record that the solver has ``kept`` of a solution; raises unless the solution is a strict minimum."""
     if kept is None or not solution.success:
         raise InvalidInputError(
             "covariance takes a solution with success of a regular problem that this solver found, got "
