@@ -77,8 +77,10 @@ class DiscretizationMap(Module):
 
     @property
     def order(self) -> int:
-        """The order of convergence at the ends of the steps: 1, that of every map; a symmetric map overrides it by
-        2."""
+        """The order of convergence at the ends of the steps.
+
+        Every map has order 1; a subclass that is symmetric has to return 2.
+        """
         return 1
 
     @property
