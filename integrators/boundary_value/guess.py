@@ -210,8 +210,10 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
 
 @final
 class DefaultGuess:
-    """The default guess, that of a solver too: states on a curve, controls at rest or inside their bounds, costates
-    zero."""
+    """The default guess: states on a curve, controls at rest or inside their bounds, costates zero.
+
+    A solver begins from it too.
+    """
 
     def __init__(self, problem: OptimalControlProblem, method: Method) -> None:
         self.problem, self.method = problem, method
