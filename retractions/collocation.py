@@ -25,22 +25,20 @@ class Tableau(NamedTuple):
     matrix: np.ndarray
 
     @classmethod
-    def of(cls, x: np.ndarray, factor: float) -> Self:
-        """The tableau of the ``s`` nodes in [-1, 1] where ``P_s = factor P_{s-1}``, of Legendre's polynomials.
+    def of(cls, x: np.ndarray) -> Self:
+        """The tableau of distinct nodes in [-1, 1].
 
-        Their quadrature is exact for polynomials of degree ``2 s - 2``.
-        The Lagrange polynomials are ``l_j = b_j sum_{k<s} (2k + 1) P_k(x_j) P_k``, because the quadrature is exact for
-        their products with Legendre's ``P_k``, and ``(2k + 1) P_k = P'_{k+1} - P'_{k-1}``. Nothing is inverted:
-        rounding does not grow with ``s``.
+        The Lagrange polynomials are sums of Legendre's ``P_k``, ``k < s``, whose integrals are ``P'_{k+1} - P'_{k-1} =
+        (2k + 1) P_k``. With these the matrix that is inverted is well conditioned for the nodes of Gauss, Radau and
+        Lobatto.
         """
         stages = len(x)
-        own = legvander(x, stages - 1)
-        values = np.column_stack([own, factor * own[:, -1]])
-        b = 1 / (own**2 @ (2 * np.arange(stages) + 1))  # Christoffel's numbers
+        values = legvander(x, stages)
+        lagrange = np.linalg.inv(values[:, :-1])  # (s, s): coefficients of each polynomial in a column
         # Over [0, x] for k = 0, over [-1, x] for the others.
-        integrals = np.column_stack([x, values[:, 2:] - values[:, :-2]])
-        centred = integrals @ own.T * b / 2
-        tableau = cls(b, (x + 1) / 2, centred, centred + b / 2)
+        integrals = np.column_stack([x, (values[:, 2:] - values[:, :-2]) / (2 * np.arange(1, stages) + 1)])
+        centred, b = integrals @ lagrange / 2, lagrange[0]
+        tableau = cls(b.copy(), (x + 1) / 2, centred, centred + b / 2)
         for array in tableau:
             array.flags.writeable = False
         return tableau

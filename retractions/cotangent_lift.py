@@ -115,6 +115,10 @@ class CotangentLift(DiscretizationMap):
     def theta(self) -> float:
         return self.discretization.theta
 
+    @property
+    def order(self) -> int:
+        return self.discretization.order
+
     def __call__(self, x: Pair, v: Pair) -> tuple[Pair, Pair]:
         base = self.discretization.manifold
         lift = cotangent_lift(lambda z: self.discretization(*z), TangentBundle(base), Product(base, base))

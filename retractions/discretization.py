@@ -76,6 +76,14 @@ class DiscretizationMap(Module):
         return 1
 
     @property
+    def order(self) -> int:
+        """The order of convergence at the ends of the steps.
+
+        Every map has order 1; a subclass that is symmetric has to return 2.
+        """
+        return 1
+
+    @property
     def nodes(self) -> np.ndarray:
         """The place of the stage in the step, shape ``(1,)``."""
         return np.array([float(self.theta)])
@@ -213,6 +221,10 @@ class Theta(DiscretizationMap):
     def retraction(self) -> Retraction:
         return self.forward
 
+    @property
+    def order(self) -> int:
+        return 2 if self.theta == 0.5 and self.other is None else 1
+
     def __call__(self, x: Ambient, v: Ambient) -> Pair:
         if self.other is None and self.theta == 0.5:
             return self.backward.both_ways(x, vec.scale(0.5, v))
@@ -308,6 +320,10 @@ class Adjoint(DiscretizationMap):
     @property
     def theta(self) -> float:
         return 1 - self.inner.theta
+
+    @property
+    def order(self) -> int:
+        return self.inner.order
 
     def __call__(self, x: Ambient, v: Ambient) -> Pair:
         start, end = self.inner(x, vec.scale(-1.0, v))

@@ -55,4 +55,4 @@ class Gauss(CollocationMethod):
 
 @cache
 def _tableau(stages: int) -> Tableau:
-    return Tableau.of(leggauss(stages)[0], 0.0)
+    return Tableau.of(leggauss(stages)[0])

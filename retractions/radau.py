@@ -67,4 +67,4 @@ def _tableau(stages: int) -> Tableau:
     for _ in range(POLISHING):
         x = x - legval(x, series) / legval(x, slope)
     x[-1] = 1.0
-    return Tableau.of(x, 1.0)
+    return Tableau.of(x)

@@ -1,8 +1,9 @@
-"""First guesses of a trajectory."""
+"""First guesses of a trajectory: a user's, and the default guess with its curve, its controls and its costates."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any, NamedTuple, final
 
 import jax
 import numpy as np
@@ -20,6 +21,8 @@ from ..stages.explicit_runge_kutta import RK4, ExplicitRungeKutta, control_spans
 from .inputs.arguments import ALONG, BETWEEN, Method, check_problem, step_fractions
 from .inputs.boundary_data import BoundaryDataReader
 from .inputs.connecting_curve import ConnectingCurve
+
+WHOLE = np.array([0.0, 1.0])  # shares of the horizon at which a trajectory has its ends
 
 
 class Guess(NamedTuple):
@@ -138,7 +141,7 @@ class Guess(NamedTuple):
                 f"a guess goes through at least two points, got {len(given)}; give the start, the end and more"
             )
         rows, shares = np.stack([*map(BoundaryDataReader.of(problem).point, given)]), _shares(times, len(given))
-        return guess_through(problem, method, rows, shares, steps, ConnectingCurve(problem.manifold, method.retraction))
+        return DefaultGuess(problem, method).through(rows, shares, steps)
 
     def __repr__(self) -> str:
         return (
@@ -202,27 +205,47 @@ def default_guess(problem: OptimalControlProblem, method: Method, start: Any, en
     """
     ends = BoundaryDataReader.of(problem).ends(start, end, batched=False)
     ends.require_known(start)
-    rows, shares = np.concatenate([ends.start, ends.end]), np.array([0.0, 1.0])
-    return guess_through(problem, method, rows, shares, steps, ConnectingCurve(problem.manifold, method.retraction))
+    return DefaultGuess(problem, method).through(np.concatenate([ends.start, ends.end]), WHOLE, steps)
 
 
-def guess_through(
-    problem: OptimalControlProblem,
-    method: Method,
-    rows: np.ndarray,
-    shares: np.ndarray,
-    steps: Any,
-    curve: ConnectingCurve,
-) -> Guess:
-    """The guess along a curve through flat points at these shares of the horizon."""
-    fractions, layout = step_fractions(steps), PointLayout.of(problem.manifold)
-    places = stage_places(method, fractions)
-    own = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, len(rows) - 2)
-    states = np.empty((len(places), layout.size))
-    for k in np.unique(own):
-        inside = (places[own == k] - shares[k]) / (shares[k + 1] - shares[k])
-        states[own == k] = curve.states(rows[k][None], rows[k + 1][None], inside)[0]
-    return Guess(layout.points(states), _rest(problem, len(places)), _zero(problem, len(fractions)))
+@final
+class DefaultGuess:
+    """The default guess: states on a curve, controls at rest or inside their bounds, costates zero.
+
+    A solver begins from it too.
+    """
+
+    def __init__(self, problem: OptimalControlProblem, method: Method) -> None:
+        self.problem, self.method = problem, method
+        self._state, self._control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
+        self._curve = ConnectingCurve(problem.manifold, method.retraction)
+
+    def arrays(
+        self, points: np.ndarray, shares: np.ndarray, fractions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Flat states and controls at the stages, shape (B, N s, ...), and costates at the nodes, shape (B, N + 1, E).
+
+        The states go through flat points, shape (B, P, E), at these shares of the horizon.
+        """
+        places, (count, through, size) = stage_places(self.method, fractions), points.shape
+        own = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, through - 2)
+        states = np.empty((count, len(places), size))
+        for k in np.unique(own):
+            inside = (places[own == k] - shares[k]) / (shares[k + 1] - shares[k])
+            states[:, own == k] = self._curve.states(points[:, k], points[:, k + 1], inside)
+        controls = np.empty((count, len(places), self._control.size))
+        controls[...] = self._first_control
+        return states, controls, np.zeros((count, len(fractions) + 1, size))
+
+    def through(self, points: np.ndarray, shares: np.ndarray, steps: Any) -> Guess:
+        """The guess of one trajectory through flat points, shape (P, E), at these shares of the horizon."""
+        states, controls, costates = self.arrays(points[None], shares, step_fractions(steps))
+        return Guess(self._state.points(states[0]), self._control.points(controls[0]), self._state.points(costates[0]))
+
+    @cached_property
+    def _first_control(self) -> np.ndarray:
+        """The flat control at rest, or inside the bounds if it is not."""
+        return self._control.rows(within_bounds(self.problem._limits, resting_control(self.problem.controls)), 0)
 
 
 def _shares(times: Any, count: int) -> np.ndarray:
@@ -275,11 +298,6 @@ def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
     inside = method.nodes
     starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
     return (starts[:, None] + inside * fractions[:, None]).ravel()
-
-
-def _rest(problem: OptimalControlProblem, count: int) -> Any:
-    first = within_bounds(problem._limits, resting_control(problem.controls))
-    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, (count, *np.shape(leaf))), first)
 
 
 def _zero(problem: OptimalControlProblem, steps: int) -> Any:

@@ -20,9 +20,8 @@
 #define SOLVED 10.0
 #define LESS 0.2
 #define FASTER 1.5
-/* A barrier that exceeds the last one by a smaller share is the last; the last one, times the tolerance. */
+/* A barrier that exceeds the last one by a smaller share is the last. */
 #define REACHED (4.0 * DBL_EPSILON)
-#define LAST 0.1
 /* Above this barrier, relative, excesses are left whatever their penalty. */
 #define TELLS 0.1
 /* A step of a smaller fraction jams at the inequalities; with a larger shift it is stiff. */
@@ -195,7 +194,7 @@ static double lowered(const retrax_search *search, const retrax_phase *phase, do
     const retrax_layout *const layout = phase->layout;
     const double *const trajectory = search->at + phase->place, *const survey = ARRAY(LIMIT_SURVEY);
     const double rate = phase->limits.rate * dear;
-    const double last = LAST * search->options.tolerance * phase->limits.rate / rate;
+    const double last = RETRAX_LAST_BARRIER * search->options.tolerance * phase->limits.rate / rate;
     double barrier = *ARRAY(BARRIER);
     *cheap = false;
     for (;;) {
@@ -301,7 +300,7 @@ static bool is_infeasible(const retrax_search *search, const retrax_phase *phase
     const double *const trajectory = search->at + phase->place, *const survey = ARRAY(LIMIT_SURVEY);
     const double barrier = *ARRAY(BARRIER), tolerance = search->options.tolerance, left = survey[RETRAX_LIMIT_LEFT];
     const bool small = barrier <= sqrt(tolerance) * phase->limits.rate;
-    const bool last = barrier <= 2.0 * LAST * tolerance * phase->limits.rate &&
+    const bool last = barrier <= 2.0 * RETRAX_LAST_BARRIER * tolerance * phase->limits.rate &&
                       survey[RETRAX_LIMIT_PRODUCT] <= SOLVED * barrier && left > 0.0 &&
                       survey[RETRAX_LIMIT_EXCESS] > tolerance;
     return (small && left > sqrt(tolerance)) || last;

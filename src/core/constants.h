@@ -18,5 +18,9 @@
 #define RETRAX_SHORTEST 0.0625
 /* The usual first penalty of an excess, in natural sizes. */
 #define RETRAX_FIRST_PENALTY 10.0
+/* The last barrier, relative, as a share of the tolerance. */
+#define RETRAX_LAST_BARRIER 0.1
+/* The usual tolerance in double precision: eps^0.7, as DEFAULT_TOLERANCE_POWER of Python has it. */
+#define RETRAX_USUAL_TOLERANCE 1.1028289493045307e-11
 
 #endif /* RETRAX_CONSTANTS_H */

@@ -8,7 +8,7 @@
 #include "search.h"
 
 /* Barriers, relative, from which a step is followed; the first is the last one of a usual tolerance. */
-static const double levels[] = {1.1028289493045308e-12, 1e-7, 1e-5, 1e-3, 1e-2};
+static const double levels[] = {RETRAX_LAST_BARRIER * RETRAX_USUAL_TOLERANCE, 1e-7, 1e-5, 1e-3, 1e-2};
 /* Share of what slacks or multipliers lack then whose square is the barrier to begin with; a higher one does not fit. */
 #define FOLLOWED 0.1
 #define FITS 0.1

@@ -8,8 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, default_guess, solve
+from retrax.integrators.boundary_value.guess import DefaultGuess
 from retrax.integrators.boundary_value.inputs import connecting_curve
+from retrax.integrators.boundary_value.inputs.arguments import BoundaryData, Options
 from retrax.integrators.boundary_value.inputs.connecting_curve import ConnectingCurve
+from retrax.integrators.boundary_value.inputs.inputs import Inputs
 from retrax.manifolds import SE, SO, DomainError, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Projection, Retraction, default_retraction
@@ -48,6 +51,41 @@ def test_two_waypoints_are_the_default_guess(method):
     assert (
         difference(Guess.from_waypoints(SLEW, method, [START, END], 9), default_guess(SLEW, method, START, END, 9)) == 0
     )
+
+
+@pytest.mark.parametrize("steps", [5, [1.0, 3.0, 2.0]])
+@pytest.mark.parametrize("bounds", [None, (0.5, 2.0)])
+@pytest.mark.parametrize("method", [Midpoint(Projection(Sphere(2))), Gauss(2, Projection(Sphere(2)))])
+def test_the_default_guess_is_that_of_a_solver(method, bounds, steps, monkeypatch):
+    """To the last digit; and one that is changed is changed for both."""
+
+    def turn(q, u):
+        return jnp.cross(u, q)
+
+    problem = OptimalControlProblem(Sphere(2), turn, lambda q, u: u @ u / 2, 3, control_bounds=bounds)
+    ends, solver = (np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.8])), Solver(problem, method, steps)
+
+    def begun(guess=None):
+        options = Options.of(None, 1)
+        inputs = Inputs.of(solver._reader, BoundaryData(*ends, 1.0, None), guess, options)
+        return solver._transcription.transcribe(inputs).guess
+
+    def begins_as_given():
+        given = default_guess(problem, method, *ends, steps)
+        assert bounds is None or np.all(given.controls > 0.5)
+        pairs = zip(jax.tree.leaves(begun()), jax.tree.leaves(begun(given)), strict=True)
+        return given, all(np.array_equal(a, b) for a, b in pairs)
+
+    before, same = begins_as_given()
+    assert same
+    arrays = DefaultGuess.arrays
+    monkeypatch.setattr(
+        DefaultGuess, "arrays", lambda *of: (arrays(*of)[0], arrays(*of)[1] + 0.25, arrays(*of)[2] + 0.5)
+    )
+    after, same = begins_as_given()
+    assert same
+    np.testing.assert_allclose(after.controls - before.controls, 0.25)
+    np.testing.assert_allclose(after.costates - before.costates, 0.5)
 
 
 def test_a_default_guess_is_a_geodesic_where_tapes_give_it():

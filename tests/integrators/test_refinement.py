@@ -1,5 +1,7 @@
 """Solutions of an accuracy that is asked for: beside closed forms, while what is decided changes."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -14,10 +16,13 @@ from retrax.integrators import (
     step_errors,
     switching_structure,
 )
+from retrax.integrators.boundary_value.audit.step_errors import StepErrors
+from retrax.integrators.boundary_value.drivers.mesh_refinement import MOST_PARTS_OF_STEP, MeshRefinement, _MeshSolution
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
-from retrax.retractions import Addition, Gauss, Midpoint
+from retrax.retractions import Addition, Euler, Gauss, Midpoint, Radau
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
+FLAT = Addition(LINE)
 
 
 def energy(q, u):
@@ -288,6 +293,41 @@ def test_stages_are_added_where_all_steps_err_and_steps_where_few_do():
     lengths = np.diff(layered.times)
     assert len(layered.stage_times) == 3 * layered.steps
     assert np.max(lengths) > 10 * np.min(lengths)
+
+
+METHODS = Radau(1, FLAT), Radau(2, FLAT), Radau(4, FLAT), Gauss(1, FLAT), Gauss(3, FLAT), Midpoint(FLAT), Euler(FLAT)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_steps_are_divided_by_the_order_of_the_method(method):
+    """States that err by ``h^(p + 1)`` in each step meet the accuracy in so many parts, and in none fewer."""
+    count, accuracy, order = 10, 1e-6, method.order
+    asked = SimpleNamespace(method=method, accuracy=accuracy)
+    mesh = SimpleNamespace(steps=count, stage_times=np.zeros(count * len(method.nodes)))
+    for times in np.geomspace(0.3, 0.99 * MOST_PARTS_OF_STEP**order, 23):  # the accuracy
+        each, zero = np.full(count, times * accuracy / count), np.zeros(count)
+        parts = MeshRefinement._parts(asked, _MeshSolution(mesh, StepErrors(each, zero, zero, {})))
+        assert np.sum(each / parts**order) <= accuracy
+        fewer = np.maximum(parts - 1, 1)
+        assert np.all(parts == 1) or np.sum(each / fewer**order) > accuracy
+
+
+@pytest.mark.parametrize(
+    ("stages", "rate"), [(2, -3.0), *(pytest.param(*of, marks=pytest.mark.slow) for of in ((3, 0.0), (2, 1.0)))]
+)
+def test_an_accuracy_is_met_by_a_radau_method_in_few_steps(stages, rate):
+    """Against the closed form of Riccati's equation, and against equal steps with the stages of the refined mesh."""
+    problem = OptimalControlProblem(LINE, lambda q, u: rate * q + u, lambda q, u: (q @ q + u @ u) / 2, 1)
+    root = np.hypot(rate, 1.0)
+    most = np.tanh(2 * root)
+    given, optimum = (problem, np.ones(1), None, 2.0), most / (root - rate * most) / 2
+    for accuracy in (1e-3, 1e-6):
+        found = solve(*given, method=Radau(stages, FLAT), steps=5, accuracy=accuracy)
+        assert max(found.checks.error, abs(found.cost / optimum - 1)) <= accuracy
+        own = Radau(len(found.stage_times) // found.steps, FLAT)
+        coarse = solve(*given, method=own, steps=found.steps // 2)
+        errors = step_errors(problem, coarse)
+        assert found.steps <= 5 or np.sum(np.maximum(errors.states, errors.controls)) > accuracy
 
 
 def test_the_midpoint_rule_gets_more_steps():

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.polynomial.legendre import legder, legroots
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Radau
+from retrax.retractions.collocation import Tableau
 
 LINE = Addition(Euclidean(1))
 
@@ -39,6 +41,28 @@ def test_radau_5() -> None:
     assert method.matrix[0] == pytest.approx(
         [(88 - 7 * root) / 360, (296 - 169 * root) / 1800, (-2 + 3 * root) / 225], abs=1e-15
     )
+
+
+LOBATTO = [[1, 1], [1 / 3, 4 / 3, 1 / 3], [1 / 6, 5 / 6, 5 / 6, 1 / 6], [1 / 10, 49 / 90, 32 / 45, 49 / 90, 1 / 10]]
+
+
+@pytest.mark.parametrize("weights", LOBATTO)
+def test_a_tableau_of_lobatto_nodes(weights: list[float]) -> None:
+    """The ends and the extrema of ``P_{s-1}``; weights on [-1, 1] in Abramowitz, Stegun 1964, Table 25.6."""
+    inner = legroots(legder([0.0] * (len(weights) - 1) + [1.0])) if len(weights) > 2 else []
+    tableau = Tableau.of(np.array([-1.0, *inner, 1.0]))
+    assert tableau.weights == pytest.approx(np.array(weights) / 2, abs=1e-15)
+    assert tableau.matrix[-1] == pytest.approx(tableau.weights, abs=1e-15)
+
+
+@given(st.lists(st.integers(0, 20), min_size=1, max_size=6, unique=True))
+def test_a_tableau_of_any_nodes_is_exact_for_the_polynomials_of_its_stages(places: list[int]) -> None:
+    tableau = Tableau.of(np.array(sorted(places)) / 10 - 1)
+    A, b, c = tableau.matrix, tableau.weights, tableau.nodes
+    for k in range(len(c)):
+        assert b @ c**k == pytest.approx(1 / (k + 1), abs=1e-15 * np.sum(np.abs(b)) * len(c) ** 4)
+        assert A @ c**k == pytest.approx(c ** (k + 1) / (k + 1), abs=1e-15 * np.sum(np.abs(A)) * len(c) ** 4)
+    assert tableau.centred == pytest.approx(A - b / 2)
 
 
 @pytest.mark.parametrize("stages", [0, -1, 1.5, "2", True])

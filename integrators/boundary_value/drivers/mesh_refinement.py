@@ -225,10 +225,12 @@ class MeshRefinement:
 
     def _parts(self, found: _MeshSolution) -> np.ndarray:
         """Into how many parts each step is divided."""
-        errors, order = found.errors, 2 * len(found.solution.stage_times) / found.solution.steps
-        each = np.maximum(errors.states, errors.controls)
+        errors, method = found.errors, self.method
+        shares = len(errors.each) / self.accuracy
         with np.errstate(all="ignore"):
-            needed = (each * len(each) / self.accuracy) ** (1 / order)
+            needed = (errors.states * shares) ** (1 / method.order)
+            # Squares of distances between polynomials through the stages.
+            needed = np.maximum(needed, (errors.controls * shares) ** (1 / (2 * method.stages)))
             needed = np.maximum(needed, np.sqrt(errors.inequalities / self.accuracy))
         return np.clip(
             np.ceil(np.nan_to_num(needed, nan=MOST_PARTS_OF_STEP, posinf=MOST_PARTS_OF_STEP)), 1, MOST_PARTS_OF_STEP

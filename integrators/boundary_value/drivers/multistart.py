@@ -13,9 +13,8 @@ from ...problem.free_quantities import Free, is_free
 from ...problem.point_layout import PointLayout
 from ...problem.user_functions import require_concrete
 from ...reporting.text import brief
-from ..guess import Guess, guess_through
+from ..guess import DefaultGuess, Guess
 from ..inputs.boundary_data import BoundaryDataReader
-from ..inputs.connecting_curve import ConnectingCurve
 from ..solution.batch import Solutions
 from ..solver import Solver
 
@@ -92,16 +91,16 @@ def _repeat(count: int, leaf: Any) -> Any:
 
 def _guesses(solver: Solver, start: Any, end: Any, count: int, seed: int) -> list[Guess]:
     """The guesses."""
-    problem, method, steps = solver.problem, solver.method, solver.fractions
+    problem, steps = solver.problem, solver.fractions
     ends, layout = BoundaryDataReader.of(problem).ends(start, end, batched=False), PointLayout.of(problem.manifold)
     ends.require_known(start)
     first, last = layout.points(ends.start[0]), layout.points(ends.end[0])
-    ways, guesses = ConnectingCurve(problem.manifold, method.retraction), list[Guess]()
+    default, guesses = DefaultGuess(problem, solver.method), list[Guess]()
     for k in range(count):
         draw = np.random.default_rng([seed, k])
         between = [_point(problem.manifold, first, last, draw) for _ in range(1 + (k - 1) % WAYPOINTS if k else 0)]
         rows = np.concatenate([ends.start, *(layout.rows(point, 0)[None] for point in between), ends.end])
-        guesses.append(guess_through(problem, method, rows, np.linspace(0.0, 1.0, len(rows)), steps, ways))
+        guesses.append(default.through(rows, np.linspace(0.0, 1.0, len(rows)), steps))
     return guesses
 
 

@@ -354,6 +354,10 @@ class _MethodBeside(DiscretizationMap):
         return self.first.theta
 
     @property
+    def order(self) -> int:
+        return self.first.order
+
+    @property
     def retraction(self) -> Retraction:
         return ProductRetraction(self.first.retraction, *self.beside)
 

@@ -1,7 +1,6 @@
 """A problem as equations: its functions traced with a method, the conditions of the members of a batch, and their
 guesses."""
 
-from functools import cached_property
 from typing import Any, NamedTuple, final
 
 import jax
@@ -12,12 +11,11 @@ from ....index_bounds import require_indices
 from ....retractions import CollocationMethod
 from ....tracing import trace_program
 from ....undisturbed import undisturbed
-from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
 from ...problem_checks.requirements import require_values
+from ..guess import WHOLE, DefaultGuess
 from ..inputs.arguments import Method, structure_of
-from ..inputs.connecting_curve import ConnectingCurve
 from ..inputs.guess_arrays import FlatGuess
 from ..inputs.inputs import Inputs
 from ..inputs.members import repeat_for_all
@@ -62,17 +60,14 @@ class Transcription:
         self.problem, self.method, self.fractions, self.evaluator = problem, method, fractions, evaluator
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
         self.stages = method.nodes
-        self._start = ConnectingCurve(problem.manifold, method.retraction)
-        starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
-        # Of all stages, fractions of the horizon.
-        self._places = (starts[:, None] + self.stages * fractions[:, None]).ravel()
+        self._default_guess = DefaultGuess(problem, method)
         self._found: dict[Any, TracedFunctions] = {}
         self._fits = set[Any]()  # structures of parameters with entries for all nodes
 
     def on(self, fractions: np.ndarray) -> "Transcription":
         """The transcription on another mesh; both share the traced functions."""
         other = Transcription(self.problem, self.method, fractions, self.evaluator)
-        other._found, other._start = self._found, self._start
+        other._found, other._default_guess = self._found, self._default_guess
         return other
 
     def traced(self, parameters: Any) -> TracedFunctions:
@@ -127,30 +122,22 @@ class Transcription:
         conditions = DiscretePhase(traced.steps, traced.nodes, own, data)
         return TranscribedProblem(traced, conditions, self._guess(traced, inputs, rows, data))
 
-    @cached_property
-    def _first_control(self) -> np.ndarray:
-        """The control at rest, or inside the bounds if it is not."""
-        return self.control.rows(within_bounds(self.problem._limits, resting_control(self.problem.controls)), 0)
-
     def _guess(
         self, traced: TracedFunctions, inputs: Inputs, rows: tuple[np.ndarray, np.ndarray], data: Data
     ) -> Iterate:
-        """The guesses that are given, or curves from start to end with first controls and costates zero."""
+        """The guesses that are given, or the default guesses."""
         count, size = len(inputs), self.state.size
-        shape = count, len(self.fractions), len(self.stages)
+        shape, slacks, known = (count, len(self.fractions), len(self.stages)), None, None
         if inputs.guesses is None:
             inputs.ends.require_known(inputs.given.start)
-            slacks, states = None, self._start.states(*rows, self._places).reshape(*shape, size)
-            controls = np.empty((*shape, self.control.size))
-            controls[...] = self._first_control
-            costates, known = np.zeros((count, shape[1] + 1, size)), None
+            states, controls, costates = self._default_guess.arrays(np.stack(rows, axis=1), WHOLE, self.fractions)
         else:
             own = inputs.guesses.of(count)
-            states, controls = own.states.reshape(*shape, size), own.controls.reshape(*shape, self.control.size)
-            costates, slacks = own.costates, self._pulling(traced, own, data)
-            known = None
+            states, controls, costates = own.states, own.controls, own.costates
+            slacks = self._pulling(traced, own, data)
             if own.nodes is not None and own.stage_costates is not None:
                 known = KnownExtremal(own.nodes, own.stage_costates.reshape(*shape, size))
+        states, controls = states.reshape(*shape, size), controls.reshape(*shape, self.control.size)
         return Iterate(traced.steps.begin(states, controls, costates, data, known), costates, slacks)
 
     @staticmethod
