@@ -94,7 +94,7 @@ def require_independent(problem: LinkedPhases, guess: Any, names: Sequence[str])
 
 def _samples(problem: LinkedPhases, guess: Any) -> list[list[np.ndarray]]:
     """The ends of the guess of the first member, and random ends where these are free."""
-    found = [end[:1] for phase, part in zip(problem.phases, guess.parts, strict=True) for end in phase.reached(part)]
+    found = [end[:1] for phase, part in zip(problem.phases, guess.parts, strict=True) for end in phase.end_nodes(part)]
     samples = [found]
     for key in jax.random.split(jax.random.key(0), RANDOM_ENDS):
         ends = []

@@ -93,7 +93,7 @@ def _part(guess: Guess, a: int, b: int, stages: int) -> Guess:
     return Guess(**{name: jax.tree.map(lambda x, n=name: x[cuts[n]], own) for name, own in guess._asdict().items()})
 
 
-def joined(phased: PhasedSolution) -> Solution:
+def join_phases(phased: PhasedSolution) -> Solution:
     """One solution of all phases; at a waypoint it has the costates of the next phase."""
     phases, one = phased.phases, phased.phases[0]
     arrays = dict[str, Any]()
