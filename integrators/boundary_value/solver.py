@@ -105,7 +105,7 @@ class Solver:
         # Of a solver that is made where functions are read, whoever made it looks after that.
         self._unchanged = None if is_tracing() else ClosureGuard("Solver", problem._digest, HELD_WORDS)
         if self._unchanged is not None and not problem.takes_parameters:
-            with self._unchanged.required(None):
+            with self._unchanged.guard(None):
                 self._read()
 
     def _read(self) -> None:
@@ -211,7 +211,7 @@ class Solver:
 
     def _guard(self, parameters: Any) -> AbstractContextManager[Any]:
         """A time in which what is traced is what the solver has traced before."""
-        return one_tracing() if self._unchanged is None else self._unchanged.required(parameters)
+        return one_tracing() if self._unchanged is None else self._unchanged.guard(parameters)
 
     def _solve(self, inputs: Inputs) -> Solution:
         """The extremal of the inputs, audited."""

@@ -63,7 +63,7 @@ def export_c(self: Any, folder: str | Path, name: str, start: Any, time: float =
     posed = pose(
         begun.solver, found, begun.plan, Options.of(self._tolerance, max(ITERATIONS, budget or 0), None, False)
     )
-    own = _posed_controller(begun, found, time, control)
+    own = _pose_controller(begun, found, time, control)
     return write_folder(where, files(posed, name, ("loop.c",)) | controller_files(posed, own, name))
 
 
@@ -81,7 +81,7 @@ def _require_exportable(controller: Any) -> None:
             raise InvalidInputError(f"export_c does not treat a controller with {words}")
 
 
-def _posed_controller(begun: Any, found: tuple[Any, Any, Any], time: float, control: Any) -> Any:
+def _pose_controller(begun: Any, found: tuple[Any, Any, Any], time: float, control: Any) -> Any:
     """The controller of a first solve, with the controls of some more samples along its plan."""
     from ..boundary_value.export.controller_source import PosedController
 

@@ -84,7 +84,7 @@ def _piece(problem: OptimalControlProblem, first: bool, last: bool) -> OptimalCo
     """The problem of a phase, which pays the costs of ends that it has."""
     paid = {"initial_cost": first, "terminal_cost": last}
     left = {name: None for name, pays in paid.items() if not pays and getattr(problem, name) is not None}
-    return problem._replaced(**left) if left else problem
+    return problem._with_arguments(**left) if left else problem
 
 
 def _part(guess: Guess, a: int, b: int, stages: int) -> Guess:

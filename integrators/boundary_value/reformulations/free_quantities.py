@@ -74,7 +74,9 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         }
         changes = {name: function for name, function in changes.items() if getattr(problem, name) is not None}
         changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
-        self.problem = problem._replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
+        self.problem = problem._with_arguments(
+            manifold=Product(problem.manifold, *added), time_dependent=False, **changes
+        )
 
     def apply(self, data: Inputs, begin: float | None = None) -> BoundaryData:
         """The data in more states; of a batch with one more axis.

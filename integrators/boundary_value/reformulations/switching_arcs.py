@@ -84,7 +84,7 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
         }
         costs = ("terminal_cost", self._final), ("initial_cost", self._first)
         changes |= {name: cost for name, cost in costs if getattr(problem, name) is not None}
-        self.problem = problem._replaced(boundary_constraints=self._boundary(), **changes)
+        self.problem = problem._with_arguments(boundary_constraints=self._boundary(), **changes)
 
     def apply(self, data: ArcData) -> BoundaryData:
         """The data over ``[0, K]``, with guessed durations among the parameters."""

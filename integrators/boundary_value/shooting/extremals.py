@@ -238,7 +238,7 @@ def _judge(
     broken = find_violation(inputs.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
     broken = broken or find_end_violation(conditions, found.ends, *outcome.nodes)
     energy = Energy(method.energy, inputs.problem, method.retraction)
-    jumps = [] if broken else energy.passed(Segments.between(*vec.taken((outcome.nodes, outcome.controls), None)))
+    jumps = [] if broken else energy.find_jumps(Segments.between(*vec.taken((outcome.nodes, outcome.controls), None)))
     return shooting_status(found.result, broken, jumps[0].words() if jumps else "")
 
 

@@ -206,7 +206,7 @@ class Classification(IntegrabilityResult[Stratum]):
     @cached_property
     def _control(self) -> Callable[..., Ambient]:
         feedback = self.stratum.feedback
-        return jax.jit(lambda z, gauge: feedback.determined(z, gauge))
+        return jax.jit(lambda z, gauge: feedback.determined_control(z, gauge))
 
     @property
     def dynamics(self) -> Immersion:

@@ -79,7 +79,7 @@ class RattleIntegrator(SingularIntegrator):
         facts = _finite(
             [_facts(split, z, stratum.u) for z in states], f"brackets of the constraints of the controls {singular}"
         )
-        obstacles = [fact.obstacle(singular) or fact.missed() for fact in facts]
+        obstacles = [fact.obstacle(singular) or fact.describe_violation() for fact in facts]
         # Of constant rank on the piece, so not to be refused for a point at which the arc ends.
         obstacles += [fact.degenerate() for fact in facts] if all(fact.degenerate() for fact in facts) else []
         if any(obstacles):
@@ -93,8 +93,8 @@ class RattleIntegrator(SingularIntegrator):
         check_splitting(system, self.singular)
         require_same_manifold(system, self.lift.discretization)
         facts = _facts(ControlAffineSplitting(system, self.singular), (q, p), resting_control(system.controls))
-        if facts.missed():
-            raise NotOnManifoldError(f"start is not on the constraint manifold: {facts.missed()}")
+        if facts.describe_violation():
+            raise NotOnManifoldError(f"start is not on the constraint manifold: {facts.describe_violation()}")
         obstacle = facts.obstacle(self.singular) or facts.degenerate()
         if obstacle:
             raise InvalidInputError(obstacle)
@@ -181,7 +181,7 @@ class _Facts(NamedTuple):
     among: Brackets
     across: Brackets
 
-    def missed(self) -> str:
+    def describe_violation(self) -> str:
         """The first constraint that does not vanish, in words; empty if all do."""
         rounding = default_tolerance()
         for name, values, sizes in zip(("phi = dH/du", "psi = {phi, H_0}"), self.constraints, self.sizes, strict=True):

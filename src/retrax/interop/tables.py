@@ -13,7 +13,7 @@ from ..integrators.problem.quantities import Quantity, with_unit
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 from ..named_columns import About, View, raw_columns, view
-from ..optional import needed
+from ..optional import require_package
 
 
 def to_xarray(record: Any, problem: About = None) -> Any:
@@ -45,7 +45,7 @@ def to_xarray(record: Any, problem: About = None) -> Any:
     then ``node`` or ``stage``, with times for each member. Axes of an array are ``NAME_0``, ``NAME_1``; named entries
     are coordinates. A variable has the attribute ``units`` if all its entries have one unit.
     """
-    xarray = needed("xarray", "to_xarray")
+    xarray = require_package("xarray", "to_xarray")
     if isinstance(record, Solutions):
         datasets = [_indexed(xarray, member, problem, k) for k, member in enumerate(record)]
         if not datasets:
@@ -131,7 +131,7 @@ def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
     MissingPackageError
         Without pandas.
     """
-    pandas = needed("pandas", "to_pandas")
+    pandas = require_package("pandas", "to_pandas")
     if isinstance(record, Solutions):
         frames = {k: to_pandas(member, at, problem) for k, member in enumerate(record)}
         if not frames:

@@ -16,7 +16,7 @@ from ..integrators.problem.quantities import with_unit
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 from ..named_columns import BODY, SPHERE, About, View, view
-from ..optional import needed
+from ..optional import require_package
 from .axes import STYLES
 from .marks import checked_cones, checked_pairs, circle
 from .series import History, every_panel, named, picture_series
@@ -99,7 +99,7 @@ def to_html(
         raise InvalidInputError(
             f"a page shows at most {len(STYLES)} records, got {len(records)}; try a few of them, or plotting.histories"
         )
-    plotly = needed("plotly.offline", "to_html").get_plotlyjs()
+    plotly = require_package("plotly.offline", "to_html").get_plotlyjs()
     times, scene = _motion(records, problem, body)
     marks = _marks(scene, checked_cones(cones), obstacles)
     panels = [[_panel(own, place) for place, own in enumerate(rows) if own] for rows in every_panel(every, degrees)]
