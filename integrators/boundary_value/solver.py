@@ -368,12 +368,12 @@ class Solver:
         the end.
         """
 
-        def solved(given: BoundaryData) -> Solution:
+        def solve(given: BoundaryData) -> Solution:
             options = {"tolerance": tolerance, "max_iterations": max_iterations}
             return self.solve(given.start, given.end, float(given.horizon), guess, given.parameters, **options)
 
         return differentiable_extremal(
-            self.problem.manifold, BoundaryData(start, end, horizon, parameters), solved, self.sensitivity
+            self.problem.manifold, BoundaryData(start, end, horizon, parameters), solve, self.sensitivity
         )
 
     export_c = require_known_options(export_c)

@@ -17,7 +17,7 @@ from ...problem.boundary_conditions import BoundaryConditions, boundary_values, 
 from ...problem.free_quantities import guess_of, is_free, with_guess, with_scaled_guess
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import require_concrete
-from ...reporting.text import brief, counted
+from ...reporting.text import brief, plural
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import equation_words
 from ..inputs.arguments import Method, Options, check_problem
@@ -330,7 +330,7 @@ def _check_phases(phases: Any, guess: Any) -> list[Phase]:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):
         raise InvalidInputError(
-            f"guess must be a PhasedSolution of {counted(len(phases), 'phase')}, got {brief(guess)}; try what "
+            f"guess must be a PhasedSolution of {plural(len(phases), 'phase')}, got {brief(guess)}; try what "
             "solve_phases returned for phases like these"
         )
     return [_with_near_guess(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]

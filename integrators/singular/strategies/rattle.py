@@ -22,7 +22,7 @@ from ...problem.initial_controls import resting_control
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.pontryagin import extremal_control
 from ...problem_checks.requirements import require_same_manifold
-from ...reporting.text import counted
+from ...reporting.text import plural
 from ...stages import ControlStage
 from ...stages.stage import positive
 from ..integrability import Classification
@@ -218,7 +218,7 @@ def _finite(found: list[Any], what: str) -> list[Any]:
     """The values at points where all is finite. Raises ``NotApplicableError`` if there are none."""
     finite = [one for one in found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(one))]
     if not finite:
-        raise NotApplicableError(f"the {what} are finite at none of {counted(len(found), 'point')} of P_f")
+        raise NotApplicableError(f"the {what} are finite at none of {plural(len(found), 'point')} of P_f")
     return finite
 
 
