@@ -70,8 +70,6 @@ FUNCTIONS: dict[str, frozenset[str]] = {
     "integrators/singular/strategies/stage_integrator.py": frozenset({"suited"}),
     "integrators/singular/strategies/strategy.py": frozenset({"suited"}),
     "src/retrax/plotting/conditions.py": frozenset({"conserved"}),
-    "src/retrax/sweeps/study.py": frozenset({"_check_kept"}),
-    "src/retrax/tape/trace.py": frozenset({"evaluate_closed"}),
     "src/retrax/testing/checks/lie_group.py": frozenset({"tangent_vectors_are_trivialised_from_the_left"}),
     "src/retrax/testing/checks/retraction.py": frozenset({"domain_reaches_as_far_as_expected", "order_is_as_claimed"}),
     "src/retrax/testing/numerics.py": frozenset({"compiled"}),

@@ -117,7 +117,7 @@ def _solve_batch(study: Study, members: np.ndarray) -> dict[str, Any]:
     result = solutions.result
     if any(spent.stopped for spent in solutions.statistics):
         raise KeyboardInterrupt
-    kept = _check_kept(study.keep(solutions), count) if study.keep else {}
+    kept = _check_figures(study.keep(solutions), count) if study.keep else {}
     return {
         "cost": solutions.cost,
         "success": solutions.success,
@@ -127,7 +127,7 @@ def _solve_batch(study: Study, members: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _check_kept(kept: Any, count: int) -> dict[str, np.ndarray]:
+def _check_figures(kept: Any, count: int) -> dict[str, np.ndarray]:
     """The kept figures as arrays of numbers; raises if the user's function returns something else."""
     arrays = {name: np.asarray(value) for name, value in kept.items()} if isinstance(kept, dict) else {}
     if not isinstance(kept, dict) or not all(

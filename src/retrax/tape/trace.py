@@ -61,7 +61,7 @@ class Tracer:
             values.update(zip(eqn.outvars, self._equation(eqn, arrays, outputs), strict=True))
         return [_read(values, v) if want else None for v, want in zip(jaxpr.outvars, wanted, strict=True)]
 
-    def evaluate_closed(self, jaxpr: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
+    def evaluate(self, jaxpr: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
         """Values of a jaxpr that may hold its constants."""
         return self.run(open_jaxpr(jaxpr), getattr(jaxpr, "consts", ()), arguments, wanted)
 
@@ -81,7 +81,7 @@ class Tracer:
         if name in RULES or eqn.primitive.name == HIGH:
             return self._custom(eqn, arrays)
         if name in CALLS:
-            return self.evaluate_closed(called_program(eqn), arrays, wanted)
+            return self.evaluate(called_program(eqn), arrays, wanted)
         if name in _CONTROL:
             return _CONTROL[name](self, eqn, arrays)
         if name in STRUCTURAL_RULES:
@@ -107,7 +107,7 @@ class Tracer:
         fixed, carry, along = scan_parts(params, arrays)
         rows: dict[int, list[Entries]] = {}
         for k in reversed(range(length)) if params["reverse"] else range(length):
-            out = self.evaluate_closed(params["jaxpr"], [*fixed, *carry, *(_row(a, k) for a in along)])
+            out = self.evaluate(params["jaxpr"], [*fixed, *carry, *(_row(a, k) for a in along)])
             carry, rows[k] = out[: len(carry)], out[len(carry) :]
         empty = [np.zeros(v.aval.shape, v.aval.dtype) for v in eqn.outvars[len(carry) :]]
         return [
@@ -120,20 +120,20 @@ class Tracer:
         first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
         of_test, of_body, carry = arrays[:first], arrays[first:second], arrays[second:]
         for _ in range(LONGEST_LOOP):
-            (going,) = self.evaluate_closed(params["cond_jaxpr"], [*of_test, *carry])
+            (going,) = self.evaluate(params["cond_jaxpr"], [*of_test, *carry])
             if not is_known(going):
                 raise NotTraceableError("while", "whose number of iterations depends on the input")
             if not going:
                 return carry
-            carry = self.evaluate_closed(params["body_jaxpr"], [*of_body, *carry])
+            carry = self.evaluate(params["body_jaxpr"], [*of_body, *carry])
         raise NotTraceableError("while", f"with more than {LONGEST_LOOP} iterations")
 
     def _cond(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         which, branches = arrays[0], eqn.params["branches"]
         last = len(branches) - 1
         if isinstance(which, np.ndarray):
-            return self.evaluate_closed(branches[int(np.clip(which, 0, last))], arrays[1:])
-        found = [self.evaluate_closed(branch, arrays[1:]) for branch in branches]
+            return self.evaluate(branches[int(np.clip(which, 0, last))], arrays[1:])
+        found = [self.evaluate(branch, arrays[1:]) for branch in branches]
         return [select_n({}, which, *values) for values in zip(*found, strict=True)]
 
     def _platform_index(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
@@ -158,7 +158,7 @@ class Tracer:
         ]
         side = _flat(right, leaves)
         unknown = ca.SX.sym("x", side.shape[0])
-        images = self.evaluate_closed(matvec, [*fixed, *_arrays(unknown, leaves)])
+        images = self.evaluate(matvec, [*fixed, *_arrays(unknown, leaves)])
         inverted = self._mark_inverse(ca.jacobian(_flat(images, leaves), unknown))
         return _arrays(ca.mtimes(inverted, side), leaves)
 
@@ -178,7 +178,7 @@ class Tracer:
 
     def _custom(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         """A function with a derivative of its own, which JAX knows."""
-        values = self.evaluate_closed(called_program(eqn), arrays)
+        values = self.evaluate(called_program(eqn), arrays)
         return values if is_in_scalars(eqn) else self._mark_derivative(eqn, arrays, values)
 
     def _root(self, eqn: Any, arrays: list[Any]) -> list[Entries]:
@@ -240,7 +240,7 @@ class Tracer:
             program = trace_program(image, *examples)
         symbols = [ca.SX.sym("t", int(np.prod(s.shape))) for s in shapes]
         directions = [scalars(t, s.shape) for t, s in zip(symbols, shapes, strict=True)]
-        images = ca.vertcat(*(column(a) for a in self.evaluate_closed(program, [*arrays, *directions])))
+        images = ca.vertcat(*(column(a) for a in self.evaluate(program, [*arrays, *directions])))
         matrix = ca.jacobian(images, ca.vertcat(*symbols))
         return matrix if forward else matrix.T
 
@@ -367,4 +367,4 @@ def trace(function: Flat) -> tuple[Graph, list[Entries]]:
         halves: list[Entries] = [scalars(s, leaf.shape) for s in symbols]
         arrays.append(halves[0] if len(halves) == 1 else Complex(*halves))
     graph = Graph(inputs)
-    return graph, Tracer(graph).evaluate_closed(function.jaxpr, arrays)
+    return graph, Tracer(graph).evaluate(function.jaxpr, arrays)
