@@ -158,7 +158,7 @@ def _merge(
     What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or the
     core, read.
     """
-    values, loops = zip(*(tape.graph.scheduled([tape.outputs]) for tape in tapes), strict=True)
+    values, loops = zip(*(tape.graph.schedule([tape.outputs]) for tape in tapes), strict=True)
     prepared: list[Any] = ca.cse(values[0][0]).elements()
     first_row: dict[int, int] = {}
     again = {row: first_row.setdefault(hash(e), row) for row, e in zip(writes[0].tolist(), prepared, strict=True)}

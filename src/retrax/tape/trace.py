@@ -141,11 +141,11 @@ class Tracer:
         return [np.asarray(next(k for k, names in enumerate(platforms) if names is None or "cpu" in names))]
 
     def _stop_gradient(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
-        return [self._stop_gradient(a) for a in arrays]
+        return [self._without_slopes(a) for a in arrays]
 
-    def _stop_gradient(self, a: Entries) -> Entries:
+    def _without_slopes(self, a: Entries) -> Entries:
         if isinstance(a, Complex):
-            return Complex(self._stop_gradient(a.real), self._stop_gradient(a.imag))
+            return Complex(self._without_slopes(a.real), self._without_slopes(a.imag))
         return a if isinstance(a, np.ndarray) else scalars(self.graph.constant(a.values), a.shape)
 
     def _linear_solve(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
