@@ -60,7 +60,7 @@ class Regularity:
             self._classes[key] = values, None if regular else classify(problem, exclude_zero_costate=excluded)
         return self._classes[key][1]
 
-    def has_to_be_shown(self, inputs: Inputs) -> bool:
+    def needs_proof(self, inputs: Inputs) -> bool:
         """Whether a solution can show that the problem is regular, as with earlier parameters.
 
         Nobody gave a classification or an integrator for the present parameters.
@@ -70,21 +70,21 @@ class Regularity:
         values, found = self._classes.get(self._key(inputs), (None, None))
         return values is not None and found is None and values != inputs.rows[0].tobytes()
 
-    def is_shown(self, inputs: Inputs, solution: Solution) -> bool:
+    def proves(self, inputs: Inputs, solution: Solution) -> bool:
         """Whether the solution is a strict minimum, along which ``d2H/du2`` is invertible; with inequalities it need
         not be."""
         if self._transcription.problem._limits.along:
-            return self._shown(inputs)
+            return self._remember(inputs)
         if not (solution.success and solution.checks.strict_minimum):
             return False
         state, control = self._transcription.state, self._transcription.control
         layouts = (state, solution.stage_states), (control, solution.controls), (state, solution.stage_costates)
         states, controls, costates = (layout.rows(points, 1)[None] for layout, points in layouts)
-        if not self._transcription.of(inputs).diagnosis.is_curved((states, controls, costates), inputs.rows):
+        if not self._transcription.of(inputs).diagnosis.is_invertible((states, controls, costates), inputs.rows):
             return False
-        return self._shown(inputs)
+        return self._remember(inputs)
 
-    def _shown(self, inputs: Inputs) -> bool:
+    def _remember(self, inputs: Inputs) -> bool:
         self._classes[self._key(inputs)] = inputs.rows[0].tobytes(), None
         return True
 
@@ -94,7 +94,7 @@ class Regularity:
         ``d2H/du2`` is looked at with those of each, at a few random controls and covectors at its start; where it is
         singular at all of them, the member is classified.
         """
-        if not self.has_to_be_shown(inputs):  # a look at the functions takes as long as a hundred solves
+        if not self.needs_proof(inputs):  # a look at the functions takes as long as a hundred solves
             self._require_regular(inputs, 0)
         if self._transcription.problem._limits.along or not inputs.rows.size:
             return
@@ -106,7 +106,7 @@ class Regularity:
                 np.broadcast_to(control, (len(left), control.size)),
                 np.broadcast_to(covector, states[left].shape),
             )
-            curved = self._transcription.of(inputs).diagnosis.curved(
+            curved = self._transcription.of(inputs).diagnosis.invertible(
                 tuple(part[:, None] for part in at), inputs.rows[left]
             )
             left = left[~curved[:, 0]]

@@ -122,11 +122,11 @@ class ExtremalRecords:
             if k in concave:
                 statuses[k] = concave_status(self._where(concave[k], k))
             elif notes[k] or not own.success:
-                more = self._unmoved(k) if own.result.startswith(STUCK_RESULTS) else ""
+                more = self._dependent_entries(k) if own.result.startswith(STUCK_RESULTS) else ""
                 statuses[k] = own.because(more + _violation_words(transcribed, found, k, tolerance), notes[k])
         return statuses
 
-    def _unmoved(self, k: int) -> str:
+    def _dependent_entries(self, k: int) -> str:
         """Words on a part of the end that follows from the rest, by the names of the user."""
         names = [name for quantity in self._of.names_for_user.states for name in quantity.columns]
         return unmoved_words(self.found.system(k), names)

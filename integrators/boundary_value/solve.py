@@ -13,7 +13,7 @@ from ..problem.user_functions import require_concrete
 from ..singular import Classification, SingularIntegrator
 from .drivers.mesh_refinement import MeshRefinement
 from .drivers.phases import solve_phases
-from .drivers.waypoints import joined, phases_through
+from .drivers.waypoints import join_phases, phases_through
 from .guess import Guess
 from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem, require_refinable
 from .inputs.inputs import Inputs
@@ -136,7 +136,7 @@ def solve(
         _require_fixed_mesh(accuracy, classification, integrator)
         phases = phases_through(problem, method, steps, given, through, guess)
         options = {"callback": callback, "verbose": verbose, "throw": False}
-        found = joined(solve_phases(phases, tolerance=tolerance, max_iterations=max_iterations, **options))
+        found = join_phases(solve_phases(phases, tolerance=tolerance, max_iterations=max_iterations, **options))
         return found.require_success() if throw else found
     solver = Solver(problem, method, steps)
     options = Options.of(tolerance, max_iterations, callback, verbose)

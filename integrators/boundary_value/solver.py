@@ -105,7 +105,7 @@ class Solver:
         # Of a solver that is made where functions are read, whoever made it looks after that.
         self._unchanged = None if is_tracing() else ClosureGuard("Solver", problem._digest, HELD_WORDS)
         if self._unchanged is not None and not problem.takes_parameters:
-            with self._unchanged.required(None):
+            with self._unchanged.guard(None):
                 self._read()
 
     def _read(self) -> None:
@@ -113,7 +113,7 @@ class Solver:
         if self.problem.time_dependent:
             self._reformulation.of(1.0, None)[1]._read()
         else:
-            self._transcription.traced(None)
+            self._transcription.trace(None)
 
     def _inner(self, formulation: FreeQuantities) -> "Solver":
         """A solver of a reformulation of the problem."""
@@ -205,34 +205,34 @@ class Solver:
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = BoundaryData(start, end, horizon, parameters, start_time)
         inputs = Inputs.of(self._reader, given, guess, options, 0, classification, integrator)
-        with self._required(inputs.parameters_of(0)):
+        with self._guard(inputs.parameters_of(0)):
             solution = self._solve(inputs)
         return solution.require_success() if throw else solution
 
-    def _required(self, parameters: Any) -> AbstractContextManager[Any]:
+    def _guard(self, parameters: Any) -> AbstractContextManager[Any]:
         """A time in which what is traced is what the solver has traced before."""
-        return one_tracing() if self._unchanged is None else self._unchanged.required(parameters)
+        return one_tracing() if self._unchanged is None else self._unchanged.guard(parameters)
 
     def _solve(self, inputs: Inputs) -> Solution:
         """The extremal of the inputs, audited."""
-        return self._examined(self._found(inputs), inputs)
+        return self._with_audit(self._find(inputs), inputs)
 
-    def _found(self, inputs: Inputs) -> Solution:
+    def _find(self, inputs: Inputs) -> Solution:
         """The extremal of the inputs, with only the first-order conditions evaluated."""
         if inputs.needs_reformulation:
             return self._reformulation.solve(inputs)
         regularity = self._regularity
-        solution = self._member(self._searched(inputs)) if regularity.has_to_be_shown(inputs) else None
-        if solution is None or not regularity.is_shown(inputs, solution):
+        solution = self._member(self._search(inputs)) if regularity.needs_proof(inputs) else None
+        if solution is None or not regularity.proves(inputs, solution):
             known = inputs.classification
-            inputs = inputs.classified(regularity.classification(inputs) if known is None else known)
+            inputs = inputs.with_classification(regularity.classification(inputs) if known is None else known)
             if inputs.classification is not None:
                 solution = solve_on_final_manifold(inputs, inputs.classification)
             elif solution is None:
-                solution = self._member(self._searched(inputs))
+                solution = self._member(self._search(inputs))
         return solution if solution.success else explain_failure(inputs.problem, solution)
 
-    def _examined(self, solution: Solution, inputs: Inputs) -> Solution:
+    def _with_audit(self, solution: Solution, inputs: Inputs) -> Solution:
         """The solution with the results of all checks."""
         free_horizon = is_free(inputs.given.horizon)
         if self._audit.is_silent(inputs.structure, free_horizon):
@@ -275,22 +275,22 @@ class Solver:
         options = Options.of(tolerance, max_iterations, callback, verbose)
         given = BoundaryData(starts, ends, horizons, parameters)
         inputs = Inputs.of(self._reader, given, guesses, options, 1)
-        with self._required(inputs.parameters_of(0)):
-            return self._all_examined(self._all_found(inputs), inputs)
+        with self._guard(inputs.parameters_of(0)):
+            return self._audit_all(self._find_all(inputs), inputs)
 
-    def _all_found(self, inputs: Inputs) -> Solutions:
+    def _find_all(self, inputs: Inputs) -> Solutions:
         """The extremals of a batch, with only the first-order conditions evaluated."""
         if inputs.needs_reformulation:
             return self._reformulation.solve_many(inputs)
         self._regularity.require_regular(inputs)
-        records = self._searched(inputs)
+        records = self._search(inputs)
         return Solutions(records.fields, partial(self._member, records), range(len(inputs)))
 
-    def _all_examined(self, solutions: Solutions, inputs: Inputs) -> Solutions:
+    def _audit_all(self, solutions: Solutions, inputs: Inputs) -> Solutions:
         """The solutions of a batch with what their conditions do not tell."""
-        if not self._audit.needed(solutions[0].parameters, is_free(inputs.given.horizon)):
+        if not self._audit.applies(solutions[0].parameters, is_free(inputs.given.horizon)):
             return solutions
-        examined = [self._examined(solution, inputs) for solution in solutions]
+        examined = [self._with_audit(solution, inputs) for solution in solutions]
         same = all(one is other for one, other in zip(examined, solutions, strict=True))
         return solutions if same else Solutions.of(examined)
 
@@ -316,7 +316,7 @@ class Solver:
             )
         kept = self._kept[solution]
         key = structure_of(kept.parameters)
-        with self._required(kept.parameters), np.errstate(all="ignore"):
+        with self._guard(kept.parameters), np.errstate(all="ignore"):
             if key not in self._derivatives:
                 traced = kept.transcribed.traced
                 self._derivatives[key] = ParametricSensitivity(traced.steps, traced.nodes, self._evaluator)
@@ -340,7 +340,7 @@ class Solver:
             formulation, solver, found = origin
             return formulation.recover_covariance(solver.covariance(found))
         kept = require_estimate(self._kept.get(solution) if isinstance(solution, Solution) else None, solution)
-        with self._required(solution.parameters), np.errstate(all="ignore"):
+        with self._guard(solution.parameters), np.errstate(all="ignore"):
             return covariance_of(kept.found.system(kept.place), solution)
 
     @require_known_options
@@ -368,18 +368,18 @@ class Solver:
         the end.
         """
 
-        def solved(given: BoundaryData) -> Solution:
+        def solve(given: BoundaryData) -> Solution:
             options = {"tolerance": tolerance, "max_iterations": max_iterations}
             return self.solve(given.start, given.end, float(given.horizon), guess, given.parameters, **options)
 
         return differentiable_extremal(
-            self.problem.manifold, BoundaryData(start, end, horizon, parameters), solved, self.sensitivity
+            self.problem.manifold, BoundaryData(start, end, horizon, parameters), solve, self.sensitivity
         )
 
     export_c = require_known_options(export_c)
     feedback = require_known_options(feedback)
 
-    def _searched(self, inputs: Inputs) -> ExtremalRecords:
+    def _search(self, inputs: Inputs) -> ExtremalRecords:
         """The records of what searches find, of regular problems."""
         transcribed = self._transcription.transcribe(inputs)
         tracing = time.perf_counter() - inputs.began

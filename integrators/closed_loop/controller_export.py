@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...manifolds import Euclidean, InvalidInputError
-from ..boundary_value.export.c_export import found_by, pose, require_name, require_new, write_folder
+from ..boundary_value.export.c_export import origin_of, pose, require_name, require_new, write_folder
 from ..boundary_value.inputs.arguments import Options
 from ..problem.path_constraints import count
 from ..problem.point_layout import PointLayout
@@ -59,11 +59,11 @@ def export_c(self: Any, folder: str | Path, name: str, start: Any, time: float =
     begun, budget = copy(self), self._budget[0]
     begun._begin()
     control = begun(start, time)
-    found = found_by(begun.solver, begun.plan)
+    found = origin_of(begun.solver, begun.plan)
     posed = pose(
         begun.solver, found, begun.plan, Options.of(self._tolerance, max(ITERATIONS, budget or 0), None, False)
     )
-    own = _posed_controller(begun, found, time, control)
+    own = _pose_controller(begun, found, time, control)
     return write_folder(where, files(posed, name, ("loop.c",)) | controller_files(posed, own, name))
 
 
@@ -81,7 +81,7 @@ def _require_exportable(controller: Any) -> None:
             raise InvalidInputError(f"export_c does not treat a controller with {words}")
 
 
-def _posed_controller(begun: Any, found: tuple[Any, Any, Any], time: float, control: Any) -> Any:
+def _pose_controller(begun: Any, found: tuple[Any, Any, Any], time: float, control: Any) -> Any:
     """The controller of a first solve, with the controls of some more samples along its plan."""
     from ..boundary_value.export.controller_source import PosedController
 

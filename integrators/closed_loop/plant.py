@@ -64,9 +64,9 @@ class Plant:
         values = np.zeros(0) if layout is None else layout.rows(parameters, 0)
         method = self._method(structure_of(parameters), layout)
         row, span = self._state.rows(q, 0), (begin, end)
-        coarse = self._moved(method, row, signal, span, values)
+        coarse = self._integrate(method, row, signal, span, values)
         while True:
-            fine = self._moved(method, row, signal, span, values, 2)
+            fine = self._integrate(method, row, signal, span, values, 2)
             error = self._error(coarse, fine)
             if error <= ACCURACY:
                 return self._state.points(fine)
@@ -87,7 +87,7 @@ class Plant:
             self._methods[structure] = ExplicitRungeKutta(self.problem, retraction, dop853(), layout)
         return self._methods[structure]
 
-    def _moved(
+    def _integrate(
         self, method: ExplicitRungeKutta, row: np.ndarray, signal: Signal, span: tuple[float, float],
         parameters: np.ndarray, refined: int = 1,
     ) -> np.ndarray:  # fmt: skip
@@ -146,9 +146,9 @@ def idle_control(problem: OptimalControlProblem, given: Any, delay: float) -> An
         raise InvalidInputError(
             f"with a delay a control acts before the first one, and there is no zero in {problem.controls}; try idle=u"
         )
-    return clipped(problem, np.zeros(problem.controls.shape))
+    return clip_to_bounds(problem, np.zeros(problem.controls.shape))
 
 
-def clipped(problem: OptimalControlProblem, u: Any) -> Any:
+def clip_to_bounds(problem: OptimalControlProblem, u: Any) -> Any:
     """A control inside the bounds of the problem."""
     return u if problem.control_bounds is None else np.clip(u, *problem.control_bounds)

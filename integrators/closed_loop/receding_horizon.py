@@ -14,7 +14,7 @@ from ..problem.argument_errors import require_known_options
 from ..reporting.text import brief
 from .controller_export import export_c
 from .plan import Budget, Plan
-from .plant import Plant, SentControls, Signal, clipped, idle_control
+from .plant import Plant, SentControls, Signal, clip_to_bounds, idle_control
 from .soft_constraints import soften
 from .statistics import ControllerStatistics, Source
 
@@ -191,7 +191,7 @@ class RecedingHorizon:
         end = self._at(self._end, begin + horizon) if reference is None else reference
         for signal, first, last in self._sent.between(float(t), begin):
             q = self._plant.advance(q, signal.since(begin), first - begin, last - begin, own)
-        solution = self._solved(q, end, begin, horizon, own)
+        solution = self._solve(q, end, begin, horizon, own)
         source, self._signal = self._choose(Plan(solution, begin), q)
         if source != "solve":
             self._failures[float(t)] = solution.result
@@ -203,7 +203,7 @@ class RecedingHorizon:
 
     export_c = require_known_options(export_c)
 
-    def _solved(self, q: Any, end: Any, begin: float, horizon: float, parameters: Any) -> Solution:
+    def _solve(self, q: Any, end: Any, begin: float, horizon: float, parameters: Any) -> Solution:
         """The solution from a state, or the best iterate within the budget."""
         budget, first, guess = Budget(*self._budget), self._plan is None, None
         limited: Any = {} if first or not budget.is_limited else {"callback": budget}
@@ -222,19 +222,19 @@ class RecedingHorizon:
         if found.infeasibility <= self.acceptable:
             self._plan = found
             return "iterate", self._along(found, found.begin)
-        control = self._corrected(found.begin, q)
+        control = self._feedback_control(found.begin, q)
         if control is None:
             return "plan", self._along(self._last_plan, found.begin)
         return "feedback", Signal.constant(control)
 
-    def _corrected(self, begin: float, q: Any) -> Any:
+    def _feedback_control(self, begin: float, q: Any) -> Any:
         """The control of the feedback law along the plan; None where there is no law."""
         plan = self._last_plan
         try:
             if self._feedback is None or self._feedback.solution is not plan.solution:
                 self._feedback = self.solver.feedback(plan.solution)
             after = begin - plan.begin
-            return self._bounded(self._feedback(after, q)) if after <= self._feedback.until else None
+            return self._clip(self._feedback(after, q)) if after <= self._feedback.until else None
         except (InvalidInputError, DomainError):
             return None
 
@@ -246,12 +246,12 @@ class RecedingHorizon:
 
     def _controls(self, plan: Plan, time: Any) -> Any:
         """The controls of a plan at a time, or at an array of times."""
-        return self._bounded(plan.solution(plan.after(time)).controls)
+        return self._clip(plan.solution(plan.after(time)).controls)
 
-    def _bounded(self, u: Any) -> Any:
+    def _clip(self, u: Any) -> Any:
         """The controls of the problem, without slacks, inside their bounds."""
         own = u if self.solver.problem is self.problem else u[..., : self.problem.controls.dimension]
-        return clipped(self.problem, own)
+        return clip_to_bounds(self.problem, own)
 
     @property
     def _last_plan(self) -> Plan:

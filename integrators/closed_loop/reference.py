@@ -16,7 +16,7 @@ from ...retractions import Retraction, default_retraction
 from ..boundary_value.solution.record import Solution
 from ..boundary_value.transcription.chart import Polynomials
 from ..problem.point_layout import PointLayout
-from ..problem.table import Outside, finite_array, located
+from ..problem.table import Outside, finite_array, locate
 
 NEIGHBOURS = 2  # points on each side of a point from which its velocity is computed: an error of third order
 CUBIC = np.array([0.0, 1.0, 2.0, 3.0]) / 3  # places of a piece that determine a cubic polynomial
@@ -62,7 +62,7 @@ class ReferencePath:
     def __call__(self, t: Array) -> Ambient:
         """The point at a time."""
         manifold, (places, centres, coordinates) = self.retraction.manifold, self._pieces
-        piece, t = located(self.times, t, self.outside)
+        piece, t = locate(self.times, t, self.outside)
         place = (t - piece @ self.times[:-1]) / (piece @ np.diff(self.times))
         others = [[k for k in range(len(places)) if k != j] for j in range(len(places))]
         shares = [jnp.prod((place - places[k]) / (places[j] - places[k])) for j, k in enumerate(others)]
@@ -82,7 +82,7 @@ def _hermite(retraction: Retraction, times: np.ndarray, rows: np.ndarray) -> Pol
         centre = layout.point(x)
         return vec.components(manifold.basis(centre), retraction.preimage(centre, layout.point(y)))
 
-    def seen(x: Array, y: Array, slope: Array) -> tuple[Array, Array]:
+    def chart_coordinates(x: Array, y: Array, slope: Array) -> tuple[Array, Array]:
         """The coordinates of a point in the chart around another one, and of a velocity there."""
         velocity = layout.flat(vec.combine(manifold.basis(layout.point(y)), slope))
         return jax.jvp(lambda y: coordinates(x, y), (y,), (velocity,))
@@ -93,7 +93,7 @@ def _hermite(retraction: Retraction, times: np.ndarray, rows: np.ndarray) -> Pol
         near = slice(max(min(k - NEIGHBOURS, last - 2 * NEIGHBOURS), 0), max(k + NEIGHBOURS, 2 * NEIGHBOURS) + 1)
         c = chart.at(1, np.broadcast_to(point, rows[near].shape), rows[near])[0]
         slopes[k] = CubicSpline(times[near], c)(times[k], 1) if np.all(np.isfinite(c)) else np.nan
-    both = AutomaticEvaluator().values(seen, size, size, manifold.dimension)
+    both = AutomaticEvaluator().values(chart_coordinates, size, size, manifold.dimension)
     ends, arriving = both.at(1, rows[:-1], rows[1:], slopes[1:])
     found = np.full((last, len(CUBIC), manifold.dimension), np.nan)
     for k in np.flatnonzero(np.all(np.isfinite(np.hstack([ends, arriving, slopes[:-1]])), axis=1)):

@@ -97,7 +97,7 @@ def simulate(
     times, states, measured, controls = sample_time * np.arange(count + 1), [q], [], []
     for begin, end in pairwise(times):
         seen = q if measure is None else measure(q, float(begin), rng)
-        controls.append(_checked_control(plant, controller(seen, float(begin))))
+        controls.append(_check_control(plant, controller(seen, float(begin))))
         sent.send(begin + delay, _signal_of(controller, controls[-1]))
         own = parameters(float(begin), rng) if callable(parameters) else parameters
         check_parameters(plant, own)
@@ -146,7 +146,7 @@ def _samples(plant: Any, controller: Any, horizon: Any, sample_time: Any) -> int
     return count
 
 
-def _checked_control(plant: OptimalControlProblem, control: Any) -> Any:
+def _check_control(plant: OptimalControlProblem, control: Any) -> Any:
     """A control as arrays; raises ``InvalidInputError`` for another one."""
     wrong = plant.controls.describe_mismatch(control, "the control of the controller")
     if wrong:

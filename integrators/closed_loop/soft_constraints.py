@@ -72,7 +72,7 @@ def soften(problem: OptimalControlProblem, weights: Mapping[str, float]) -> Opti
     limits = Inequalities(lower, upper, own.names, functions, own.at_first, own.node_names, own.node_functions)
     controls = Euclidean(m + len(names))
     unnamed = Quantities.of(problem.manifold, controls, None, None)
-    return problem._replaced(
+    return problem._with_arguments(
         dynamics=without_slacks(problem.dynamics),
         running_cost=wraps(problem.running_cost)(cost),
         controls=controls,

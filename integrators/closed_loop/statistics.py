@@ -9,7 +9,7 @@ import numpy as np
 
 from ...manifolds import InvalidInputError
 from ..reporting.records import write_protect
-from ..reporting.text import brief, counted
+from ..reporting.text import brief, plural
 
 Source = Literal["solve", "iterate", "feedback", "plan"]
 ARRAYS = {"times": float, "iterations": int, "milliseconds": float}
@@ -100,7 +100,7 @@ class ControllerStatistics:
         counts = Counter(self.sources)
         sources = ", ".join(f"{counts[name]} {said}" for name, said in words.items() if counts[name])
         return (
-            f"ControllerStatistics({counted(len(self.sources), 'control')}: {sources}; iterations: median "
+            f"ControllerStatistics({plural(len(self.sources), 'control')}: {sources}; iterations: median "
             f"{np.median(self.iterations):g}, at most {np.max(self.iterations)}; time: median "
             f"{np.median(self.milliseconds):.3g} ms, at most {np.max(self.milliseconds):.3g} ms)"
         )

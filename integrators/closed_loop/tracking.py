@@ -14,7 +14,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Retraction, default_retraction
 from ..boundary_value.solution.record import Solution
 from ..problem.argument_errors import require_known_options
-from ..problem.explicit_time import begun_later, with_time
+from ..problem.explicit_time import with_start_time, with_time
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.table import Outside, finite_array, require_outside
 from ..reporting.text import brief
@@ -96,11 +96,11 @@ def tracking(
     state = Deviation(path, own, _weights("weights", weights, own.manifold))
     control = Deviation(signal, steered, _weights("control_weights", control_weights, steered.manifold))
     last = None if end_weights is None else Deviation(path, own, _weights("end_weights", end_weights, own.manifold))
-    bare = problem._replaced(terminal_cost=None, initial_cost=None)
-    timed = bare if problem.time_dependent else bare._changed(with_time, True)
+    bare = problem._with_arguments(terminal_cost=None, initial_cost=None)
+    timed = bare if problem.time_dependent else bare._map_functions(with_time, True)
     costs: Any = {"running_cost": lambda q, u, t: state.cost(q, t) + control.cost(u, t)}
-    follow = timed._replaced(**costs, terminal_cost=None if last is None else last.cost)
-    return follow._changed(begun_later(problem.takes_parameters), True) if moving else follow
+    follow = timed._with_arguments(**costs, terminal_cost=None if last is None else last.cost)
+    return follow._map_functions(with_start_time(problem.takes_parameters), True) if moving else follow
 
 
 @final

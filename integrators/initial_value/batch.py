@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 
 from ...compute.at_points import violations_at
-from ...compute.jit_cache import call_optimized
+from ...compute.jit_cache import optimize_and_call
 from ...manifolds import InvalidInputError, Manifold, NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
@@ -73,7 +73,7 @@ def integrate_many(
     saves, every = int(steps) // int(save_every), int(save_every)
     found = tape_steps(system, integrator, starts, sizes, evaluator)
     if isinstance(found, str):
-        batch = call_optimized(_scan, system, integrator, starts, jnp.asarray(sizes), saves, every, found)[0]
+        batch = optimize_and_call(_scan, system, integrator, starts, jnp.asarray(sizes), saves, every, found)[0]
     else:
         batch = run_on_tape(found, integrator, sizes, saves, every, verbose)
     return without_jumps(system, integrator, batch, every)[0]

@@ -22,7 +22,7 @@ def tape_steps(
     be."""
     if evaluator == "xla":
         return "it was asked for"
-    found = traced_steps(system, integrator)
+    found = trace_steps(system, integrator)
     if isinstance(found, str):
         if evaluator == "tape":
             raise InvalidInputError(f"the steps cannot run on the tape: {found}; try evaluator='automatic'")
@@ -32,7 +32,7 @@ def tape_steps(
     return TapeSteps(found, starts, step_sizes)
 
 
-def traced_steps(system: Any, integrator: Integrator) -> "TracedSteps | str":
+def trace_steps(system: Any, integrator: Integrator) -> "TracedSteps | str":
     """The steps as programs, made once in a reading, or in words why they cannot be."""
     key = "steps", id(system), id(integrator), str(working_precision())
     with one_tracing() as reading:  # which keeps both, so that no other objects get their numbers

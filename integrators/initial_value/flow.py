@@ -80,7 +80,7 @@ class Flow:
         'Flow(SymplecticIntegrator on SO(3))'
         """
         require_concrete("Flow.integrate", start, step_size)
-        with resume_tracing(self._reading), self._unchanged.required():
+        with resume_tracing(self._reading), self._unchanged.guard():
             return integrate(
                 self.system, self.integrator, start, step_size, steps, save_every, throw, self._evaluator, verbose
             )
@@ -105,7 +105,7 @@ class Flow:
         >>> Flow.integrate_many.__name__
         'integrate_many'
         """
-        with resume_tracing(self._reading), self._unchanged.required():
+        with resume_tracing(self._reading), self._unchanged.guard():
             return integrate_many(
                 self.system, self.integrator, starts, step_sizes, steps, save_every, self._evaluator, verbose
             )

@@ -22,7 +22,7 @@ class Steps(ABC):
     evaluator: str
 
     @abstractmethod
-    def kept(self) -> Any:
+    def kept_values(self) -> Any:
         """The kept values of the present state, a pytree of NumPy arrays."""
 
     @abstractmethod
@@ -55,7 +55,7 @@ def run(steps: Steps, saves: int, every: int, verbose: bool = False) -> Outcome:
 
 
 def _run(steps: Steps, saves: int, every: int, advance: Advance) -> Outcome:
-    first = steps.kept()
+    first = steps.kept_values()
     nodes = jax.tree.map(lambda a: np.empty((saves + 1, *a.shape), a.dtype), first)
     _put(nodes, 0, first)
     size = min(PIECE_NODES, max(1, PIECE_BYTES // max(1, sum(leaf.nbytes for leaf in jax.tree.leaves(first)))))
@@ -71,7 +71,7 @@ def _run(steps: Steps, saves: int, every: int, advance: Advance) -> Outcome:
             known = 1 + (phase + last) // every
             _put(nodes, slice(row + 1, row + 1 + known), vec.taken(rows, slice(known)))
             if stopped:
-                _put(nodes, slice(row + 1 + known, None), steps.kept())
+                _put(nodes, slice(row + 1 + known, None), steps.kept_values())
                 return Outcome(nodes, failed, None)
             done += count
             advance(count)

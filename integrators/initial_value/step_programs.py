@@ -13,9 +13,9 @@ from ...compute.program_digest import content_key
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import Tape
-from ...tape.graph import changed, symbols_in
+from ...tape.graph import apply_change, symbols_in
 from ...tape.instructions import CODES
-from ...tape.program import Program, assembled
+from ...tape.program import Program, assemble
 from ...tape.trace import flat
 from ..stages import Stage
 from .integrator import Integrator
@@ -158,7 +158,7 @@ def _merge(
     What the first one finds constant, or finds twice, is so in the others; of the rest it writes what these, or the
     core, read.
     """
-    values, loops = zip(*(tape.graph.scheduled([tape.outputs]) for tape in tapes), strict=True)
+    values, loops = zip(*(tape.graph.schedule([tape.outputs]) for tape in tapes), strict=True)
     prepared: list[Any] = ca.cse(values[0][0]).elements()
     first_row: dict[int, int] = {}
     again = {row: first_row.setdefault(hash(e), row) for row, e in zip(writes[0].tolist(), prepared, strict=True)}
@@ -169,10 +169,10 @@ def _merge(
         by_row = dict(zip(read.tolist(), symbols, strict=True))
         simpler = [constant.get(row, by_row[again.get(row, row)]) for row in read.tolist()]
         given = [tape.inputs], [ca.vertcat(*simpler)]
-        (value,), own = changed(lambda parts, given=given: ca.substitute(parts, *given), values[k], loops[k])
+        (value,), own = apply_change(lambda parts, given=given: ca.substitute(parts, *given), values[k], loops[k])
         used = symbols_in([value], own)
         needed |= {row for row, symbol in by_row.items() if hash(symbol) in used}
-        functions.append(_on_core(assembled(tape.inputs, value, own, window=None), read, write))
+        functions.append(_on_core(assemble(tape.inputs, value, own, window=None), read, write))
     kept = [k for k, row in enumerate(writes[0].tolist()) if row in needed]
-    first = assembled(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), loops[0], window=None)
+    first = assemble(tapes[0].inputs, ca.vertcat(*(prepared[k] for k in kept)), loops[0], window=None)
     return _on_core(first, reads[0], writes[0][kept]), *functions

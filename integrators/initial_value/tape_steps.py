@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from ...compute.binding.integration import Integration
-from ...compute.jit_cache import call_compiled
+from ...compute.jit_cache import compile_and_call
 from ...manifolds.numerics.ambient import Ambient
 from ...tape import NotTraceableError, Tape
 from ...tape.trace import flat
@@ -28,7 +28,7 @@ class TracedSteps:
     def __init__(self, system: Any, integrator: Integrator) -> None:
         self.system, (self.single, self.parts) = system, integrator.substeps()
         ambient = jax.tree.map(lambda s: np.zeros(s.shape, s.dtype), integrator.manifold.ambient)
-        begun = flat(self._begun, (ambient, ambient))
+        begun = flat(self._begin_one, (ambient, ambient))
         try:
             self._first = Tape.read(begun)
         except NotTraceableError:  # a control, say, that is found by iteration
@@ -44,11 +44,11 @@ class TracedSteps:
     def begin(self, starts: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
         """The unknowns before the first step, points and covectors, with a leading axis."""
         if self._first is None:
-            return jax.device_get(call_compiled(_begin_all, self.system, self.single, starts)[0])
+            return jax.device_get(compile_and_call(_begin_all, self.system, self.single, starts)[0])
         last = self._first(jax.tree.map(lambda a: np.moveaxis(np.asarray(a), 0, -1), starts))
         return jax.tree.map(lambda a: np.moveaxis(a, -1, 0), last)
 
-    def _begun(self, start: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
+    def _begin_one(self, start: tuple[Ambient, Ambient]) -> tuple[Any, Ambient, Ambient]:
         return _begin(self.system, self.single, start)
 
 
@@ -66,7 +66,7 @@ class TapeSteps(Steps):
         sizes, parts = np.array(step_sizes, float), np.array(self._parts, float).ravel()
         self._integration = Integration(traced.method, carry, sizes, parts, traced.inverse, kept)
 
-    def kept(self) -> np.ndarray:
+    def kept_values(self) -> np.ndarray:
         return self._integration.kept.copy()
 
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[np.ndarray, np.ndarray, float]:

@@ -248,7 +248,7 @@ def without_jumps(
     controls = vec.taken(batch.controls, np.s_[:, :, *axes * (0,)])
     segments, count = Segments.between((batch.q, batch.p), controls), batch.times.shape[1] - 1
     found, solved = dict[int, PassedJump](), np.broadcast_to(batch.failed_step < 0, len(batch.times))
-    for jump in energy.passed(segments, every > 1):
+    for jump in energy.find_jumps(segments, every > 1):
         if solved[jump.segment // count]:
             found.setdefault(jump.segment // count, jump)
     if not found:

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...compute.jit_cache import call_compiled, call_optimized
+from ...compute.jit_cache import compile_and_call, optimize_and_call
 from ...manifolds.numerics.ambient import Ambient
 from .integrator import Integrator
 from .interruptible_loop import Steps
@@ -67,7 +67,7 @@ def _piece(
     state.
     """
 
-    def unfinished(state: tuple[Array, Carry, Nodes]) -> Array:
+    def is_unfinished(state: tuple[Array, Carry, Nodes]) -> Array:
         index, carry, _ = state
         return (index < count) & (carry.failed_step < 0)
 
@@ -81,7 +81,7 @@ def _piece(
         return index + 1, carry, put
 
     rows = jax.tree.map(lambda a: jnp.zeros((size, *jnp.shape(a)), a.dtype), node(integrator, first))
-    _, last, rows = jax.lax.while_loop(unfinished, step, (jnp.zeros_like(count), first, rows))
+    _, last, rows = jax.lax.while_loop(is_unfinished, step, (jnp.zeros_like(count), first, rows))
     return last, rows
 
 
@@ -94,14 +94,14 @@ class XlaSteps(Steps):
     ) -> None:
         self.evaluator = f"XLA: {reason}"
         self._system, self._integrator, self._step_size = system, integrator, step_size
-        self._carry: Carry = call_compiled(begin, system, integrator, start)[0]
+        self._carry: Carry = compile_and_call(begin, system, integrator, start)[0]
 
-    def kept(self) -> Nodes:
+    def kept_values(self) -> Nodes:
         return jax.device_get(node(self._integrator, self._carry))
 
     def piece(self, done: int, count: int, phase: int, every: int, size: int) -> tuple[Nodes, np.ndarray, float]:
         numbers = [jnp.asarray(n) for n in (count, phase, every)]
         arguments = self._system, self._integrator, self._carry, self._step_size, size, *numbers
-        (self._carry, rows), _, seconds = call_optimized(_piece, *arguments)
+        (self._carry, rows), _, seconds = optimize_and_call(_piece, *arguments)
         failed = np.asarray(self._carry.failed_step)
         return jax.device_get(rows), np.where(failed < 0, -1, done + failed), seconds

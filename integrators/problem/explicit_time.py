@@ -17,15 +17,15 @@ def with_time(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
     if kind in TIMELESS:
         return function
     count = len(ARGUMENTS[kind]) - 1
-    return _signed(
+    return _with_signature(
         function, kind, takes_more(function, count), lambda *given: function(*given[:count], *given[count + 1 :])
     )
 
 
-def begun_later(takes_parameters: bool) -> Callable[[Callable[..., Any], int], Callable[..., Any]]:
+def with_start_time(takes_parameters: bool) -> Callable[[Callable[..., Any], int], Callable[..., Any]]:
     """The change of a function to one whose last parameter is the time at which the trajectory begins."""
 
-    def changed(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
+    def change(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
         takes = takes_more(function, len(ARGUMENTS[kind]))
 
         def later(*given: Any) -> Any:
@@ -33,12 +33,12 @@ def begun_later(takes_parameters: bool) -> Callable[[Callable[..., Any], int], C
             points = given[:-1] if kind in TIMELESS else (*given[:-2], begin + given[-2])
             return function(*points, *([own] if takes else []))
 
-        return _signed(function, kind, True, later)
+        return _with_signature(function, kind, True, later)
 
-    return changed
+    return change
 
 
-def _signed(function: Any, kind: int, takes: bool, call: Callable[..., Any]) -> Callable[..., Any]:
+def _with_signature(function: Any, kind: int, takes: bool, call: Callable[..., Any]) -> Callable[..., Any]:
     """A function in the name of another one, with arguments of a kind, and parameters if it takes them."""
     named: Any = wraps(function)(lambda *given: call(*given))
     names = (*ARGUMENTS[kind], *(["parameters"] if takes else []))

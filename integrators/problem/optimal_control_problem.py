@@ -177,7 +177,7 @@ class OptimalControlProblem(ProblemStatement):
             return self
         # A node cost reads them at a traced index, which arrays of NumPy do not take.
         arrays = parameters if self.node_cost is None else jax.tree.map(jnp.asarray, parameters)
-        return self._changed(lambda f, kind: with_last(f, self._counts[kind], arrays), self.time_dependent)
+        return self._map_functions(lambda f, kind: with_last(f, self._counts[kind], arrays), self.time_dependent)
 
     @property
     def _counts(self) -> tuple[int, ...]:
@@ -207,9 +207,9 @@ class OptimalControlProblem(ProblemStatement):
         if not self.time_dependent:
             return self
         time = jnp.asarray(t, float)  # of Python's own numbers the inverse of zero is an error
-        return self._changed(lambda f, kind: f if kind in TIMELESS else BoundFunction(f, time), False)
+        return self._map_functions(lambda f, kind: f if kind in TIMELESS else BoundFunction(f, time), False)
 
-    def _changed(
+    def _map_functions(
         self, change: Callable[[Callable[..., Any], int], Callable[..., Any]], time_dependent: bool
     ) -> "OptimalControlProblem":
         """The problem with every function replaced by ``change(function, kind)``."""
@@ -217,14 +217,14 @@ class OptimalControlProblem(ProblemStatement):
         own, ends = self._limits, self._boundary
         functions = tuple(given[constraint_words(name)] for name in own.names)
         at_nodes = tuple(given[node_words(name)] for name in own.node_names)
-        limits = own.replaced(functions, at_nodes)
+        limits = own.with_functions(functions, at_nodes)
         between = tuple(given[boundary_words(name)] for name in ends.names)
         boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor, ends.closed)
         names = "dynamics", "running_cost", "terminal_cost", "initial_cost", "node_cost"
         more: Any = {"constraints": limits, "boundary_constraints": boundary, "time_dependent": time_dependent}
-        return self._replaced(**more, **{name: given[name] for name in names if name in given})
+        return self._with_arguments(**more, **{name: given[name] for name in names if name in given})
 
-    def _replaced(self, **changes: Any) -> "OptimalControlProblem":
+    def _with_arguments(self, **changes: Any) -> "OptimalControlProblem":
         """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a
         ``boundary``."""
         names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "initial_cost", "node_cost"

@@ -47,9 +47,9 @@ class Inequalities(eqx.Module):
     @classmethod
     def of(cls, bounds: Any, constraints: Any, node_constraints: Any, controls: Manifold) -> "Inequalities":
         """The inequalities of a user, checked without a look at the arguments of the functions."""
-        lower, upper = _checked_bounds(bounds, controls)
-        given = _checked_constraints("constraints", constraints, "a state and a control")
-        at_nodes = _checked_constraints("node_constraints", node_constraints, "a state")
+        lower, upper = _check_bounds(bounds, controls)
+        given = _check_constraints("constraints", constraints, "a state and a control")
+        at_nodes = _check_constraints("node_constraints", node_constraints, "a state")
         for name in at_nodes:
             if name in given:
                 raise InvalidInputError(
@@ -59,7 +59,9 @@ class Inequalities(eqx.Module):
         own, more = tuple(given.values()), tuple(at_nodes.values())
         return cls(lower, upper, tuple(given), own, node_names=tuple(at_nodes), node_functions=more)
 
-    def replaced(self, functions: tuple[Constraint, ...], node_functions: tuple[Constraint, ...]) -> "Inequalities":
+    def with_functions(
+        self, functions: tuple[Constraint, ...], node_functions: tuple[Constraint, ...]
+    ) -> "Inequalities":
         """The inequalities with the same bounds and names, and other functions."""
         names = self.lower, self.upper, self.names
         return Inequalities(*names, functions, self.at_first, self.node_names, node_functions, self.clock)
@@ -204,7 +206,7 @@ def _entry(name: str, place: tuple[Any, ...]) -> str:
     return f"{name}[{', '.join(str(int(i)) for i in place)}]" if place else name
 
 
-def _checked_bounds(given: Any, controls: Manifold) -> tuple[tuple[float, ...], tuple[float, ...]]:
+def _check_bounds(given: Any, controls: Manifold) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Both bounds of all entries of the control; raises where something is wrong."""
     if given is None:
         return (), ()
@@ -217,7 +219,7 @@ def _checked_bounds(given: Any, controls: Manifold) -> tuple[tuple[float, ...], 
             f"control_bounds are given, {given!r}, and the controls lie in {controls}; expected controls in R^m; try "
             'constraints={"name": function}, a function of (q, u) that is not positive where the control is admissible'
         )
-    both = (_checked_side(name, side, controls.shape) for name, side in zip(("lower", "upper"), given, strict=True))
+    both = (_check_side(name, side, controls.shape) for name, side in zip(("lower", "upper"), given, strict=True))
     lower, upper = both
     for i, (low, high) in enumerate(zip(lower, upper, strict=True)):
         place = _entry("u", np.unravel_index(i, controls.shape))
@@ -233,7 +235,7 @@ def _checked_bounds(given: Any, controls: Manifold) -> tuple[tuple[float, ...], 
     return lower, upper
 
 
-def _checked_side(name: str, given: Any, shape: tuple[int, ...]) -> tuple[float, ...]:
+def _check_side(name: str, given: Any, shape: tuple[int, ...]) -> tuple[float, ...]:
     """The bounds of all entries of the control on one side."""
     if is_traced(given):
         raise InvalidInputError(
@@ -254,7 +256,7 @@ def _checked_side(name: str, given: Any, shape: tuple[int, ...]) -> tuple[float,
     return tuple(map(float, np.broadcast_to(array, shape).ravel()))
 
 
-def _checked_constraints(kind: str, given: Any, of: str) -> dict[str, Constraint]:
+def _check_constraints(kind: str, given: Any, of: str) -> dict[str, Constraint]:
     """The constraints of a kind, functions ``of`` something, by their names; raises where something is wrong."""
     if given is None:
         return {}

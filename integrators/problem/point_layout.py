@@ -76,7 +76,7 @@ class PointLayout:
             parts += [np.real(part), np.imag(part)] if is_complex else [part]
         return np.concatenate(parts, axis=-1, dtype=float)
 
-    def held(self, points: Any, axes: int) -> np.ndarray | None:
+    def finite_rows(self, points: Any, axes: int) -> np.ndarray | None:
         """The rows of points that are NumPy arrays of finite real numbers of the right shapes; None for all other
         input.
 

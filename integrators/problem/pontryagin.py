@@ -35,7 +35,7 @@ def _control_sizes(problem: OptimalControlProblem, q: Ambient, p: Ambient, near:
     """Sizes of the coordinates of a control, from ``near`` and from the steps that the parts of ``dH/du`` ask for."""
     q, p, near = jax.lax.stop_gradient((q, p, near))
 
-    def asked_along(e: Array) -> Array:
+    def size_along(e: Array) -> Array:
         def parts(s: Array) -> Array:
             return jnp.stack(problem._parts(q, p, problem._steer(near, s * e)))
 
@@ -44,7 +44,7 @@ def _control_sizes(problem: OptimalControlProblem, q: Ambient, p: Ambient, near:
         return jnp.max(jnp.abs(slopes)) / jnp.abs(curvatures[0] - curvatures[1])
 
     frame = problem.controls.basis(near)
-    asked = jax.vmap(asked_along)(jnp.eye(problem.controls.dimension))
+    asked = jax.vmap(size_along)(jnp.eye(problem.controls.dimension))
     own = jnp.maximum(jnp.abs(vec.components(frame, near)), jnp.where(jnp.isfinite(asked), asked, 0.0))
     # A coordinate that rests is as exact as the rounding of others lets it be.
     largest = jnp.maximum(jnp.max(own, initial=0.0), jnp.max(vec.coordinate_sizes(frame, near), initial=0.0))

@@ -109,7 +109,7 @@ class Quantities:
         """
         if isinstance(labels, cls):
             return labels
-        given = {"labels": _checked("labels", labels, ABOUT), "units": _checked("units", units, UNITS)}
+        given = {"labels": _check_words("labels", labels, ABOUT), "units": _check_words("units", units, UNITS)}
         own: Any = {
             about: _quantities(about, space, given["labels"].get(about), given["units"].get(about))
             for about, space in zip(ABOUT, (manifold, controls), strict=True)
@@ -233,7 +233,7 @@ def _words(quantity: Quantity) -> str:
     return ", ".join(with_unit(entry, quantity.unit_of(k)) for k, entry in enumerate(quantity.entries))
 
 
-def _checked(what: str, given: Any, expected: tuple[str, ...]) -> dict[str, Any]:
+def _check_words(what: str, given: Any, expected: tuple[str, ...]) -> dict[str, Any]:
     """The given words by their keys; raises for other keys."""
     if given is None:
         return {}

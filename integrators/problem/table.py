@@ -127,14 +127,14 @@ class Table:
         """The value at one point: the polynomials of the last argument first."""
         value = jnp.asarray(self.coefficients)
         for grid, x in reversed([*zip(self.grids, point, strict=True)]):
-            piece, x = located(grid, x, self.outside)
+            piece, x = locate(grid, x, self.outside)
             cubic = jnp.tensordot(piece, value, (0, 1))
             along = x - piece @ grid[:-1]
             value = ((cubic[0] * along + cubic[1]) * along + cubic[2]) * along + cubic[3]
         return value
 
 
-def located(grid: np.ndarray, x: Array, outside: Outside) -> tuple[Array, Array]:
+def locate(grid: np.ndarray, x: Array, outside: Outside) -> tuple[Array, Array]:
     """The piece of a grid that has a point, as the unit vector of its index, and the point inside the grid or NaN.
 
     A product with the unit vector takes the data of the piece: a tape needs one instruction per entry, as no index

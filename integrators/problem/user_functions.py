@@ -45,7 +45,7 @@ def _real(name: str, value: Any, axes: int, truth: str) -> Array:
     expected = "a real number or a vector of them" if axes else "a real number"
     got = "nothing; did it forget to return?" if value is None else f"{value!r}"
     if isinstance(value, np.ndarray | np.generic | jax.Array | list | tuple):
-        value = _stacked(value)
+        value = _as_array(value)
     kind = getattr(value, "dtype", None)
     if isinstance(value, int | float) and not isinstance(value, bool):
         kind = np.dtype(float)
@@ -99,7 +99,7 @@ def imprecise(functions: dict[str, Any], *arguments: Any) -> str:
     return ""
 
 
-def _stacked(value: Any) -> Any:
+def _as_array(value: Any) -> Any:
     """A list of numbers as an array, and None where it is something else."""
     try:
         return jnp.asarray(value)

@@ -8,7 +8,7 @@ from typing import final
 import jax
 import numpy as np
 
-from ...compute.jit_cache import call_compiled
+from ...compute.jit_cache import compile_and_call
 from ...errors import FAILURES
 from ...manifolds import Euclidean, InvalidInputError, NotOnManifoldError, RetraxError
 from ...manifolds.numerics import ambient as vec
@@ -169,7 +169,9 @@ class Inspection:
         bases, ways = (np.stack([getattr(flat, name) for flat in self._every]) for name in ("bases", "direction"))
         given = vec.taken(self._covectors, np.array([flat.sample for flat in self._every]))
         ladder = LADDER.astype(self.directions.dtype)
-        return jax.device_get(call_compiled(along_lines, self.problem, self.q, self.u, given, bases, ways, ladder)[0])
+        return jax.device_get(
+            compile_and_call(along_lines, self.problem, self.q, self.u, given, bases, ways, ladder)[0]
+        )
 
     @cached_property
     def _bends(self) -> list[Bend | None]:

@@ -22,7 +22,7 @@ def read_archive(path: Path) -> dict[str, bytes]:
     if path.is_dir():
         raise InvalidInputError("it is a folder")
     content = path.read_bytes()
-    with _damage_named(), zipfile.ZipFile(io.BytesIO(content)) as archive:
+    with _name_damage(), zipfile.ZipFile(io.BytesIO(content)) as archive:
         entries = archive.infolist()
         declared = sum(entry.file_size for entry in entries)
         found = {} if declared > len(content) else {entry.filename: archive.read(entry) for entry in entries}
@@ -40,13 +40,13 @@ def read_archived_arrays(path: Path) -> dict[str, np.ndarray]:
     """The arrays in a file of NumPy's by their names, none of them objects; raises ``InvalidInputError`` for other
     files."""
     entries = read_archive(path)
-    with _damage_named():
+    with _name_damage():
         return {name.removesuffix(".npy"): _array(content) for name, content in entries.items()}
 
 
 def archived_words(path: Path, text: str, array: str) -> str:
     """The words of a text entry, or else of an array with one string; empty without both. No other entry is read."""
-    with path.open("rb") as file, _damage_named(), zipfile.ZipFile(file) as archive:
+    with path.open("rb") as file, _name_damage(), zipfile.ZipFile(file) as archive:
         name = next((name for name in (text, array) if name in archive.namelist()), None)
         if name is None:
             return ""
@@ -56,7 +56,7 @@ def archived_words(path: Path, text: str, array: str) -> str:
 
 
 @contextmanager
-def _damage_named() -> Iterator[None]:
+def _name_damage() -> Iterator[None]:
     """A context that raises ``InvalidInputError`` instead of what zipfile, zlib and NumPy raise for other bytes."""
     try:
         yield

@@ -13,20 +13,20 @@ MOST_SHOWN_ENTRIES = 4  # of an array that a message shows entry by entry
 def table(lines: list[Line]) -> str:
     """Names and texts in two columns, the second at most ``WIDTH`` wide."""
     width = max(len(name) for name, _ in lines) + 2
-    return "\n".join(f"{name:<{width}}" + ("\n" + " " * width).join(_wrapped(text)) for name, text in lines)
+    return "\n".join(f"{name:<{width}}" + ("\n" + " " * width).join(_wrap(text)) for name, text in lines)
 
 
 def clauses(parts: Iterable[str]) -> str:
     """Sentences that begin a line each, of at most ``WIDTH`` characters; lines that continue one are indented."""
-    return ";\n".join("\n  ".join(_wrapped(part)) for part in parts)
+    return ";\n".join("\n  ".join(_wrap(part)) for part in parts)
 
 
-def _wrapped(text: str) -> list[str]:
+def _wrap(text: str) -> list[str]:
     lines = (wrap(line, WIDTH, break_long_words=False, break_on_hyphens=False) for line in text.splitlines())
     return [piece for pieces in lines for piece in pieces] or [""]
 
 
-def counted(count: int, noun: str) -> str:
+def plural(count: int, noun: str) -> str:
     """``1 point``, ``2 points``."""
     return f"{count} {noun}" + ("" if count == 1 else "s")
 

@@ -137,12 +137,12 @@ class CollocationStage(Stage):
         dx, dw, dpi, du = jnp.split(d, np.cumsum([n, s * n, s * n]))
         x = self.method.retraction(y.centre, vec.combine(basis, dx))
 
-        def moved(vectors: Frame, change: Array) -> Frame:
+        def move_frame(vectors: Frame, change: Array) -> Frame:
             changed = vec.add(vectors, vec.combine_each(basis, change.reshape(s, n)))
             return jax.vmap(lambda v: self.manifold.projection(x, v))(changed)
 
         u = jax.vmap(turn.chart)(y.controls, charts, du.reshape(s, m))
-        return CollocationUnknowns(x, moved(y.displacements, dw), moved(y.covectors, dpi), u)
+        return CollocationUnknowns(x, move_frame(y.displacements, dw), move_frame(y.covectors, dpi), u)
 
     def sizes(self, y: CollocationUnknowns, p: Ambient) -> Array:
         s, _, _ = self._sizes

@@ -5,9 +5,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ._version import __version__
-from .undisturbed import put_off
+from .undisturbed import pause_garbage_collection
 
-with put_off():
+with pause_garbage_collection():
     from . import integrators, manifolds, retractions
 from .former_names import find_former_modules
 from .hardware_notices import leave_out

@@ -15,7 +15,7 @@ INSTRUCTION_SETS = "portable C", "AVX2", "AVX-512"  # in the order of ``retrax_i
 VARIABLES = "JAX_", "XLA_", "PJRT_", "OMP_", "OPENBLAS_", "MKL_"  # beginnings of names that change results
 
 
-def installed(package: str) -> str:
+def installed_version(package: str) -> str:
     """The version of a package, or ``not installed``."""
     try:
         return version(package)
@@ -37,7 +37,7 @@ def main() -> None:
     rows = {
         "retrax": __version__,
         "Python": f"{platform.python_version()} on {platform.platform()}",
-        **{package: installed(package) for package in PACKAGES},
+        **{package: installed_version(package) for package in PACKAGES},
         "precision": "double" if config.jax_enable_x64 else "single, until jax_enable_x64 is set",
         "devices of JAX": ", ".join(str(device) for device in jax.devices()),
         "threads": f"{os.cpu_count()} processors",

@@ -76,7 +76,7 @@ def _equations(program: Any, inputs: Values, within: Equations) -> Generator[tup
         else:
             for inner in programs(equation):
                 yield from _equations(inner, [None] * len(_open(inner).invars), calls)
-            outputs = _computed(equation, given)
+            outputs = _evaluate(equation, given)
         known |= dict(zip(equation.outvars, outputs, strict=False))
     return values(jaxpr.outvars)
 
@@ -100,7 +100,7 @@ def _is_whole(kind: Any) -> bool:
     return isinstance(kind, np.dtype) and kind.kind in "iub"
 
 
-def _computed(equation: Any, inputs: Values) -> Values:
+def _evaluate(equation: Any, inputs: Values) -> Values:
     """The known output of an equation without programs in it, or none."""
     given = [a for a in inputs if a is not None]
     simple = len(equation.outvars) == 1 and _is_whole(equation.outvars[0].aval.dtype) and len(given) == len(inputs)
@@ -119,13 +119,13 @@ def _indices(equation: Any, inputs: Values) -> list[tuple[int, np.ndarray, int]]
     elif name == "dynamic_update_slice":
         sizes, starts = equation.invars[1].aval.shape, list(enumerate(inputs[2:]))
     elif inputs[1] is not None and name == "gather":
-        sizes, starts = params["slice_sizes"], _taken(params, inputs[1])
+        sizes, starts = params["slice_sizes"], _taken_entries(params, inputs[1])
     elif inputs[1] is not None:
-        starts = _set(params, inputs[1], shape)
+        starts = _set_entries(params, inputs[1], shape)
     return [(axis, np.ravel(a), shape[axis] - sizes[axis] + 1) for axis, a in starts if a is not None]
 
 
-def _taken(params: dict[str, Any], indices: np.ndarray) -> list[tuple[int, np.ndarray | None]]:
+def _taken_entries(params: dict[str, Any], indices: np.ndarray) -> list[tuple[int, np.ndarray | None]]:
     """Axes and indices of entries that are taken, unless it is said what is to happen where there are none."""
     mode = str(params["mode"])
     # Of a slice that vmap has mapped; of one that asks for it JAX does not know that its only index is unique.
@@ -134,7 +134,9 @@ def _taken(params: dict[str, Any], indices: np.ndarray) -> list[tuple[int, np.nd
     return [(axis, indices[..., k]) for k, axis in enumerate(axes)]
 
 
-def _set(params: dict[str, Any], indices: np.ndarray, shape: tuple[int, ...]) -> list[tuple[int, np.ndarray | None]]:
+def _set_entries(
+    params: dict[str, Any], indices: np.ndarray, shape: tuple[int, ...]
+) -> list[tuple[int, np.ndarray | None]]:
     """Axes and indices of entries that are set, if all are dropped."""
     numbers = params["dimension_numbers"]
     axes = [

@@ -179,11 +179,11 @@ def raw_columns(quantity: Quantity, values: np.ndarray) -> NamedColumn:
         entries = tuple(f"{part} {entry}" for entry in entries for part in ("Re", "Im"))
         rows = np.stack([rows.real, rows.imag], axis=2).reshape(len(rows), -1)
         return NamedColumn(quantity.name, entries, quantity.units[:1], rows)
-    name = joined(entries) if quantity.is_named else quantity.name
+    name = join_names(entries) if quantity.is_named else quantity.name
     return NamedColumn(name, entries, quantity.units, rows, quantity.bounds)
 
 
-def joined(entries: tuple[str, ...]) -> str:
+def join_names(entries: tuple[str, ...]) -> str:
     """The name of an array whose entries have names: the names of at most three entries, or the first and the last."""
     return ", ".join(entries) if len(entries) <= MOST_JOINED else f"{entries[0]}, ..., {entries[-1]}"
 

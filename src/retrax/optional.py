@@ -10,7 +10,7 @@ class MissingPackageError(RetraxError, ImportError):
     """The error of a function that needs a package that is not installed."""
 
 
-def needed(name: str, what: str) -> Any:
+def require_package(name: str, what: str) -> Any:
     """The module of a package; raises ``MissingPackageError`` with the line that installs it where it is not
     installed."""
     try:

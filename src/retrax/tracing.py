@@ -60,7 +60,7 @@ class Tracing:
         _current.reset(self._token)
         self.end()
 
-    def traced(self, function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
+    def trace(self, function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
         """``jax.make_jaxpr`` of a function: arrays, or their shapes, as arguments."""
         self.traces += 1
         with _context(self._mark):
@@ -133,7 +133,7 @@ def trace_program(function: Callable[..., Any], *examples: Any) -> ClosedJaxpr:
     Raises ``NotDifferentiableError`` where it has derivatives of a function of which JAX knows none.
     """
     with one_tracing() as reading, differentiable():
-        return with_room(reading.traced, function, *examples)
+        return with_room(reading.trace, function, *examples)
 
 
 @contextmanager

@@ -13,7 +13,7 @@ R = TypeVar("R")
 
 
 @contextmanager
-def put_off() -> Iterator[None]:
+def pause_garbage_collection() -> Iterator[None]:
     """No garbage is collected meanwhile: each collection goes through all that JAX holds, and finds next to nothing."""
     collects = gc.isenabled()
     gc.disable()
@@ -42,7 +42,7 @@ def undisturbed(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def run(*arguments: P.args, **options: P.kwargs) -> R:
-        with put_off():
+        with pause_garbage_collection():
             return with_room(function, *arguments, **options)
 
     return run

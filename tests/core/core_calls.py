@@ -5,7 +5,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from retrax.compute.binding.condensing import CollocationArrays, KeptArrays, _kept, _sizes, _system, _workspace
+from retrax.compute.binding.condensing import CollocationArrays, KeptArrays, _kept_struct, _sizes, _system, _workspace
 from retrax.compute.binding.library import FLOAT, address_of, library
 from retrax.compute.binding.structs import CollocationSystemStruct, CondensedSystemStruct, LayoutStruct
 from retrax.compute.binding.transcription import Scale, Trajectory
@@ -112,7 +112,7 @@ def expand_steps(
     velocities, lambdas, workspace = np.empty((count, s, n, k)), np.empty((count, s, n, k)), _workspace(sizes)
     core().retrax_expand(
         byref(system),
-        byref(_kept(kept, sizes)),
+        byref(_kept_struct(kept, sizes)),
         0,
         count,
         address_of(step, FLOAT, (count, n + s * m, k), "step of a condensed system"),

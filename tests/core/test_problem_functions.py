@@ -178,8 +178,8 @@ class Counted(Evaluator):
     def compile(self) -> None:
         """There is nothing to do."""
 
-    def _made(self, function: Any, sizes: Any, first: int | None) -> Any:
-        made = self.of._made(function, sizes, first)
+    def _make(self, function: Any, sizes: Any, first: int | None) -> Any:
+        made = self.of._make(function, sizes, first)
         evaluate, owner = made.at, self
 
         class Watched:

@@ -278,7 +278,7 @@ def test_an_optimum_whose_equations_depend_on_each_other_is_not_shown_to_be_one(
 
     method, start, end = Midpoint(Addition(PLANE)), np.zeros(2), Free(np.array([0.8, 0.3]))
     free = OptimalControlProblem(PLANE, direct, effort, 2)
-    whole = free._replaced(boundary_constraints={"twice": lambda a, b: twice(b)})
+    whole = free._with_arguments(boundary_constraints={"twice": lambda a, b: twice(b)})
     found = solve(whole, start, end, 1.0, method=method, steps=3)
     assert found.cost == pytest.approx(0.5)
     assert "depend on each other" in found.result

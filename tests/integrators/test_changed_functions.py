@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from jax.extend.core import Jaxpr
 from retrax.compute import jit_cache
-from retrax.compute.jit_cache import call_compiled
+from retrax.compute.jit_cache import compile_and_call
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, classify, integrate, integrate_many, solve
 from retrax.integrators.problem.optimal_control_problem import is_same_problem
 from retrax.integrators.problem_checks.smoothness.step_primitives import find_step_primitives
@@ -34,7 +34,7 @@ def test_a_changed_value_changes_the_value_of_a_compiled_function(way):
     product, change = held(way, 1.0)
     for k in (1.0, 2.0, -3.0, 2.0):
         change(k)
-        value, *_ = call_compiled(lambda f, x: f(x) + x, product, jnp.arange(3.0))
+        value, *_ = compile_and_call(lambda f, x: f(x) + x, product, jnp.arange(3.0))
         np.testing.assert_array_equal(value, (k + 1) * np.arange(3.0))
 
 
@@ -130,7 +130,7 @@ def test_a_root_with_a_rule_of_its_own_is_compiled_once():
         return jax.lax.custom_root(lambda y: y + y**3 - x, x, solve, lambda g, y: y / g(1.0))
 
     def seconds():
-        return call_compiled(lambda x: root(x) + jax.grad(root)(x), jnp.array(1.0))[1]
+        return compile_and_call(lambda x: root(x) + jax.grad(root)(x), jnp.array(1.0))[1]
 
     first = seconds()
     known = len(jit_cache._compiled)
@@ -149,7 +149,7 @@ def test_what_a_user_compiled_is_left_alone():
         return 2 * x
 
     product(jnp.ones(3))
-    call_compiled(product, jnp.ones(3))
+    compile_and_call(product, jnp.ones(3))
     assert len(traces) == 2
     product(jnp.ones(3))
     assert len(traces) == 2

@@ -228,7 +228,7 @@ def test_a_strict_minimum_takes_no_other_evaluation():
     for method in METHODS.values():
         solver = Solver(problem, method, 5)
         assert solver.solve(THERE, BACK, 1.0).status == "minimum"
-        assert solver._transcription.traced(None).diagnosis._parts is None
+        assert solver._transcription.trace(None).diagnosis._parts is None
 
 
 COSTS = {

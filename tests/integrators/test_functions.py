@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.compute import jit_cache
-from retrax.compute.jit_cache import call_compiled, call_optimized, digest
+from retrax.compute.jit_cache import compile_and_call, digest, optimize_and_call
 from retrax.integrators import OptimalControlProblem, SymplecticIntegrator, integrate, solve
 from retrax.integrators.problem.user_functions import in_precision, require_concrete
 from retrax.manifolds import Euclidean, InvalidInputError, NotDifferentiableError
@@ -66,7 +66,7 @@ def test_a_transformation_of_the_caller_is_seen(transform):
 
 def test_a_compiled_function_is_differentiated_in_what_it_closes_over():
     def total(k):
-        return call_compiled(lambda x: jnp.sum(k * x * x), THREE)[0]
+        return compile_and_call(lambda x: jnp.sum(k * x * x), THREE)[0]
 
     assert jax.grad(total)(2.0) == jax.jit(jax.grad(total))(2.0) == 5.0
     np.testing.assert_array_equal(jax.vmap(total)(jnp.arange(2.0)), [0.0, 5.0])
@@ -85,9 +85,9 @@ def scaled(k):
 
 def test_an_equal_program_is_not_compiled_again(compilations):
     for k in (1.0, 2.0):
-        value, *_ = call_compiled(scaled(jnp.array(3 * [k])), THREE)
+        value, *_ = compile_and_call(scaled(jnp.array(3 * [k])), THREE)
         np.testing.assert_array_equal(value, k * THREE)
-    value, *_ = call_compiled(lambda f, x: f(x), scaled(np.full(3, 3.0)), THREE)
+    value, *_ = compile_and_call(lambda f, x: f(x), scaled(np.full(3, 3.0)), THREE)
     np.testing.assert_array_equal(value, 3 * THREE)
     assert compilations() == 1
 
@@ -129,7 +129,7 @@ def test_different_programs_are_told_apart(name):
 
 def test_what_is_not_known_is_compiled_anew(compilations):
     for k in (1.0, 2.0):
-        value, *_ = call_compiled(lambda x, k=k: jax.pure_callback(lambda x: k * np.asarray(x), THREE, x), THREE)
+        value, *_ = compile_and_call(lambda x, k=k: jax.pure_callback(lambda x: k * np.asarray(x), THREE, x), THREE)
         np.testing.assert_array_equal(value, k * THREE)
     assert compilations() == 2
     assert digest(lambda x: jax.pure_callback(np.asarray, THREE, x), THREE) is None
@@ -142,7 +142,7 @@ def test_programs_with_random_numbers_are_compiled_once(compilations, used):
     def moved(x, impl=used):
         return x + jax.random.normal(jax.random.key(3, impl=impl), x.shape)
 
-    values = [call_compiled(lambda x: moved(x), THREE)[0] for _ in range(3)]
+    values = [compile_and_call(lambda x: moved(x), THREE)[0] for _ in range(3)]
     np.testing.assert_array_equal(values[0], values[2])
     assert compilations() == 1
     other = "threefry2x32" if used == "rbg" else "rbg"
@@ -157,7 +157,7 @@ def test_functions_with_a_name_of_another_are_told_apart(compilations):
 
     renamed.__module__, renamed.__qualname__ = jax.numpy.sin.__module__, "sin"
     for _ in range(2):
-        value, *_ = call_compiled(lambda x: jax.pure_callback(renamed, THREE, x), THREE)
+        value, *_ = compile_and_call(lambda x: jax.pure_callback(renamed, THREE, x), THREE)
         np.testing.assert_array_equal(value, 2 * THREE)
     assert compilations() == 2
 
@@ -166,26 +166,26 @@ def test_a_function_that_runs_long_is_another_program_with_the_same_values(compi
     def function(x):
         return jnp.sum(jnp.sin(x) * jnp.exp(-x))
 
-    for call in (call_compiled, call_optimized, call_compiled, call_optimized):
+    for call in (compile_and_call, optimize_and_call, compile_and_call, optimize_and_call):
         assert call(function, THREE)[0] == pytest.approx(float(function(THREE)), rel=1e-15)
     assert compilations() == 2
 
 
 def test_programs_of_arrays_of_another_kind_are_compiled(compilations):
     for x in (THREE, jnp.arange(4.0), jnp.arange(3)):
-        np.testing.assert_array_equal(call_compiled(lambda x: 2 * x, x)[0], 2 * x)
+        np.testing.assert_array_equal(compile_and_call(lambda x: 2 * x, x)[0], 2 * x)
     assert compilations() == 3
 
 
 def test_as_many_programs_are_kept_as_is_said(compilations, monkeypatch):
     monkeypatch.setattr(jit_cache, "MOST_COMPILED", 2)
     for k in (1.0, 2.0, 3.0, 1.0):
-        assert call_compiled(lambda x, k=k: k * x, 2.0 * jnp.ones(()))[0] == 2 * k
+        assert compile_and_call(lambda x, k=k: k * x, 2.0 * jnp.ones(()))[0] == 2 * k
     assert compilations() == 2
 
 
 def test_values_that_are_no_arrays_are_returned():
-    value, *_ = call_compiled(lambda x: {"x": x, "name": "x", "none": None, "count": 3}, THREE)
+    value, *_ = compile_and_call(lambda x: {"x": x, "name": "x", "none": None, "count": 3}, THREE)
     assert (value["name"], value["none"], value["count"]) == ("x", None, 3)
     np.testing.assert_array_equal(value["x"], THREE)
 
@@ -193,7 +193,7 @@ def test_values_that_are_no_arrays_are_returned():
 def test_numbers_that_are_equal_are_told_apart_where_they_compute_otherwise():
     with one_tracing():
         for k in (0.0, -0.0, 0, False):
-            value, *_ = call_compiled(lambda k, x: jnp.copysign(x, k), k, THREE)
+            value, *_ = compile_and_call(lambda k, x: jnp.copysign(x, k), k, THREE)
             np.testing.assert_array_equal(np.signbit(value), np.signbit(np.full(3, float(k))))
 
 
@@ -206,7 +206,7 @@ def test_within_one_reading_a_function_is_traced_once_and_after_it_again():
 
     @reads_once
     def often():
-        return [call_compiled(counted, x)[0] for x in (THREE, 2 * THREE, jnp.arange(4.0))]
+        return [compile_and_call(counted, x)[0] for x in (THREE, 2 * THREE, jnp.arange(4.0))]
 
     for done in (2, 4):
         np.testing.assert_array_equal(often()[1], 2 * THREE + 1)
@@ -215,7 +215,7 @@ def test_within_one_reading_a_function_is_traced_once_and_after_it_again():
 
 def test_a_loop_runs_where_jit_is_disabled():
     with jax.disable_jit():
-        value, *_ = call_compiled(lambda x: jax.lax.while_loop(lambda y: jnp.sum(y) < 30, lambda y: 2 * y, x), THREE)
+        value, *_ = compile_and_call(lambda x: jax.lax.while_loop(lambda y: jnp.sum(y) < 30, lambda y: 2 * y, x), THREE)
     np.testing.assert_array_equal(value, 16 * THREE)
 
 

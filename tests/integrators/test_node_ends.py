@@ -158,7 +158,9 @@ def test_a_speed_limit_between_switches_that_are_found(method):
     found = solve(problem, np.zeros(2), end, Free(3.0), method=method, steps=20, accuracy=1e-3, throw=False)
     assert found.horizon == pytest.approx(2.9, rel=2e-3)
     assert found.checks.active["speed"] == np.sum(found.jumps) > 10
-    wide = problem._replaced(constraints=None, control_bounds=(-1, 1), node_constraints={"speed": lambda q: q[1] - 1.2})
+    wide = problem._with_arguments(
+        constraints=None, control_bounds=(-1, 1), node_constraints={"speed": lambda q: q[1] - 1.2}
+    )
     assert solve(wide, np.zeros(2), end, Free(3.0), method=method, steps=20, accuracy=1e-8).horizon == pytest.approx(
         2.0, abs=1e-9
     )

@@ -108,7 +108,7 @@ def test_steps_at_once_lead_where_they_lead_one_after_the_other(propagator: Prop
     for angle in (0.0, 1e-6, 1e-3, 0.1):
         growth = np.linspace(0, angle, len(TIMES))
         turned = np.stack([attitude @ rotation(a * axis) for attitude, a in zip(attitudes, growth, strict=True)])
-        given = propagator._given(
+        given = propagator._flat_steps(
             TIMES, (turned, rates + growth[:, None] * axis), at, np.array([torque(t, 1) for t in at]), None
         )
         found = _AtOnce(propagator, given)(parts)

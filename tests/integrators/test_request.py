@@ -141,7 +141,7 @@ def test_a_batch_of_one_has_the_record_of_a_single_trajectory(horizon):
 
 def test_figures_of_a_report_are_computed_when_one_is_read(monkeypatch):
     solver, computed = Solver(QUICK, METHOD, 6), []
-    diagnosis = solver._transcription.traced(None).diagnosis
+    diagnosis = solver._transcription.trace(None).diagnosis
     terms = diagnosis._at_samples
     monkeypatch.setattr(diagnosis, "_at_samples", lambda *given: [computed.append(1), terms(*given)][1])
     found = solver.solve(REST, AHEAD, 1.0)

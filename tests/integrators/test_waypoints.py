@@ -51,8 +51,8 @@ def test_whole_points_part_a_trajectory_and_costs_of_ends_are_paid_once(tmp_path
     middle = np.array(turn(jnp.eye(3), hat(jnp.array([0.5, -0.8, 0.3]))))
     options = {"method": method, "parameters": 1.3}
     found = solve(problem, Free(np.eye(3)), None, 1.5, steps=15, through={0.5: middle}, **options)
-    first = solve(problem._replaced(terminal_cost=None), Free(np.eye(3)), middle, 0.5, steps=5, **options)
-    last = solve(problem._replaced(initial_cost=None), middle, None, 1.0, steps=10, **options)
+    first = solve(problem._with_arguments(terminal_cost=None), Free(np.eye(3)), middle, 0.5, steps=5, **options)
+    last = solve(problem._with_arguments(initial_cost=None), middle, None, 1.0, steps=10, **options)
     assert found.success
     assert found.cost == pytest.approx(first.cost + last.cost, rel=1e-9)
     assert np.allclose(found.states[5], middle, atol=1e-10)

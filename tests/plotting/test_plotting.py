@@ -10,7 +10,7 @@ from retrax import plotting
 from retrax.integrators import OptimalControlProblem, Quantities, Quantity, Result, Trajectory, solve
 from retrax.interop import to_casadi
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
-from retrax.named_columns import NamedColumn, joined
+from retrax.named_columns import NamedColumn, join_names
 from retrax.retractions import Addition, Cayley, Exponential, Gauss, Midpoint, Theta
 from scipy.spatial.transform import Rotation
 
@@ -323,7 +323,7 @@ def test_an_array_whose_entries_have_names_is_named_by_them():
     panels = plotting.histories(found)
     assert [axis.get_ylabel() for axis in panels] == ["east, north", "velocity", "push, pull"]
     assert [text.get_text() for text in panels[0].get_legend().get_texts()] == ["east", "north"]
-    assert joined(tuple("abcd")) == "a, ..., d"
+    assert join_names(tuple("abcd")) == "a, ..., d"
 
 
 @pytest.mark.parametrize("record", [None, 1.0, [1, 2], "solution"])

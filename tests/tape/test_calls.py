@@ -16,7 +16,7 @@ from retrax.manifolds import SO
 from retrax.retractions import Cayley
 from retrax.tape import Tape
 from retrax.tape.instructions import UnknownInstructionError
-from retrax.tape.program import assembled
+from retrax.tape.program import assemble
 
 ODD = {
     "the same": lambda a: a,
@@ -82,7 +82,7 @@ def test_a_function_that_casadi_calls_is_no_instruction():
     symbol, x = ca.SX.sym("symbol"), ca.SX.sym("x", 2)
     inner = ca.Function("inner", [symbol], [symbol**2], {"never_inline": True})
     with pytest.raises(UnknownInstructionError):
-        assembled(x, ca.vertcat(inner(x[0]) * x[1]))
+        assemble(x, ca.vertcat(inner(x[0]) * x[1]))
 
 
 FORK = """

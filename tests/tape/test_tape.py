@@ -18,7 +18,7 @@ from retrax.retractions import QR, Cayley, Exponential, Polar, Projection
 from retrax.tape import NotTraceableError, Tape
 from retrax.tape.arrays import column
 from retrax.tape.instructions import NAMES
-from retrax.tape.program import FUSED_SUMS, assembled
+from retrax.tape.program import FUSED_SUMS, assemble
 
 from tests.support.numerics import compiled
 
@@ -83,8 +83,8 @@ def test_instructions_in_groups_compute_the_same(name):
     retraction = REMARKABLE[name]
     x, v = drawn(retraction.manifold)
     tape = Tape.trace(retraction, x, v)
-    column = ca.vertcat(tape.graph.unmarked([tape.outputs])[0])
-    plain, grouped = (assembled(tape.inputs, column, window=w) for w in (1, None))
+    column = ca.vertcat(tape.graph.resolve_marks([tape.outputs])[0])
+    plain, grouped = (assemble(tape.inputs, column, window=w) for w in (1, None))
     changes = [np.count_nonzero(np.diff(p.codes)) for p in (plain, grouped)]
     assert changes[1] < 0.75 * changes[0]
     parts = [part for a in map(np.asarray, (x, v)) for part in ((a.real, a.imag) if np.iscomplexobj(a) else (a,))]

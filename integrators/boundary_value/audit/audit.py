@@ -60,11 +60,11 @@ class Audit:
         if solution.singular is not None or (solution.statistics.stopped and not solution.success):
             return solution
         with one_tracing(), np.errstate(all="ignore"):
-            if self._named or self.needed(solution.parameters, free_horizon):
-                return self._examined(solution, free_horizon, ends)
+            if self._named or self.applies(solution.parameters, free_horizon):
+                return self._examine(solution, free_horizon, ends)
         return solution
 
-    def _examined(self, solution: Solution, free_horizon: bool, ends: tuple[PrescribedEnd, PrescribedEnd]) -> Solution:
+    def _examine(self, solution: Solution, free_horizon: bool, ends: tuple[PrescribedEnd, PrescribedEnd]) -> Solution:
         """The examined solution of a problem with something to examine."""
         wrong = self._wrong(solution, free_horizon, ends)
         if wrong:
@@ -72,12 +72,12 @@ class Audit:
         outside = self._outside(solution, ends)
         if outside and solution.success:
             return fail(solution, outside)
-        unqualified = self._unqualified(solution)
+        unqualified = self._describe_dependent_constraints(solution)
         solution = withdraw_minimum(solution) if unqualified else solution
         checks = solution.checks
         violation = checks.violation if isinstance(checks, RegularChecks) else 0.0
         near = solution.success or max(checks.defect, checks.stationarity, violation) <= NEARLY_CONVERGED
-        undetermined = self.undetermined(solution) if near and not outside else ""
+        undetermined = self.describe_undetermined_controls(solution) if near and not outside else ""
         result = _with_end(solution.result, outside)
         return explain(solution, reasons(result, unqualified, undetermined))
 
@@ -85,7 +85,7 @@ class Audit:
         """Words on a jump, or on a derivative, of which the conditions do not tell."""
         jumps, derivatives = self._examiners(free_horizon, solution.parameters)
         points = solution.stage_states, solution.controls, solution.stage_times
-        jump = jumps(solution, _fixed(ends)) if jumps else ""
+        jump = jumps(solution, _prescription_mask(ends)) if jumps else ""
         return jump or (derivatives(*points, solution.parameters) if derivatives else "")
 
     def _once(self, kind: Callable[..., T], parameters: Any, *which: Any) -> T:
@@ -95,13 +95,13 @@ class Audit:
             self._traced[key] = kind(self.problem, parameters, *which)
         return self._traced[key]
 
-    def _unqualified(self, solution: Solution) -> str:
+    def _describe_dependent_constraints(self, solution: Solution) -> str:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
         return next(filter(None, (own(solution) for own in self._qualifications(solution))), "")
 
     def _outside(self, solution: Solution, ends: tuple[PrescribedEnd, PrescribedEnd]) -> str:
         """A sentence on a constraint of the states that an end violates."""
-        fixed = _fixed(ends) if self._named else np.zeros(0)
+        fixed = _prescription_mask(ends) if self._named else np.zeros(0)
         if not np.any(fixed):
             return ""
         for own in self._qualifications(solution):
@@ -118,7 +118,7 @@ class Audit:
         kinds = [at_nodes for at_nodes, names in ((False, limits.names), (True, limits.node_names)) if names]
         return [self._once(ConstraintQualification, solution.parameters, at_nodes) for at_nodes in kinds]
 
-    def needed(self, parameters: Any, free_horizon: bool) -> bool:
+    def applies(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
         key = structure_of(parameters), free_horizon
         if key not in self._needed:
@@ -135,7 +135,7 @@ class Audit:
         timed = free_horizon and self.problem.time_dependent
         return self._once(SmoothnessAlongSolution, parameters, timed), self._once(DerivativeCheck, parameters)
 
-    def undetermined(self, solution: Solution) -> str:
+    def describe_undetermined_controls(self, solution: Solution) -> str:
         """A sentence on the controls whose switching functions vanish along an interval; empty if there are none."""
         flat = self._flat(solution)
         if not np.any(flat):
@@ -207,6 +207,6 @@ def _with_end(result: str, outside: str) -> str:
     return f"{outside} {kept}".strip()
 
 
-def _fixed(ends: tuple[PrescribedEnd, PrescribedEnd]) -> np.ndarray:
+def _prescription_mask(ends: tuple[PrescribedEnd, PrescribedEnd]) -> np.ndarray:
     """Whether each coordinate of both ends is prescribed, shape ``(2, n)``."""
     return np.stack([end.coordinates for end in ends]) > 0

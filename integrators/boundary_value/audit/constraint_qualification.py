@@ -88,9 +88,9 @@ class ConstraintQualification:
         controls = np.asarray(self.control.rows(solution.controls, 1))
         if self.at_nodes:  # nothing depends on these
             controls = controls[np.clip(np.arange(len(times)), 0, len(controls) - 1)]
-        return np.asarray(self.state.rows(states, 1)), controls, times[:, None], self._given(solution)
+        return np.asarray(self.state.rows(states, 1)), controls, times[:, None], self._flat_parameters(solution)
 
-    def _given(self, solution: Solution) -> np.ndarray:
+    def _flat_parameters(self, solution: Solution) -> np.ndarray:
         """The parameters in a row."""
         return self.parameter.rows(solution.parameters, 0)[None]
 
@@ -170,7 +170,11 @@ class ConstraintQualification:
 
         The derivatives are by its coordinates in units, of length one, shape ``(k, n + m)``.
         """
-        nodes, times, given = self.state.rows(solution.states, 1), solution.times[-1:, None], self._given(solution)
+        nodes, times, given = (
+            self.state.rows(solution.states, 1),
+            solution.times[-1:, None],
+            self._flat_parameters(solution),
+        )
         sizes, *both = (a[0] for a in self._between(nodes[:1], nodes[-1:], times, given))
         names = [
             boundary_words(n) for n, k in zip(self.problem._boundary.names, sizes, strict=True) for _ in range(int(k))

@@ -158,10 +158,10 @@ class Propagator:
         ``controls`` belong to the N s ``stage_times``, s in each step. Raises ``DomainError`` if the controls of a step
         are not in one chart of the control manifold.
         """
-        given = self._given(np.asarray(times), states, np.asarray(stage_times), controls, parameters)
+        given = self._flat_steps(np.asarray(times), states, np.asarray(stage_times), controls, parameters)
         with np.errstate(all="ignore"):  # a propagation that leaves every chart is infinite, which is its answer
             ways = _AtOnce(self, given), partial(self.in_turn, given)
-            found = next(filter(None, (self._refined(given, way) for way in ways)), None)
+            found = next(filter(None, (self._refine(given, way) for way in ways)), None)
             return self._infinite(given) if found is None else found
 
     def gaps(
@@ -171,7 +171,7 @@ class Propagator:
 
         Infinite where they lead nowhere. The parts of the steps are halved until this changes nothing.
         """
-        given = self._given(np.asarray(times), states, np.asarray(stage_times), controls, parameters)
+        given = self._flat_steps(np.asarray(times), states, np.asarray(stage_times), controls, parameters)
         k, parts = np.arange(len(given.steps)), 1
         rest = np.zeros((len(k), len(given.scales)))
         with np.errstate(all="ignore"):
@@ -184,7 +184,7 @@ class Propagator:
         gaps = ends - given.states[1:]
         return np.where(np.isfinite(gaps), gaps, np.inf)
 
-    def _given(
+    def _flat_steps(
         self, times: np.ndarray, states: Ambient, stage_times: np.ndarray, controls: Any, parameters: Any
     ) -> _Steps:
         steps, rows = np.diff(times), self.state.rows(states, 1)
@@ -206,7 +206,7 @@ class Propagator:
         given = self.parameter.rows(parameters, 0)[None]
         return _Steps(times[:-1], steps, rows, frames, scales, places, bases, offsets, given)
 
-    def _refined(self, given: _Steps, propagate: Callable[[int], np.ndarray | None]) -> DiscretizationError | None:
+    def _refine(self, given: _Steps, propagate: Callable[[int], np.ndarray | None]) -> DiscretizationError | None:
         """The error by finer and finer parts of the steps; None if a propagation fails."""
         parts, nodes = 1, propagate(1)
         while nodes is not None:
@@ -215,7 +215,7 @@ class Propagator:
                 break
             error, change = self._distances(given.states, nodes), self._distances(coarse, nodes)
             largest = {name: float(np.max(values)) for name, values in change.items()}
-            allowed = self._allowed(given, error)
+            allowed = self._tolerances(given, error)
             if parts == MOST_PARTS or all(value <= allowed[name] for name, value in largest.items()):
                 return DiscretizationError(error, largest)
         return None
@@ -225,7 +225,7 @@ class Propagator:
         distances = {name: np.where(np.arange(len(zero)) > 0, np.inf, zero) for name, zero in start.items()}
         return DiscretizationError(distances, dict.fromkeys(start, np.inf))
 
-    def _allowed(self, given: _Steps, error: dict[str, np.ndarray]) -> dict[str, float]:
+    def _tolerances(self, given: _Steps, error: dict[str, np.ndarray]) -> dict[str, float]:
         """The error that the integrator may add to each factor: a part of the error, or the rounding of the states."""
         # Of the points themselves, in the unit of each.
         size = self._distances(given.states, np.zeros_like(given.states))
@@ -325,7 +325,7 @@ class _AtOnce:
         ends = self.propagator.ends(given, k, given.states[k], begin, parts).reshape(count, len(ways), -1)
         gaps = ends - self.propagator.points(given.states[1:], self.coordinates[1:])[:, None]
         misses = np.einsum("kne,kwe->knw", given.frames[1:], gaps)
-        if not self._seen(gaps[:, 0], misses[:, :, 0]):
+        if not self._are_tangential(gaps[:, 0], misses[:, :, 0]):
             return np.full((count + 1, n), np.nan)
         derivatives = self.derivatives
         if derivatives is None:
@@ -335,7 +335,7 @@ class _AtOnce:
             move[i + 1] = derivatives[i] @ move[i] + misses[i, :, 0]
         return move
 
-    def _seen(self, gaps: np.ndarray, misses: np.ndarray) -> bool:
+    def _are_tangential(self, gaps: np.ndarray, misses: np.ndarray) -> bool:
         """Whether gaps are tangential rather than normal: of the chord to a far point the frames see little, or
         nothing."""
         tangential = np.einsum("kne,kn->ke", self.given.frames[1:], misses)

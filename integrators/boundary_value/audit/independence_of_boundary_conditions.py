@@ -10,7 +10,7 @@ from ....manifolds import InvalidInputError
 from ....manifolds.numerics.tolerances import EPS, HALF
 from ...problem.boundary_conditions import PERIODIC, boundary_words
 from ...problem.point_layout import PointLayout
-from ...reporting.text import counted
+from ...reporting.text import plural
 from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.linkages import PhaseProblem
 from ..transcription.search_record import SearchRecord
@@ -85,7 +85,7 @@ def require_independent(problem: LinkedPhases, guess: Any, names: Sequence[str])
         left = list(dict.fromkeys(name for k, name in enumerate(names) if k not in best))
         count, verb = len(best), "depends" if len(left) == 1 else "depend"
         raise InvalidInputError(
-            f"the boundary conditions are {counted(len(names), 'equation')}, of which {count} "
+            f"the boundary conditions are {plural(len(names), 'equation')}, of which {count} "
             f"{'is' if count == 1 else 'are'} independent where the ends are free: {', '.join(left)} {verb} on the "
             "others, or on what is prescribed alone; expected independent equations; try to leave out what follows "
             "from the others, and periodic=True for q(T) = q(0) on a manifold"
@@ -94,7 +94,7 @@ def require_independent(problem: LinkedPhases, guess: Any, names: Sequence[str])
 
 def _samples(problem: LinkedPhases, guess: Any) -> list[list[np.ndarray]]:
     """The ends of the guess of the first member, and random ends where these are free."""
-    found = [end[:1] for phase, part in zip(problem.phases, guess.parts, strict=True) for end in phase.reached(part)]
+    found = [end[:1] for phase, part in zip(problem.phases, guess.parts, strict=True) for end in phase.end_nodes(part)]
     samples = [found]
     for key in jax.random.split(jax.random.key(0), RANDOM_ENDS):
         ends = []

@@ -220,9 +220,9 @@ class Predictor:
         self.solver, self.manifold = solver, solver.problem.manifold
         self.state, self.control = PointLayout.of(self.manifold), PointLayout.of(solver.problem.controls)
         values, e, u = AutomaticEvaluator().values, self.state.size, self.control.size
-        self._moved = values(self._moved_of, e, e)
-        self._projected = values(self._projected_of, e, e)
-        self._steered = values(self._steered_of, u, u)
+        self._state_move = values(self._state_move_of, e, e)
+        self._costate_projection = values(self._costate_projection_of, e, e)
+        self._control_move = values(self._control_move_of, u, u)
 
     def __call__(self, solution: Solution, before: BoundaryData, after: BoundaryData) -> Guess | None:
         """The extremal of a problem near the extremal of a solution, to first order; None for a solution without
@@ -238,7 +238,7 @@ class Predictor:
         states, costates = (_between(solution, part) for part in (states, costates))
         stages, at_stages = self._pair(solution.stage_states, states, solution.stage_costates, costates)
         turned = self.control.rows(solution.controls, 1), self.control.rows(along.controls, 1)
-        (controls,) = self._steered.at(1, *turned)
+        (controls,) = self._control_move.at(1, *turned)
         point = self.state.points
         parts = point(stages), self.control.points(controls), point(at_nodes), point(nodes), point(at_stages)
         found = Guess(*parts, solution.stage_multipliers, solution.node_multipliers)
@@ -246,19 +246,19 @@ class Predictor:
 
     def _pair(self, states: Any, moves: np.ndarray, costates: Any, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """States and costates, moved."""
-        (moved,) = self._moved.at(1, self.state.rows(states, 1), moves)
-        return moved, self._projected.at(1, moved, self.state.rows(costates, 1) + turns)[0]
+        (moved,) = self._state_move.at(1, self.state.rows(states, 1), moves)
+        return moved, self._costate_projection.at(1, moved, self.state.rows(costates, 1) + turns)[0]
 
-    def _moved_of(self, q: Array, v: Array) -> tuple[Array]:
+    def _state_move_of(self, q: Array, v: Array) -> tuple[Array]:
         point = self.state.point(q)
         return (
             self.state.flat(self.solver.method.retraction(point, self.manifold.projection(point, self.state.point(v)))),
         )
 
-    def _projected_of(self, q: Array, p: Array) -> tuple[Array]:
+    def _costate_projection_of(self, q: Array, p: Array) -> tuple[Array]:
         return (self.state.flat(self.manifold.projection(self.state.point(q), self.state.point(p))),)
 
-    def _steered_of(self, u: Array, v: Array) -> tuple[Array]:
+    def _control_move_of(self, u: Array, v: Array) -> tuple[Array]:
         turn = default_retraction(self.solver.problem.controls)
         return (self.control.flat(turn(self.control.point(u), self.control.point(v))),)
 

@@ -78,21 +78,21 @@ class MeshRefinement:
         options = self.inputs.options
         if options.callback is not None:
             self._callback = options.callback
-            options = options._replace(callback=self._told)
+            options = options._replace(callback=self._report)
             self.inputs = replace(self.inputs, options=options)
         looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
         self._options = self._arc_options = options._replace(tolerance=max(options.tolerance, looser))
 
-    def _told(self, iteration: Iteration) -> bool:
+    def _report(self, iteration: Iteration) -> bool:
         """Whether the callback stops the iteration, which then holds for all later meshes."""
         self._stopped |= stops(self._callback(iteration))
         return self._stopped
 
     def solve(self) -> Solution:
         """The solution on the last mesh, with what its conditions do not tell."""
-        return self.solver._examined(self._solved(), self.inputs)
+        return self.solver._with_audit(self._refine_until_accurate(), self.inputs)
 
-    def _solved(self) -> Solution:
+    def _refine_until_accurate(self) -> Solution:
         solution = self._first()
         if not solution.success:
             return solution
@@ -104,20 +104,20 @@ class MeshRefinement:
         most = min(self._options.max_iterations, MOST_ITERATIONS * max(self._effort[0], FEWEST_ITERATIONS))
         self._arc_options = self._options._replace(max_iterations=most, restarts=False)
         try:
-            best = self._judged(solution)
+            best = self._estimate(solution)
         except KeyboardInterrupt:
             return status.stop_before_estimate(solution, Statistics(*self._effort, stopped=True))
         slow, why = 0, f"of the limit of {REFINEMENT_ROUNDS} refinements"
         try:
-            best = self._switched(best)
+            best = self._detect_arcs(best)
             for _ in range(REFINEMENT_ROUNDS):
                 if self.error(best) <= self.accuracy:
                     break
-                found = self._refined(best)
+                found = self._refine(best)
                 if isinstance(found, str):
                     why = found
                     break
-                found = self._switched(found)
+                found = self._detect_arcs(found)
                 slow = slow + 1 if self.error(found) > SLOW_REFINEMENT * self.error(best) else 0
                 best = found
                 if slow == REFINEMENT_PATIENCE:
@@ -126,11 +126,11 @@ class MeshRefinement:
         except (_StoppedError, KeyboardInterrupt):  # what was found until then is there
             self._stopped = True
             why = "the iteration was stopped"
-        return self._recorded(best, "" if self.error(best) <= self.accuracy else why)
+        return self._record(best, "" if self.error(best) <= self.accuracy else why)
 
     def _first(self) -> Solution:
         """The first solution, on the given mesh or, without success, a strict minimum on a coarser or a finer mesh."""
-        first, fractions = self._counted(self.solver, self.inputs), self.solver.fractions
+        first, fractions = self._solve(self.solver, self.inputs), self.solver.fractions
         if first.success or self._stopped or isinstance(self.inputs.guess, Guess):  # which belongs to its mesh
             return first
         meshes, coarse = list[np.ndarray](), fractions
@@ -161,20 +161,20 @@ class MeshRefinement:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
         arcs = problem is not self.problem
         inputs = replace(self.inputs, options=self._arc_options if arcs else self._options)
-        return self._counted(solver, inputs.again(solver._reader, given, guess))
+        return self._solve(solver, inputs.again(solver._reader, given, guess))
 
-    def _counted(self, solver: Solver, inputs: Inputs) -> Solution:
+    def _solve(self, solver: Solver, inputs: Inputs) -> Solution:
         """The solution, with its effort added to the total; raises after a stop of an earlier solution."""
         if self._stopped:
             raise _StoppedError
-        solution = solver._found(inputs)
+        solution = solver._find(inputs)
         iterations, compiling, running = self._effort
         spent = solution.statistics
         self._stopped |= spent.stopped
         self._effort = iterations + spent.iterations, compiling + spent.compile_seconds, running + spent.run_seconds
         return solution
 
-    def _judged(
+    def _estimate(
         self, solution: Solution, structure: SwitchingStructure | None = None, arcs: np.ndarray | None = None
     ) -> _MeshSolution:
         if self._estimator is None:
@@ -182,10 +182,10 @@ class MeshRefinement:
         found = _MeshSolution(solution, None, structure, arcs)  # pyright: ignore[reportArgumentType]
         return found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
 
-    def _refined(self, found: _MeshSolution) -> "_MeshSolution | str":
+    def _refine(self, found: _MeshSolution) -> "_MeshSolution | str":
         """The solution on a finer mesh, or why there is none."""
         parts, method = self._parts(found), self.method
-        self.method = self._raised(parts)
+        self.method = self._higher_order(parts)
         if isinstance(method, CollocationMethod) and self.method is not method:
             finer = self._finer(found, np.ones_like(parts))
             if not isinstance(finer, str) and self.error(finer) < self.error(found):
@@ -200,14 +200,14 @@ class MeshRefinement:
         if len(lengths) > MOST_REFINED_STEPS:
             return f"it would take more than {MOST_REFINED_STEPS} steps"
         try:
-            finer, structure, arcs = self._divided(found, lengths, parts)
+            finer, structure, arcs = self._divide(found, lengths, parts)
         except RetraxError as error:
             return f"a finer mesh is not to be had: {error}"
         if not finer.success:
             return f"it was not solved on a finer mesh of {len(lengths)} steps: {finer.result.removesuffix('.')}"
-        return self._judged(finer, structure, arcs)
+        return self._estimate(finer, structure, arcs)
 
-    def _divided(
+    def _divide(
         self, found: _MeshSolution, lengths: np.ndarray, parts: np.ndarray
     ) -> tuple[Solution, SwitchingStructure | None, np.ndarray | None]:
         """The solution in steps of these lengths, in the same arcs if these last and lead to a solution; otherwise
@@ -236,7 +236,7 @@ class MeshRefinement:
             np.ceil(np.nan_to_num(needed, nan=MOST_PARTS_OF_STEP, posinf=MOST_PARTS_OF_STEP)), 1, MOST_PARTS_OF_STEP
         ).astype(int)
 
-    def _raised(self, parts: np.ndarray) -> Method:
+    def _higher_order(self, parts: np.ndarray) -> Method:
         """The method with one stage more, where most steps are too long."""
         method = self.method
         several = 2 * np.sum(parts > 1) > len(parts)
@@ -244,7 +244,7 @@ class MeshRefinement:
             return method.with_stages(method.stages + 1)
         return method
 
-    def _switched(self, found: _MeshSolution) -> _MeshSolution:
+    def _detect_arcs(self, found: _MeshSolution) -> _MeshSolution:
         """The solution in arcs, if its controls jump and arcs lead to a solution; else the one that there is.
 
         Arcs count the time from zero, so with a start time only the mesh is refined.
@@ -261,7 +261,7 @@ class MeshRefinement:
                 if not solution.success:
                     return found
                 if lasting.arcs == structure.arcs:
-                    better = self._judged(solution, lasting, arcs)
+                    better = self._estimate(solution, lasting, arcs)
                     return better if self.error(better) < self.error(found) else found
                 structure = lasting
         except RetraxError:  # the guess does not fit: the structure was not seen well enough on this mesh
@@ -278,18 +278,18 @@ class MeshRefinement:
         which nothing pulls it.
         """
         asked, horizon = self.given.horizon, self._horizon(guess)
-        found = self._posed_in_arcs(guess, structure, lengths, arcs, horizon)
+        found = self._solve_in_arcs(guess, structure, lengths, arcs, horizon)
         if not (is_free(asked) and found[0].success):
             return found
         if is_free(horizon):
             held = float(np.clip(found[0].horizon, asked.lower, asked.upper))
-            return found if held == found[0].horizon else self._posed_in_arcs(guess, structure, lengths, arcs, held)
+            return found if held == found[0].horizon else self._solve_in_arcs(guess, structure, lengths, arcs, held)
         if self._is_pulled(found[0], horizon):
             return found
-        freed = self._posed_in_arcs(guess, structure, lengths, arcs, asked)
+        freed = self._solve_in_arcs(guess, structure, lengths, arcs, asked)
         return freed if freed[0].success and asked.lower <= freed[0].horizon <= asked.upper else found
 
-    def _posed_in_arcs(
+    def _solve_in_arcs(
         self, guess: Solution, structure: SwitchingStructure, lengths: np.ndarray, arcs: np.ndarray, horizon: Any
     ) -> tuple[Solution, SwitchingStructure]:
         """The solution in arcs with a horizon, which is free without bounds or given, and its structure."""
@@ -330,7 +330,7 @@ class MeshRefinement:
         outward = 1.0 if bound == self.given.horizon.upper else -1.0
         return bool(outward * solution.checks.hamiltonian >= -self.accuracy * _unit(solution))
 
-    def _recorded(self, found: _MeshSolution, why: str) -> Solution:
+    def _record(self, found: _MeshSolution, why: str) -> Solution:
         """The record, with what was spent on all meshes and what is wrong between the points."""
         solution, errors = found.solution, found.errors
         checks: Any = solution.checks

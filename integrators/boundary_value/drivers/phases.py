@@ -17,7 +17,7 @@ from ...problem.boundary_conditions import BoundaryConditions, boundary_values, 
 from ...problem.free_quantities import guess_of, is_free, with_guess, with_scaled_guess
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import require_concrete
-from ...reporting.text import brief, counted
+from ...reporting.text import brief, plural
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import equation_words
 from ..inputs.arguments import Method, Options, check_problem
@@ -147,7 +147,7 @@ def solve_phases(
     given = _check_phases(phases, guess)
     between = _check_links(links, given), _check_constraints(boundary_constraints, len(given))
     trajectory = LinkedTrajectory(*between, horizon, options)
-    solution = trajectory.settled(guess_phases(given, trajectory.links))
+    solution = trajectory.solve_at_any_magnitude(guess_phases(given, trajectory.links))
     return solution.require_success() if throw else solution
 
 
@@ -172,9 +172,9 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         self.links, self.constraints, self.horizon, self.options = links, constraints, horizon, options
         self.made = PhaseTranscription(options)
 
-    def settled(self, phases: Sequence[Phase]) -> PhasedSolution:
+    def solve_at_any_magnitude(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, from durations of another magnitude if there is none from the guessed durations."""
-        first = self._told(phases, self._in_own_units(phases))
+        first = self._reject_vanishing(phases, self._in_own_units(phases))
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
         if not free or status.is_final(first):
             return first
@@ -183,12 +183,12 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
             if all(duration is not None for duration in durations):
                 pairs = zip(phases, durations, strict=True)
                 scaled_phases = [phase._replace(duration=duration) for phase, duration in pairs]
-                found = self._told(phases, self._in_own_units(scaled_phases))
-                if status.is_final(found) and not (found.success and _find_strayed(phases, found, FARTHEST)):
+                found = self._reject_vanishing(phases, self._in_own_units(scaled_phases))
+                if status.is_final(found) and not (found.success and _find_far_durations(phases, found, FARTHEST)):
                     return found
         return first
 
-    def _told(self, phases: Sequence[Phase], solution: PhasedSolution) -> PhasedSolution:
+    def _reject_vanishing(self, phases: Sequence[Phase], solution: PhasedSolution) -> PhasedSolution:
         """The solution, without success where durations tend to zero that nothing but their costs determines."""
         if self.horizon is not None or self.constraints or solution.statistics.stopped:
             return solution
@@ -196,27 +196,27 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         lost = [k for k in free if self.made.vanishes(phases[k], solution.phases[k])]
         if not lost:
             return solution
-        return status.fail_at_zero(solution, f"The duration of {_named(lost)}", solution.phases[lost[0]].horizon)
+        return status.fail_at_zero(solution, f"The duration of {_names(lost)}", solution.phases[lost[0]].horizon)
 
     def _in_own_units(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, found again from itself where durations are far from their guesses, in whose units it was
         judged."""
-        solution, given = self._solved(phases), phases
+        solution, given = self._solve(phases), phases
         for _ in range(AGAIN):
-            if not (solution.success and _find_strayed(phases, solution, RESTART)) or _find_strayed(
+            if not (solution.success and _find_far_durations(phases, solution, RESTART)) or _find_far_durations(
                 given, solution, FARTHEST
             ):
                 break
             if solution.statistics.stopped:
                 return status.stop(solution)
             phases = [_with_near_guess(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
-            solution = self._solved(phases)
-        lost = _find_strayed(phases, solution, RESTART if solution.success else TOO_FAR) or _find_strayed(
+            solution = self._solve(phases)
+        lost = _find_far_durations(phases, solution, RESTART if solution.success else TOO_FAR) or _find_far_durations(
             given, solution, FARTHEST
         )
-        return status.fail_of_durations(solution, _named(lost)) if lost else solution
+        return status.fail_of_durations(solution, _names(lost)) if lost else solution
 
-    def _solved(self, phases: Sequence[Phase]) -> PhasedSolution:
+    def _solve(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal from guesses of all phases."""
         return self.solve(phases, self._search)
 
@@ -293,7 +293,7 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         return jnp.concatenate([jnp.zeros(0), *values.values()])
 
 
-def _named(phases: Sequence[int]) -> str:
+def _names(phases: Sequence[int]) -> str:
     """The names of these phases."""
     return " and ".join(f"phase {k}" for k in phases)
 
@@ -330,7 +330,7 @@ def _check_phases(phases: Any, guess: Any) -> list[Phase]:
         return list(phases)
     if not (isinstance(guess, PhasedSolution) and len(guess.phases) == len(phases)):
         raise InvalidInputError(
-            f"guess must be a PhasedSolution of {counted(len(phases), 'phase')}, got {brief(guess)}; try what "
+            f"guess must be a PhasedSolution of {plural(len(phases), 'phase')}, got {brief(guess)}; try what "
             "solve_phases returned for phases like these"
         )
     return [_with_near_guess(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]
@@ -341,7 +341,7 @@ def _with_near_guess(phase: Phase, solution: Any) -> Phase:
     return phase._replace(duration=with_guess(phase.duration, solution.horizon), guess=solution)
 
 
-def _find_strayed(phases: Sequence[Phase], solution: PhasedSolution, far: float) -> list[int]:
+def _find_far_durations(phases: Sequence[Phase], solution: PhasedSolution, far: float) -> list[int]:
     """The phases whose duration is further than so many times from its guess."""
     free = [k for k, phase in enumerate(phases) if is_free(phase.duration)]
     return [k for k in free if not 1 / far < solution.phases[k].horizon / phases[k].duration.guess < far]

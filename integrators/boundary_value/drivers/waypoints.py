@@ -84,7 +84,7 @@ def _piece(problem: OptimalControlProblem, first: bool, last: bool) -> OptimalCo
     """The problem of a phase, which pays the costs of ends that it has."""
     paid = {"initial_cost": first, "terminal_cost": last}
     left = {name: None for name, pays in paid.items() if not pays and getattr(problem, name) is not None}
-    return problem._replaced(**left) if left else problem
+    return problem._with_arguments(**left) if left else problem
 
 
 def _part(guess: Guess, a: int, b: int, stages: int) -> Guess:
@@ -93,7 +93,7 @@ def _part(guess: Guess, a: int, b: int, stages: int) -> Guess:
     return Guess(**{name: jax.tree.map(lambda x, n=name: x[cuts[n]], own) for name, own in guess._asdict().items()})
 
 
-def joined(phased: PhasedSolution) -> Solution:
+def join_phases(phased: PhasedSolution) -> Solution:
     """One solution of all phases; at a waypoint it has the costates of the next phase."""
     phases, one = phased.phases, phased.phases[0]
     arrays = dict[str, Any]()

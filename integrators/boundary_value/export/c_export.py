@@ -79,7 +79,7 @@ def export_c(
 
     where, options = require_new(Path(folder)), Options.of(tolerance, max_iterations, None, False)
     require_name(name)
-    return write_folder(where, files(pose(self, found_by(self, solution), solution, options, gains), name))
+    return write_folder(where, files(pose(self, origin_of(self, solution), solution, options, gains), name))
 
 
 def require_new(folder: Path) -> Path:
@@ -110,7 +110,7 @@ def require_name(name: Any) -> None:
         raise InvalidInputError(f"name = {name!r} has another meaning in the C program; try another name, as 'slew'")
 
 
-def found_by(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
+def origin_of(solver: Any, solution: Any) -> tuple[Any, Any, Any]:
     """The solver that has found a solution, its own solution, and the reformulation that it solves, or None."""
     require_treated(solver.problem, "export_c", *ALONG)
     formulation, solver, found = solver._reformulation.origin(solution) or (None, solver, solution)

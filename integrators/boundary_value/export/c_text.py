@@ -42,7 +42,7 @@ def constant(kind: str, name: str, array: np.ndarray, comment: str) -> str:
     return f"/* {comment} */\nstatic const {kind} {name}{lengths} = {braces(array)};\n"
 
 
-def filled(template: str, values: Mapping[str, str]) -> str:
+def fill_template(template: str, values: Mapping[str, str]) -> str:
     """A template with values in the places of ``@names@``."""
     text = resources.files(PACKAGE).joinpath("templates", template).read_text(encoding="utf-8")
     found = re.sub(r"@(\w+)@", lambda match: values[match[1]], text)

@@ -11,7 +11,7 @@ from ....tape.c_source import c_function, c_head
 from ....tracing import one_tracing
 from ..solution.interpolation import Interpolant
 from ..transcription.chart import Polynomials
-from .c_text import constant, filled, number
+from .c_text import constant, fill_template, number
 from .posed_problem import PosedProblem
 from .problem_source import templates
 
@@ -51,9 +51,9 @@ def controller_files(posed: PosedProblem, own: PosedController, name: str) -> di
     values = templates(posed, name)
     values |= _values(posed, own, values)
     return {
-        f"{name}_controller.h": filled("controller.h", values),
-        f"{name}_controller.c": filled("controller.c", values),
-        "loop.c": filled("loop.c", values),
+        f"{name}_controller.h": fill_template("controller.h", values),
+        f"{name}_controller.c": fill_template("controller.c", values),
+        "loop.c": fill_template("loop.c", values),
     }
 
 
@@ -73,16 +73,16 @@ def _values(posed: PosedProblem, own: PosedController, names: dict[str, str]) ->
         "control_size": str(posed.transcription.sizes.control_size),
         "through_count": str(len(through)),
         "constants": _constants_text(posed, own),
-        "centre": filled("centre.c", names) if several else "",
+        "centre": fill_template("centre.c", names) if several else "",
         "points_of_step": ", ".join(points),
         "covectors_of_step": ", ".join(points).replace("states", "costates"),
         "write_centre": centre if several else one,
-        "write_multipliers": filled("multipliers.c", names) if limited else "",
+        "write_multipliers": fill_template("multipliers.c", names) if limited else "",
         "shift_multipliers": "    shift_multipliers(of, after, share, to);" if limited else "",
-        "clock": indent(filled("clock.c", names), "    ") if clock else "",
-        "write_points": indent(filled("collocation_guess.c", {}), "    ") if several else ONE_WRITTEN,
+        "clock": indent(fill_template("clock.c", names), "    ") if clock else "",
+        "write_points": indent(fill_template("collocation_guess.c", {}), "    ") if several else ONE_WRITTEN,
         "write_limits": LIMITS_WRITTEN if limited else "",
-        "keep_points": indent(filled("collocation_points.c", {}), "    ") if several else ONE_KEPT,
+        "keep_points": indent(fill_template("collocation_points.c", {}), "    ") if several else ONE_KEPT,
         "keep_limits": LIMITS_KEPT if limited else "",
         "plan_horizon": _horizon_text(own),
         **_samples_text(posed, own),

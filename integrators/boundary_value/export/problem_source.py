@@ -8,7 +8,7 @@ import numpy as np
 from ....compute.binding.block_elimination import block_workspace
 from ....compute.binding.search import search_memory, wave_amplitudes
 from ....compute.binding.structs import LayoutStruct, MultiphaseStruct, ProblemStruct
-from .c_text import braces, constant, filled, number
+from .c_text import braces, constant, fill_template, number
 from .function_source import functions_text, most_numbers, table_text
 from .posed_problem import PosedProblem
 
@@ -67,7 +67,7 @@ def templates(posed: PosedProblem, name: str) -> dict[str, str]:
         "read_output": _reading_text(posed),
         "duration": _duration_text(posed),
         "strict": "found.strict",
-        "gains": filled("gains.c", {"name": name, "NAME": upper}) if posed.gains else "",
+        "gains": fill_template("gains.c", {"name": name, "NAME": upper}) if posed.gains else "",
         "read_gains": "    read_gains(own, &found, output);" if posed.gains else "",
         "gains_field": GAINS_FIELD.replace("@NAME@", upper) if posed.gains else "",
         "gains_bytes": str(_room(posed)[0]),
@@ -91,7 +91,7 @@ def files(posed: PosedProblem, name: str, loops: tuple[str, ...] = ()) -> dict[s
     values["controller_row"] = CONTROLLER_ROW.format(name) if loops else ""
     own = {f"{name}{ending}": f"problem{ending}" for ending in (".h", ".c", "_functions.h", "_functions.c")}
     own |= {other: other for other in ("CMakeLists.txt", "README.md", "main.c")}
-    return {file: filled(template, values) for file, template in own.items()}
+    return {file: fill_template(template, values) for file, template in own.items()}
 
 
 def _limits(posed: PosedProblem) -> int:

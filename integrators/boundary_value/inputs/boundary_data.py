@@ -103,7 +103,7 @@ class EndPoints(NamedTuple):
     prescribed: tuple[PrescribedEnd, PrescribedEnd]
     unknown: np.ndarray
 
-    def completed(self, first: np.ndarray, last: np.ndarray) -> "EndPoints":
+    def complete(self, first: np.ndarray, last: np.ndarray) -> "EndPoints":
         """The ends with entries of these flat points where they are unknown."""
         return self._replace(
             start=np.where(self.unknown, first, self.start), end=np.where(self.unknown, last, self.end)
@@ -221,18 +221,18 @@ class BoundaryDataReader:
 
     def _read(self, given: Any, name: str, batched: bool) -> tuple[PrescribedEnd, np.ndarray]:
         """The prescription of an end, and its flat points, with zeros where nothing is known."""
-        whole = None if batched else self.layout.held(given, 0)
+        whole = None if batched else self.layout.finite_rows(given, 0)
         if whole is not None:
             if name not in self._of_points:
-                self._of_points[name] = self._prescribed_by(list(self._parts(given, name)))
+                self._of_points[name] = self._prescription(list(self._parts(given, name)))
             return self._of_points[name], whole[None]
         found = list(self._parts(given, name))
         rows = [reader._rows(guess_of(point), title, batched) for title, reader, point in found]
         count = max(map(len, rows))
         rows = rows if count == 1 else [np.broadcast_to(part, (count, part.shape[1])) for part in rows]
-        return self._prescribed_by(found), np.concatenate(rows, axis=1)
+        return self._prescription(found), np.concatenate(rows, axis=1)
 
-    def _prescribed_by(self, found: Sequence[tuple[str, "BoundaryDataReader", Any]]) -> PrescribedEnd:
+    def _prescription(self, found: Sequence[tuple[str, "BoundaryDataReader", Any]]) -> PrescribedEnd:
         """The prescription of an end by its parts."""
         key = tuple((title, _is_prescribed(point), point is not None) for title, _, point in found)
         if key not in self._prescribed:
@@ -246,7 +246,7 @@ class BoundaryDataReader:
         if given is None:
             return np.zeros((1, self.layout.size))
         axes = int(batched and self._is_batch(given))
-        rows = self.layout.held(given, axes)
+        rows = self.layout.finite_rows(given, axes)
         if rows is None:
             hint = "; give one entry for each factor, None where it is free" if self.factors else ""
             count = len(jax.tree.leaves(given)[0]) if axes else 1

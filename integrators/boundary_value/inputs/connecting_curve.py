@@ -51,8 +51,8 @@ class ConnectingCurve:
 
         Raises ``DomainError`` if no way arrives near an end.
         """
-        states, arrived = self._along(self._quick or self._given, starts, ends, fractions)
-        for way in (self._again, self._walked):
+        states, arrived = self._along(self._quick or self._curve_of_method, starts, ends, fractions)
+        for way in (self._again, self._follow_chord):
             if arrived.all():
                 return states
             missing = np.flatnonzero(~arrived)
@@ -65,7 +65,7 @@ class ConnectingCurve:
         return states
 
     def _again(self, *way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return self._along(self._given if self._quick else self._slow, *way)
+        return self._along(self._curve_of_method if self._quick else self._slow, *way)
 
     def _along(
         self, curve: Curve, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray
@@ -92,7 +92,7 @@ class ConnectingCurve:
         return self._curve(self._default, self._evaluator)
 
     @cached_property
-    def _given(self) -> Curve:
+    def _curve_of_method(self) -> Curve:
         return self._curve(self.retraction, self._evaluator)
 
     def _curve(self, retraction: Retraction, evaluator: Evaluator) -> Curve:
@@ -116,7 +116,9 @@ class ConnectingCurve:
         even = UNEVEN / PIECES * lengths.sum(axis=1) + default_tolerance() * size
         return (lengths.max(axis=1) <= even).all(axis=1)
 
-    def _walked(self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _follow_chord(
+        self, starts: np.ndarray, ends: np.ndarray, fractions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """A walk along the chord's tangential part, each time the share of its length that is due; and whether it
         arrives.
 
@@ -127,7 +129,7 @@ class ConnectingCurve:
                 self.layout.size,
                 jax.tree.map(np.asarray, vec.normal(jax.random.key(0), self.manifold.ambient)),
             )
-            begin = self._evaluator.values(lambda *ends: self._set_out(aside, *ends), size, size)
+            begin = self._evaluator.values(lambda *ends: self._leave_start(aside, *ends), size, size)
             self._walk = begin, self._evaluator.values(self._go, size, size, 1)
         (x,) = self._walk[0].at(1, starts, ends)
         states, behind = [], 0.0
@@ -139,7 +141,7 @@ class ConnectingCurve:
         way = np.linalg.norm(starts - ends, axis=1)
         return np.stack(states, axis=1), np.linalg.norm(x - ends, axis=1) < way / 2
 
-    def _set_out(self, aside: Ambient, start: Array, end: Array) -> tuple[Array]:
+    def _leave_start(self, aside: Ambient, start: Array, end: Array) -> tuple[Array]:
         x, y = self.layout.point(start), self.layout.point(end)
         chord = vec.subtract(y, x)
         aside = self.manifold.projection(x, aside)

@@ -95,7 +95,7 @@ class GuessReader:
     def _at_nodes(self, guess: Guess) -> dict[str, np.ndarray]:
         return _multipliers("node_multipliers", guess.node_multipliers or {}, self._node_names, (self._nodes, "node"))
 
-    def known(self, guess: Guess) -> Guess:
+    def keep_multipliers(self, guess: Guess) -> Guess:
         """A guess with the multipliers of inequalities that the problem has, as far as their names tell."""
         own = {name: rows for name, rows in (guess.multipliers or {}).items() if name in self._names}
         at_nodes = {name: rows for name, rows in (guess.node_multipliers or {}).items() if name in self._node_names}
@@ -159,7 +159,7 @@ def _rows(given: Any, part: _GuessPart) -> np.ndarray | None:
         return np.zeros((part.length, part.layout.size))
     if given is None and part.name in ("nodes", "stage_costates"):
         return None
-    rows = part.layout.held(given, 1)
+    rows = part.layout.finite_rows(given, 1)
     if rows is None or len(rows) != part.length:
         check_arrays(part.name, given, part.manifold, part.length)
         rows = part.layout.rows(given, 1)

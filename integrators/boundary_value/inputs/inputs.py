@@ -62,7 +62,7 @@ class InputReader:
         self.retracts = False  # whether the retraction was looked at
 
     @cached_property
-    def _restored(self) -> PointwiseFunction:
+    def _restoration(self) -> PointwiseFunction:
         """Points moved onto the manifold; seldom needed."""
         layout = self.ends.layout
         return AutomaticEvaluator().values(
@@ -78,7 +78,7 @@ class InputReader:
     def flat_guess(self, guesses: Sequence[Any]) -> FlatGuess | None:
         """The guesses, solutions among them resampled, with the multipliers of inequalities that the problem has."""
         given = [
-            self.guesses.known(guess._guess_on(self.mesh)) if isinstance(guess, MeshGuess) else guess
+            self.guesses.keep_multipliers(guess._guess_on(self.mesh)) if isinstance(guess, MeshGuess) else guess
             for guess in guesses
         ]
         return self.guesses.flat(given) if any(guess is not None for guess in given) else None
@@ -98,9 +98,9 @@ class InputReader:
         """By how much each of some flat points violates the equations of the manifold."""
         return self._violations.at(1, points)[0].max(axis=1)
 
-    def restored(self, points: np.ndarray) -> np.ndarray:
+    def restore(self, points: np.ndarray) -> np.ndarray:
         """Flat points on the manifold next to these; where it has none, these."""
-        moved = self._restored.at(1, points)[0]
+        moved = self._restoration.at(1, points)[0]
         return np.where(np.all(np.isfinite(moved), axis=1, keepdims=True), moved, points)
 
     def require_retraction(self, point: np.ndarray) -> None:
@@ -154,7 +154,7 @@ class Inputs:
 
         Raises ``InvalidInputError`` or ``NotOnManifoldError`` for a horizon, parameters, a guess, ends or a
         classification that do not belong to the problem and the mesh. Whether the problem is regular is found out
-        afterwards, where nobody has said it: see ``classified``.
+        afterwards, where nobody has said it: see ``with_classification``.
         """
         known = _known_guess(reader.problem, given)
         count = count_members(reader.ends, known, guess) if axes else 1
@@ -190,7 +190,7 @@ class Inputs:
         ends = reader.ends.ends(given.start, given.end, bool(axes))
         if ends.unknown.any():
             at_rest = reader.ends.at_rest
-            ends = ends.completed(
+            ends = ends.complete(
                 *((at_rest, at_rest) if guesses is None else (guesses.states[:, 0], guesses.states[:, -1]))
             )
         asked = reader, given, known, guess, options, integrator, axes, began
@@ -216,14 +216,14 @@ class Inputs:
         on = beside <= ROUNDING * np.finfo(working_precision()).eps
         exact = bool(on.all())
         if not exact:
-            points[~on] = self._moved(points[~on], beside, on)
+            points[~on] = self._restore_ends(points[~on], beside, on)
         if not reader.retracts:
             reader.require_retraction(points[0])
         if exact:
             return self
         return replace(self, ends=self.ends._replace(start=points[: len(start)], end=points[len(start) :]))
 
-    def _moved(self, points: np.ndarray, beside: np.ndarray, on: np.ndarray) -> np.ndarray:
+    def _restore_ends(self, points: np.ndarray, beside: np.ndarray, on: np.ndarray) -> np.ndarray:
         """The ends that are not ``on`` the manifold, moved onto it.
 
         ``beside``: the violations of all ends, of the starts first.
@@ -236,7 +236,7 @@ class Inputs:
         if np.any(near & (beside > tolerance)):
             _warn_of_rounding(self.reader.problem.manifold, np.max(beside[near]))
         for _ in range(RESTORING):  # no trajectory ends beside its manifold
-            points = np.where(near[~on, None], self.reader.restored(points), points)
+            points = np.where(near[~on, None], self.reader.restore(points), points)
         return points
 
     def again(self, reader: InputReader, given: BoundaryData, guess: Any) -> "Inputs":
@@ -244,7 +244,7 @@ class Inputs:
         known = _known_guess(reader.problem, given)
         return self._read(reader, given, known, guess, self.options, self.integrator, None, self.axes, len(self))
 
-    def classified(self, c: Classification | None) -> "Inputs":
+    def with_classification(self, c: Classification | None) -> "Inputs":
         """The inputs with the classification of a singular problem, without one for a regular problem.
 
         Raises where it is not to be solved like this.

@@ -74,7 +74,9 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         }
         changes = {name: function for name, function in changes.items() if getattr(problem, name) is not None}
         changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
-        self.problem = problem._replaced(manifold=Product(problem.manifold, *added), time_dependent=False, **changes)
+        self.problem = problem._with_arguments(
+            manifold=Product(problem.manifold, *added), time_dependent=False, **changes
+        )
 
     def apply(self, data: Inputs, begin: float | None = None) -> BoundaryData:
         """The data in more states; of a batch with one more axis.
@@ -178,7 +180,7 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
             name: getattr(found, name)[0] for name in ("states", "costates", "stage_states", "stage_costates")
         }
         along = "momenta", "body_costates", "spatial_costates"
-        named: Any = {name: self._named(getattr(found, name)) for name in along}
+        named: Any = {name: self._by_name(getattr(found, name)) for name in along}
         solution = replace(
             found,
             times=begin + rate * found.times,
@@ -206,10 +208,10 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         """The checks in the time of the problem; the Hamiltonian that is constant has the clock's part."""
         names = "hamiltonian", "hamiltonian_spread", "hamiltonian_size"
         own: Any = {name: float(getattr(checks, name) / rate) for name in names}
-        named: Any = {name: self._named(getattr(checks, name)) for name in ("momentum_spreads", "conserved")}
-        return replace(checks, violations=self._named(checks.violations, OWN_EQUATION), **own, **named)
+        named: Any = {name: self._by_name(getattr(checks, name)) for name in ("momentum_spreads", "conserved")}
+        return replace(checks, violations=self._by_name(checks.violations, OWN_EQUATION), **own, **named)
 
-    def _named(self, values: dict[str, Any], prefix: str = OWN_FACTOR) -> dict[str, Any]:
+    def _by_name(self, values: dict[str, Any], prefix: str = OWN_FACTOR) -> dict[str, Any]:
         """Values of the factors of Q, without the added states, under the names of the problem."""
         label = partial(self.own.quantities.labelled, count=len(getattr(self.own.manifold, "factors", ())))
         return {label(name.removeprefix(prefix)): own for name, own in values.items() if name.startswith(prefix)}
@@ -286,12 +288,12 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         for name, bounded, sign in zip((HORIZON_LOWER, HORIZON_UPPER), kind.horizon_bounds, (1, -1), strict=True):
             if bounded:
                 names.append(name)
-                functions.append(self._of_state(self._bound([self.constants - 1], begin, sign), 2))
+                functions.append(self._of_state(self._bound_of([self.constants - 1], begin, sign), 2))
                 begin += 1
         for name, entries, sign in ((PARAMETERS_LOWER, kind.below, 1), (PARAMETERS_UPPER, kind.above, -1)):
             if entries:
                 names.append(name)
-                functions.append(self._of_state(self._bound(list(entries), begin, sign), 2))
+                functions.append(self._of_state(self._bound_of(list(entries), begin, sign), 2))
                 begin += len(entries)
         at_nodes = tuple(
             self._of_node(lambda bound, q, k=k: bound._limits.node_functions[k](q)) for k in range(len(own.node_names))
@@ -307,7 +309,7 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
 
         return limit
 
-    def _bound(self, entries: list[int], begin: int, sign: int) -> Callable[[tuple, Ambient, Any], Array]:
+    def _bound_of(self, entries: list[int], begin: int, sign: int) -> Callable[[tuple, Ambient, Any], Array]:
         def bound(y: tuple, u: Ambient, given: Any) -> Array:
             (bounds,) = given[1]
             return sign * (bounds[begin : begin + len(entries)] - y[1][np.array(entries)])

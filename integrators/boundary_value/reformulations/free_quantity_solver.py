@@ -69,7 +69,7 @@ class FreeQuantitySolver:
 
     def solve(self, inputs: Inputs) -> Solution:
         """The extremal of a single trajectory."""
-        return self._from_elsewhere(inputs, self._settled(inputs, self._solved(inputs)))
+        return self._from_elsewhere(inputs, self._reject_vanishing(inputs, self._solve(inputs)))
 
     def _from_elsewhere(self, inputs: Inputs, first: Solution) -> Solution:
         """The solution, or without success and with a free horizon, the solution from the nearest other magnitude that
@@ -82,13 +82,13 @@ class FreeQuantitySolver:
             guess = with_scaled_guess(horizon, factor)
             if guess is not None:
                 again = inputs.again(self.reader, inputs.given._replace(horizon=guess), inputs.guess)
-                found = self._settled(again, self._solved(again))
+                found = self._reject_vanishing(again, self._solve(again))
                 effort = _sum(effort, found.statistics)
                 if status.is_final(found):
                     return self._with_effort(found, effort)
-        return self._with_effort(self._explained(horizon, first), effort)
+        return self._with_effort(self._explain(horizon, first), effort)
 
-    def _explained(self, horizon: Free, solution: Solution) -> Solution:
+    def _explain(self, horizon: Free, solution: Solution) -> Solution:
         """The solution without success, with a sentence on a horizon far from its guess.
 
         The cost changes by ``-H`` with the horizon.
@@ -113,7 +113,7 @@ class FreeQuantitySolver:
             )
         return float(max(np.max(np.abs(rates)), np.max(np.abs(solution.hamiltonians + rates))))
 
-    def _settled(self, inputs: Inputs, solution: Solution) -> Solution:
+    def _reject_vanishing(self, inputs: Inputs, solution: Solution) -> Solution:
         """The solution in its own units, without success where its horizon tends to zero."""
         horizon, parameters = inputs.given.horizon, inputs.given.parameters
         solution = self._in_own_units(inputs, solution)
@@ -148,7 +148,7 @@ class FreeQuantitySolver:
                 return self._as_before(status.stop(solution), solution)
             before = solution.statistics
             inputs = inputs.again(self.reader, inputs.given.near(solution), solution)
-            solution = self._solved(inputs)
+            solution = self._solve(inputs)
             solution = self._with_effort(solution, _sum(before, solution.statistics))
         return self._as_before(status.fail_far_from_guess(solution), solution)
 
@@ -165,11 +165,11 @@ class FreeQuantitySolver:
             return solution
         return self._as_before(status.fail_with_hamiltonian(solution, solution.hamiltonians[0] / size), solution)
 
-    def _solved(self, inputs: Inputs) -> Solution:
+    def _solve(self, inputs: Inputs) -> Solution:
         formulation, solver = self.of(inputs.given.horizon, inputs.given.parameters)
 
         def search(posed: BoundaryData, guess: Any) -> Solution:
-            return solver._found(inputs.again(solver._reader, posed, guess))
+            return solver._find(inputs.again(solver._reader, posed, guess))
 
         solution = formulation.solve(inputs, search)
         self._found[solution] = formulation, solver
@@ -179,13 +179,13 @@ class FreeQuantitySolver:
         """The extremals of a batch."""
         formulation, solver = self.of(inputs.each[0].horizon, inputs.each[0].parameters)
         posed, solutions, stopped = formulation.apply(inputs), list[Solution](), False
-        found = solver._all_found(inputs.again(solver._reader, posed, formulation.guess(inputs, posed)))
+        found = solver._find_all(inputs.again(solver._reader, posed, formulation.guess(inputs, posed)))
         for k, one in enumerate(found):
             solution, member = formulation.recover(posed, one), inputs.member(k)
             self._found[solution] = formulation, solver
             if stopped:  # in a search of a member before
                 solution = self._with_effort(solution, replace(solution.statistics, stopped=True))
-            solution = self._from_elsewhere(member, self._settled(member, solution))
+            solution = self._from_elsewhere(member, self._reject_vanishing(member, solution))
             stopped = solution.statistics.stopped
             solutions.append(solution)
         return Solutions.of(solutions)

@@ -14,7 +14,7 @@ from ..inputs.arguments import Options
 from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.iterate import LinkedIterate
 from ..transcription.member_search import MemberSearch, Watch
-from ..transcription.rollout import rolled_out
+from ..transcription.rollout import rollout
 from ..transcription.search_record import LARGEST, MemberIterate, SearchRecord
 
 LARGER = 1e2  # times the usual first penalty of excesses
@@ -97,7 +97,7 @@ def from_forward_simulation(member: MemberSearch, first: SearchRecord, found: Se
         return found
     place = np.array([member.k])
     phases = [phase.of(place) for phase in member.problem.phases]
-    parts = [rolled_out(phase, taken(part, place)) for phase, part in zip(phases, member.parts, strict=True)]
+    parts = [rollout(phase, taken(part, place)) for phase, part in zip(phases, member.parts, strict=True)]
     finite = [part for part in parts if part is not None]
     if len(finite) < len(parts):
         return found

@@ -84,7 +84,7 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
         }
         costs = ("terminal_cost", self._final), ("initial_cost", self._first)
         changes |= {name: cost for name, cost in costs if getattr(problem, name) is not None}
-        self.problem = problem._replaced(boundary_constraints=self._boundary(), **changes)
+        self.problem = problem._with_arguments(boundary_constraints=self._boundary(), **changes)
 
     def apply(self, data: ArcData) -> BoundaryData:
         """The data over ``[0, K]``, with guessed durations among the parameters."""
@@ -243,7 +243,7 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
         d = here @ durations
         return _Arc(d, here @ (begins - places * durations) + tau * d, here @ self.fixed, here @ self.values)
 
-    def _bound(self, t: Any, given: Any) -> OptimalControlProblem:
+    def _problem_at(self, t: Any, given: Any) -> OptimalControlProblem:
         own = given[OWN_PARAMETERS] if self.own.takes_parameters else None
         return self.own.with_parameters(own).at_time(t)
 
@@ -252,37 +252,37 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
 
     def _velocity(self, q: Any, v: Array, tau: Array, given: Any) -> Any:
         arc = self._arc(tau, given)
-        velocity = self._bound(arc.time, given).velocity(q, self._control(v, arc))
+        velocity = self._problem_at(arc.time, given).velocity(q, self._control(v, arc))
         return jax.tree.map(lambda a: arc.duration * a, velocity)
 
     def _rate(self, q: Any, v: Array, tau: Array, given: Any) -> Array:
         arc = self._arc(tau, given)
         idle = arc.fixed * (jnp.ravel(v) - self.middle) / self.room
         return (
-            arc.duration * self._bound(arc.time, given).cost_rate(q, self._control(v, arc))
+            arc.duration * self._problem_at(arc.time, given).cost_rate(q, self._control(v, arc))
             + self.unit * idle @ idle / 2
         )
 
     def _final(self, q: Any, tau: Array, given: Any) -> Array:
-        return self._bound(jnp.sum(self.durations(given[DURATIONS])), given).final_cost(q)
+        return self._problem_at(jnp.sum(self.durations(given[DURATIONS])), given).final_cost(q)
 
     def _first(self, q: Any, given: Any) -> Array:
-        return self._bound(0.0, given).first_cost(q)
+        return self._problem_at(0.0, given).first_cost(q)
 
     def _boundary(self) -> BoundaryConditions:
         own = self.own._boundary
-        turn = None if own.turn is None else self._turned
+        turn = None if own.turn is None else self._turn
         return BoundaryConditions(own.names, tuple(map(self._between, range(len(own.names)))), turn)
 
     def _between(self, place: int) -> Any:
         def between(first: Any, last: Any, tau: Array, given: Any) -> Any:
             end = jnp.sum(self.durations(given[DURATIONS]))
-            return self._bound(end, given)._boundary.functions[place](first, last)
+            return self._problem_at(end, given)._boundary.functions[place](first, last)
 
         return between
 
-    def _turned(self, q: Any, given: Any) -> Any:
-        return self._bound(0.0, given)._periodic_end(q)
+    def _turn(self, q: Any, given: Any) -> Any:
+        return self._problem_at(0.0, given)._periodic_end(q)
 
     def _last(self, q: Any, v: Array, tau: Array, given: Any) -> Array:
         return -self.durations(given[DURATIONS])[-1]
@@ -290,12 +290,12 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
     def _limit(self, place: int) -> Any:
         def limit(q: Any, v: Array, tau: Array, given: Any) -> Any:
             arc = self._arc(tau, given)
-            return self._bound(arc.time, given)._limits.functions[place](q, self._control(v, arc))
+            return self._problem_at(arc.time, given)._limits.functions[place](q, self._control(v, arc))
 
         return limit
 
     def _node_limit(self, place: int) -> Any:
         def limit(q: Any, tau: Array, given: Any) -> Any:
-            return self._bound(self._arc(tau, given).time, given)._limits.node_functions[place](q)
+            return self._problem_at(self._arc(tau, given).time, given)._limits.node_functions[place](q)
 
         return limit

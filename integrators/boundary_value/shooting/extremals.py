@@ -19,7 +19,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
 from ...problem_checks.smoothness.hamiltonian_jumps import Energy, Segments
 from ...reporting.results import Result
-from ...reporting.text import counted
+from ...reporting.text import plural
 from ...singular import Classification, SingularIntegrator, singular_integrator
 from ...singular.integrability import FinalEquations
 from ...stages import ControlStage
@@ -77,7 +77,7 @@ def _on_piece(inputs: Inputs, conditions: EndConditions, c: Classification) -> S
     _require_choice(conditions, c)
     guess = Iterate(_first_points(shooting, c, inputs, first, last), _no_gauge(shooting, c, inputs.integrator))
     prepared = time.perf_counter()
-    shown(f"shooting over {counted(shooting.segments, 'segment')} of {counted(shooting.length, 'step')} is compiled")
+    shown(f"shooting over {plural(shooting.segments, 'segment')} of {plural(shooting.length, 'step')} is compiled")
     options = inputs.options
     found = meet_conditions(shooting, conditions, guess, options.tolerance, options.max_iterations, options.callback)
     shown("the trajectory is examined")
@@ -238,7 +238,7 @@ def _judge(
     broken = find_violation(inputs.problem, method, stage_times, outcome.stationarity, float(outcome.residual))
     broken = broken or find_end_violation(conditions, found.ends, *outcome.nodes)
     energy = Energy(method.energy, inputs.problem, method.retraction)
-    jumps = [] if broken else energy.passed(Segments.between(*vec.taken((outcome.nodes, outcome.controls), None)))
+    jumps = [] if broken else energy.find_jumps(Segments.between(*vec.taken((outcome.nodes, outcome.controls), None)))
     return shooting_status(found.result, broken, jumps[0].words() if jumps else "")
 
 

@@ -89,7 +89,7 @@ def meet_conditions(
         search.run(tolerance, max_iterations, callback)
     except KeyboardInterrupt:
         search.result = Result.stopped
-    return search.found()
+    return search.last_iterate()
 
 
 class _Search:
@@ -131,7 +131,7 @@ class _Search:
             better = tried.meets(tolerance) or tried.size < (1 - DECREASE) * state.size
             self.state, damping = tried if better else state, RELATIVE_DAMPING.after(damping, better)
 
-    def found(self) -> ShootingResult:
+    def last_iterate(self) -> ShootingResult:
         """The last iterate that was taken."""
         state, independent = self.state, max(self.rank - self.state.at.gaps.size, 0)
         return ShootingResult(state.iterate, state.at, state.ends, self.count, independent, self.result)

@@ -122,7 +122,7 @@ class Shooting(eqx.Module):
         """The segments from an iterate, and their derivatives along the frames and by the gauge controls."""
         points, gauge = iterate
         firsts = self.length * jnp.arange(self.segments)
-        ends, pushes, (nodes, solved) = jax.vmap(self._pushed)(points, gauge, frames, firsts)
+        ends, pushes, (nodes, solved) = jax.vmap(self._propagate)(points, gauge, frames, firsts)
         (before, moved), (after, bases) = (
             vec.entries(trees, s)
             for trees, s in (((ends, pushes), slice(None, -1)), ((points, frames), slice(1, None)))
@@ -139,7 +139,7 @@ class Shooting(eqx.Module):
             solved=jnp.all(solved),
         )
 
-    def _pushed(self, z: Pair, gauge: Array, frame: Frame, first: Array) -> tuple[Pair, Frame, tuple[Nodes, Array]]:
+    def _propagate(self, z: Pair, gauge: Array, frame: Frame, first: Array) -> tuple[Pair, Frame, tuple[Nodes, Array]]:
         """The end of a segment, its derivatives along the frame and by the gauge, its nodes, and whether it was
         solved."""
 

@@ -55,7 +55,7 @@ def require_estimate(kept: Any, solution: Any) -> Any:
             f"{brief(solution)}; try solver.covariance(solver.solve(...)) with one and the same solver"
         )
     if solution.status != "minimum":
-        raise _undetermined(f"its status is {solution.status!r}, expected 'minimum'", solution)
+        raise _singular_information(f"its status is {solution.status!r}, expected 'minimum'", solution)
     return kept
 
 
@@ -73,14 +73,14 @@ def covariance_of(system: KKTSystem, solution: Any) -> Covariance:
         flat = slope.reshape(*slope.shape[:2], -1)
         result = system.solve(flat, np.zeros((len(ends), n, flat.shape[2])))
         if not result.smallest > CLEAR:
-            raise _undetermined(f"the smallest pivot of its KKT matrix is {result.smallest:.3g}", solution)
+            raise _singular_information(f"the smallest pivot of its KKT matrix is {result.smallest:.3g}", solution)
         moves = result.step[:, :z].reshape(len(right), z, len(nodes), n)
         for place, node in enumerate(nodes):
             found[node] = -ends[node] @ moves[steps[node], :, place]
     return Covariance((found + found.mT) / 2, np.zeros((0, 0)), np.zeros((len(ends), n, 0)))
 
 
-def _undetermined(why: str, solution: Any) -> ConvergenceError:
+def _singular_information(why: str, solution: Any) -> ConvergenceError:
     """The error for an estimate that the measurements do not determine."""
     return ConvergenceError(
         f"the costs do not determine the estimate, which has no covariance: {why}; try more measurements, or an "

@@ -22,7 +22,7 @@ FIGURES = "violations", "hamiltonian", "hamiltonian_spread", "hamiltonian_size",
 LATER = "_later"  # attribute of checks: the function that computes their figures
 
 
-def _spread(values: np.ndarray) -> float:
+def _range(values: np.ndarray) -> float:
     """The largest maximum minus minimum along the leading axis; along the last one NumPy takes a third of the time."""
     columns = np.ascontiguousarray(values.T)
     return float((columns.max(axis=-1) - columns.min(axis=-1)).max())
@@ -34,9 +34,9 @@ def figures(diagnostics: Diagnostics) -> dict[str, Any]:
     values = (
         {name: float(value) for name, value in diagnostics.violations.items()},
         float(hamiltonians[0]),
-        _spread(hamiltonians),
+        _range(hamiltonians),
         float(diagnostics.hamiltonian_size),
-        {name: _spread(j) for name, j in diagnostics.momenta.items()},
+        {name: _range(j) for name, j in diagnostics.momenta.items()},
         {name: int((rates <= tolerance).sum()) for name, rates in diagnostics.brackets.items()},
     )
     return dict(zip(FIGURES, values, strict=True))

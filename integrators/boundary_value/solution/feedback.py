@@ -107,7 +107,7 @@ class Feedback:
             apart = interpolant.apart(interpolant.state.rows(now.states, 1), rows)
             _require_near(apart, times)
             turn = np.einsum("tue,te->tu", gain, apart)
-            found = interpolant.turned(interpolant.control.rows(now.controls, 1), turn)
+            found = interpolant.move_controls(interpolant.control.rows(now.controls, 1), turn)
         if self.bounds is not None:
             found = np.clip(found, *(side.ravel() for side in self.bounds))
         return interpolant.control.points(found.reshape(*shape, -1))
@@ -177,7 +177,7 @@ def feedback(self: Any, solution: Solution) -> Feedback:
     """
     kept: Any = self._kept.get(solution) if isinstance(solution, Solution) else None
     _require_minimum(self.problem, kept, self._reformulation.origin(solution) is not None, solution)
-    with self._required(kept.parameters), np.errstate(all="ignore"):
+    with self._guard(kept.parameters), np.errstate(all="ignore"):
         key = "feedback", structure_of(kept.parameters)
         if key not in self._derivatives:
             self._derivatives[key] = Curvatures(kept.transcribed.traced.nodes, self.method.retraction, self._evaluator)
@@ -234,23 +234,28 @@ class Curvatures:
     def __init__(self, nodes: NodeFunctions, retraction: Retraction, evaluator: Evaluator) -> None:
         self.nodes, self.retraction = nodes, retraction
         n, e, cost = nodes.problem.manifold.dimension, nodes.layout.size, nodes.problem.terminal_cost
-        self._pulled = evaluator.derivatives(self._pulled_of, n, e, e)
-        self._paid = None if cost is None else evaluator.derivatives(self._paid_of, n, e, nodes.parameter.size)
+        self._retraction_curvature = evaluator.derivatives(self._retraction_curvature_of, n, e, e)
+        self._cost_curvature = (
+            None if cost is None else evaluator.derivatives(self._cost_curvature_of, n, e, nodes.parameter.size)
+        )
 
     def __call__(self, system: KKTSystem) -> np.ndarray:
         """The share at the nodes, with the terminal cost at the last node, (N + 1, n, n)."""
         covectors = np.einsum("kn,kne->ke", system.multipliers, system.frames)
-        found, given = np.array(self._pulled.at(1, system.nodes, covectors)[0]), system.array("PARAMETERS", 1, -1)
-        found[-1] = 0.0 if self._paid is None else self._paid.at(1, system.nodes[-1:], given)[0][0]
+        found, given = (
+            np.array(self._retraction_curvature.at(1, system.nodes, covectors)[0]),
+            system.array("PARAMETERS", 1, -1),
+        )
+        found[-1] = 0.0 if self._cost_curvature is None else self._cost_curvature.at(1, system.nodes[-1:], given)[0][0]
         return found
 
     def _at(self, d: Array, q: Array) -> Any:
         point = self.nodes.layout.point(q)
         return self.retraction(point, vec.combine(self.retraction.manifold.basis(point), d))
 
-    def _pulled_of(self, d: Array, q: Array, p: Array) -> tuple[Array, Array]:
+    def _retraction_curvature_of(self, d: Array, q: Array, p: Array) -> tuple[Array, Array]:
         return -vec.pairing(self.nodes.layout.point(p), self._at(d, q)), jnp.zeros(0)
 
-    def _paid_of(self, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
+    def _cost_curvature_of(self, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
         bound: Any = self.nodes.problem.with_parameters(self.nodes.parameter.point(parameters))
         return bound.terminal_cost(self._at(d, q)), jnp.zeros(0)

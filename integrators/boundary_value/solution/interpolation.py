@@ -155,7 +155,7 @@ class Interpolant:
         places = (flat - record.times[k]) / np.diff(record.times)[k]
         needed, where = np.unique(k, return_inverse=True)
         with one_tracing(), np.errstate(all="ignore"):
-            states, costates, controls = self._evaluated(self._steps(record, needed), where, places)
+            states, costates, controls = self._evaluate(self._steps(record, needed), where, places)
         lost = ~np.all(np.isfinite(np.concatenate([states, costates, controls], axis=1)), axis=1)
         if np.any(lost):
             raise DomainError(
@@ -184,7 +184,7 @@ class Interpolant:
         count = len(record.times) - 1
         each, at = np.repeat(np.arange(count), len(places)), np.tile(places, count)
         with one_tracing(), np.errstate(all="ignore"):
-            rows = self._evaluated(self._steps(record, np.arange(count)), each, at, costates)
+            rows = self._evaluate(self._steps(record, np.arange(count)), each, at, costates)
         q, p, u = (
             layout.points(a.reshape(count, len(places), -1)) if len(a) else None
             for layout, a in zip((self.state, self.state, self.control), rows, strict=True)
@@ -205,7 +205,7 @@ class Interpolant:
         jumps = np.stack([record.jumps[k] & (k == 0), record.jumps[k + 1] | self.costs], axis=1)
         return _Step(*ends, states, costates, controls, places, jumps)
 
-    def _evaluated(
+    def _evaluate(
         self, steps: _Step, where: np.ndarray, places: np.ndarray, costates: bool = True
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them.
@@ -219,10 +219,10 @@ class Interpolant:
         if costates:
             momenta = self._momenta(steps, through, centres, coordinates)
             momentum = np.einsum("tj,tjn->tn", shares, momenta[where])
-            found = self.chart.pushed(centres[where], c, momentum)
+            found = self.chart.pushforward(centres[where], c, momentum)
         controls = self._control_polynomials(steps)
         offset = np.einsum("tj,tjm->tm", lagrange(controls.places, places), controls.coordinates[where])
-        return states, found, self._steered.at(1, controls.centres[where], offset)[0]
+        return states, found, self._control_point.at(1, controls.centres[where], offset)[0]
 
     def polynomials(self, record: ExtremalArrays) -> Polynomials:
         """The polynomials of the states in all steps; entries are NaN where a step does not fit into a chart."""
@@ -251,7 +251,7 @@ class Interpolant:
         """The covectors of the charts of steps at the places ``through`` which their polynomials go."""
         inner = () if len(steps.places) == 1 else np.moveaxis(steps.costates[:, steps.places < 1.0], 1, 0)
         covectors = np.stack([steps.begin_costates, *inner, steps.end_costates], axis=1)
-        momenta = self.chart.pulled(centres[:, None], coordinates, covectors)
+        momenta = self.chart.pullback(centres[:, None], coordinates, covectors)
         return self._on_this_side(steps, centres, (through, momenta)) if np.any(steps.jumps) else momenta
 
     def _on_this_side(self, steps: _Step, centres: np.ndarray, known: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
@@ -259,7 +259,7 @@ class Interpolant:
         (through, momenta), found = known, np.array(known[1])
         one = len(through) == 2
         if one:  # the stage has the covector theta p_0 + (1 - theta) p_1
-            middle = self.chart.pulled(centres, np.zeros_like(momenta[:, 0]), steps.costates[:, 0])
+            middle = self.chart.pullback(centres, np.zeros_like(momenta[:, 0]), steps.costates[:, 0])
             momenta = np.stack([momenta[:, 0], middle, momenta[:, 1]], axis=1)
         for first, last in ((1, 0), (0, 1), (1, 1)):
             which, kept = np.all(steps.jumps == (first, last), axis=1), slice(first, momenta.shape[1] - last)
@@ -276,15 +276,15 @@ class Interpolant:
     @property
     def functions(self) -> dict[str, PointwiseFunction]:
         """The functions of the interpolation by their names, for programs that are exported."""
-        return {**self.chart.functions, "control_offset": self._offset, "control_moved": self._steered}
+        return {**self.chart.functions, "control_offset": self._offset, "control_moved": self._control_point}
 
     def apart(self, bases: np.ndarray, states: np.ndarray) -> np.ndarray:
         """The tangent vectors at points ``bases`` whose retractions are the states, all flat, shape (K, E)."""
         return self._apart.at(1, bases, states)[0]
 
-    def turned(self, controls: np.ndarray, turns: np.ndarray) -> np.ndarray:
+    def move_controls(self, controls: np.ndarray, turns: np.ndarray) -> np.ndarray:
         """The controls moved by ambient vectors, all flat, shape (K, U)."""
-        return self._turned.at(1, controls, turns)[0]
+        return self._control_move.at(1, controls, turns)[0]
 
     @cached_property
     def chart(self) -> Chart:
@@ -296,22 +296,22 @@ class Interpolant:
         return AutomaticEvaluator().values(self._offset_of, self.control.size, self.control.size)
 
     @cached_property
-    def _steered(self) -> PointwiseFunction:
-        return AutomaticEvaluator().values(self._steered_of, self.control.size, self.controls.dimension)
+    def _control_point(self) -> PointwiseFunction:
+        return AutomaticEvaluator().values(self._control_point_of, self.control.size, self.controls.dimension)
 
     @cached_property
     def _apart(self) -> PointwiseFunction:
         return AutomaticEvaluator().values(self._apart_of, self.state.size, self.state.size)
 
     @cached_property
-    def _turned(self) -> PointwiseFunction:
-        return AutomaticEvaluator().values(self._turned_of, self.control.size, self.control.size)
+    def _control_move(self) -> PointwiseFunction:
+        return AutomaticEvaluator().values(self._control_move_of, self.control.size, self.control.size)
 
     def _apart_of(self, base: Array, state: Array) -> tuple[Array]:
         point = self.state.point(base)
         return (self.state.flat(self.retraction.preimage(point, self.state.point(state))),)
 
-    def _turned_of(self, control: Array, turn: Array) -> tuple[Array]:
+    def _control_move_of(self, control: Array, turn: Array) -> tuple[Array]:
         u = self.control.point(control)
         moved = default_retraction(self.controls)(u, self.controls.projection(u, self.control.point(turn)))
         return (self.control.flat(moved),)
@@ -321,7 +321,7 @@ class Interpolant:
         v = default_retraction(self.controls).preimage(u, self.control.point(control))
         return (vec.components(self.controls.basis(u), v),)
 
-    def _steered_of(self, base: Array, offset: Array) -> tuple[Array]:
+    def _control_point_of(self, base: Array, offset: Array) -> tuple[Array]:
         u, turn = self.control.point(base), default_retraction(self.controls)
         return (self.control.flat(turn.chart(u, turn.frame(u), offset)),)
 

@@ -244,7 +244,7 @@ class Solution(SolutionFields, HistoryPlots, MeshGuess):
     @property
     def jumps(self) -> np.ndarray:
         """At which nodes a constraint holds the trajectory, where the costate jumps, shape ``(N + 1,)``."""
-        return self._held(self.node_multipliers, self.node_multipliers, len(self.times))
+        return self._active_places(self.node_multipliers, self.node_multipliers, len(self.times))
 
     def held_by(self, names: Collection[str]) -> np.ndarray:
         """The stages at which one of the named inequalities is active, there or at both nodes of the step, shape ``(N
@@ -255,11 +255,11 @@ class Solution(SolutionFields, HistoryPlots, MeshGuess):
         names : collection of str
             Names of inequalities.
         """
-        stages = self._held(names, self.stage_multipliers, len(self.stage_times))
-        nodes = self._held(names, self.node_multipliers, len(self.times))
+        stages = self._active_places(names, self.stage_multipliers, len(self.stage_times))
+        nodes = self._active_places(names, self.node_multipliers, len(self.times))
         return stages | np.repeat(nodes[:-1] & nodes[1:], len(stages) // self.steps)
 
-    def _held(self, names: Collection[str], multipliers: dict[str, np.ndarray], count: int) -> np.ndarray:
+    def _active_places(self, names: Collection[str], multipliers: dict[str, np.ndarray], count: int) -> np.ndarray:
         """At which of so many places one of these inequalities holds the trajectory."""
         held = np.zeros(count, bool)
         for name, rows in multipliers.items():

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ....manifolds.numerics import ambient as vec
-from ...reporting.text import counted, table
+from ...reporting.text import plural, table
 from .diagnostics import RegularChecks, SingularArc
 from .factor_distances import factor_distances
 from .solution_fields import SolutionFields, at_stages
@@ -82,14 +82,14 @@ def _active(name: str, rows: np.ndarray, place: str, checks: RegularChecks) -> s
 
 def _singular(arc: SingularArc) -> Iterator[tuple[str, str]]:
     form = f"its form has a kernel of dimension {arc.kernel}" if arc.kernel else "symplectic"
-    gauge = f"; {counted(arc.gauge_controls, 'gauge control')}" if arc.gauge_controls else ""
+    gauge = f"; {plural(arc.gauge_controls, 'gauge control')}" if arc.gauge_controls else ""
     yield "problem", f"singular: the extremal lies in P_f, of dimension {arc.dimension}, {form}{gauge}"
     kind = "presymplectic" if arc.presymplectic else "not presymplectic"
     yield "integrator", f"{kind}\n{arc.strategy}"
     yield "second order", arc.second_order
     yield (
         "ends",
-        f"{counted(len(arc.conditions), 'condition')}, {counted(arc.independent, 'coordinate')} of "
+        f"{plural(len(arc.conditions), 'condition')}, {plural(arc.independent, 'coordinate')} of "
         "them independent on P_f",
     )
     for name, violation in arc.conditions.items():
@@ -169,11 +169,11 @@ def _effort(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     length = f"{least:.6g}" if most - least <= EQUAL * most else f"{least:.3g} to {most:.3g}"
     length += _unit(solution, "time")
     if solution.interpolant is not None and len(solution.stage_times):
-        stages = counted(len(solution.stage_times) // len(steps), "stage")
+        stages = plural(len(solution.stage_times) // len(steps), "stage")
         yield "discretization", f"{stages} a step, retraction {solution.interpolant.retraction}"
     yield (
         "iterations",
-        f"{counted(statistics.iterations, f'{method} step')} on {counted(len(steps), 'step')} of {length}",
+        f"{plural(statistics.iterations, f'{method} step')} on {plural(len(steps), 'step')} of {length}",
     )
     if solution.singular is not None:
         seconds = statistics.compile_seconds + statistics.run_seconds

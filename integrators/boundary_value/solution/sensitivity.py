@@ -135,8 +135,8 @@ class ParametricSensitivity:
             evaluator.derivatives(partial(self._cost_of, name), n + k, e, k) if costs_something else None
             for name, costs_something in costs.items()
         ]
-        self._turned = evaluator.values(self._turned_of, u, m)
-        self._carried = evaluator.values(self._carried_of, e, e, e, e)
+        self._control_change = evaluator.values(self._control_change_of, u, m)
+        self._costate_change = evaluator.values(self._costate_change_of, e, e, e, e)
 
     def __call__(self, system: KKTSystem) -> Derivatives:
         """The derivatives of the extremal with this KKT matrix."""
@@ -186,14 +186,14 @@ class ParametricSensitivity:
     def _ambient(self, system: KKTSystem, moved: np.ndarray, turned: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of states and costates in the ambient space; a covector stays one as its node moves."""
         vectors, covectors = (np.einsum("knj,kne->kje", a, system.frames) for a in (moved, turned))
-        (carried,) = self._carried.at(2, system.nodes[:, None], system.costates[:, None], vectors, covectors)
+        (carried,) = self._costate_change.at(2, system.nodes[:, None], system.costates[:, None], vectors, covectors)
         return np.moveaxis(vectors, 1, 0), np.moveaxis(carried, 1, 0)
 
     def _of_controls(self, system: KKTSystem, moves: np.ndarray) -> np.ndarray:
         own, (count, _, columns) = system.sizes, moves.shape
         turns = moves[:, own.state_size :].reshape(count, own.points, own.control_size, columns)
         u = system.array("CONTROLS", count, own.points, 1, own.control_numbers)
-        (found,) = self._turned.at(3, u, np.moveaxis(turns, 3, 2))
+        (found,) = self._control_change.at(3, u, np.moveaxis(turns, 3, 2))
         return np.moveaxis(found, 2, 0).reshape(columns, count * own.points, own.control_numbers)
 
     def _cost_of(self, name: str, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
@@ -201,14 +201,14 @@ class ParametricSensitivity:
         bound = self.nodes.problem.with_parameters(self.nodes.parameter.point(parameters + d[n:]))
         return getattr(bound, name)(vec.add(point, vec.combine(bound.manifold.basis(point), d[:n]))), jnp.zeros(0)
 
-    def _turned_of(self, u: Array, du: Array) -> tuple[Array]:
+    def _control_change_of(self, u: Array, du: Array) -> tuple[Array]:
         point, turn = self.nodes.control.point(u), default_retraction(self.nodes.problem.controls)
         frame = turn.frame(point)
         return (
             jax.jvp(lambda d: self.nodes.control.flat(turn.chart(point, frame, d)), (jnp.zeros_like(du),), (du,))[1],
         )
 
-    def _carried_of(self, *given: Array) -> tuple[Array]:
+    def _costate_change_of(self, *given: Array) -> tuple[Array]:
         manifold, layout = self.nodes.problem.manifold, self.nodes.layout
         q, p, dq, dp = map(layout.point, given)
         return (layout.flat(jax.jvp(manifold.projection, (q, p), (dq, dp))[1]),)

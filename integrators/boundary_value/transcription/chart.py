@@ -86,12 +86,12 @@ class Chart:
         """The points with some coordinates."""
         return _each(self._at, centres, coordinates)[0]
 
-    def pulled(self, centres: np.ndarray, coordinates: np.ndarray, covectors: np.ndarray) -> np.ndarray:
+    def pullback(self, centres: np.ndarray, coordinates: np.ndarray, covectors: np.ndarray) -> np.ndarray:
         """Covectors at the points with some coordinates, ``D R_x(E c)' p``."""
         _, frames, derivatives = _each(self._at, centres, coordinates)
         return np.einsum("...ba,...be,...e->...a", derivatives, frames, covectors)
 
-    def pushed(self, centres: np.ndarray, coordinates: np.ndarray, momenta: np.ndarray) -> np.ndarray:
+    def pushforward(self, centres: np.ndarray, coordinates: np.ndarray, momenta: np.ndarray) -> np.ndarray:
         """The covectors at these points that are ``momenta`` in the chart, shape ``(..., E)``."""
         _, frames, derivatives = _each(self._at, centres, coordinates)
         finite = np.all(np.isfinite(derivatives), axis=(-2, -1), keepdims=True)

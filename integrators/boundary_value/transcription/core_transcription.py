@@ -105,19 +105,19 @@ def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np
 
 def put(to: Trajectory, conditions: DiscretePhase, iterate: Iterate, k: int) -> None:
     """Write the data of a member and the unknowns of its iterate."""
-    to.take(_known(conditions, iterate, k))
+    to.take(_arrays_of_member(conditions, iterate, k))
 
 
 def numbers_of(conditions: DiscretePhase, iterate: Iterate, k: int) -> IterateNumbers:
     """The data of a member and the unknowns of its iterate, in the order of the core."""
     of = transcription_of(conditions)
     found = IterateNumbers(np.zeros(of.iterate_numbers), of.parts)
-    for name, array in _known(conditions, iterate, k).items():
+    for name, array in _arrays_of_member(conditions, iterate, k).items():
         found.array(name)[...] = array.ravel()
     return found
 
 
-def _known(conditions: DiscretePhase, iterate: Iterate, k: int) -> dict[str, np.ndarray]:
+def _arrays_of_member(conditions: DiscretePhase, iterate: Iterate, k: int) -> dict[str, np.ndarray]:
     """The data of a member and the unknowns of its iterate, by the names of the core."""
     data, ends = conditions.data, conditions.ends
     found = {

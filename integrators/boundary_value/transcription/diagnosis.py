@@ -99,12 +99,12 @@ class Diagnosis:
         size = np.maximum(along.sizes.max(axis=1), rounding)
         return Diagnostics(along.hamiltonians, size, nodes.momenta, nodes.violations, brackets)
 
-    def is_curved(self, stages: Stages, parameters: np.ndarray) -> bool:
+    def is_invertible(self, stages: Stages, parameters: np.ndarray) -> bool:
         """Whether ``d2H/du2`` is invertible at the samples of the stages of one trajectory, as for a regular
         problem."""
-        return bool(np.all(self.curved(_samples(stages), parameters)))
+        return bool(np.all(self.invertible(_samples(stages), parameters)))
 
-    def curved(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> np.ndarray:
+    def invertible(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> np.ndarray:
         """Whether ``d2H/du2`` is invertible, shape (B, S), at states, controls and costates of shape (B, S, ...)."""
         slopes, curvatures = self.in_controls(at, parameters)
         shape = curvatures.shape[:2]
@@ -133,12 +133,12 @@ class Diagnosis:
 
     def _part_of(self, k: int, d: Array, *given: Array) -> tuple[Array, Array]:
         """The power ``<p, X>`` or the cost rate at a control moved in its chart."""
-        problem, q, u, p = self._bound(*given)
+        problem, q, u, p = self._problem_at(*given)
         return problem._parts(q, p, problem._steer(u, d))[k], jnp.zeros(0)
 
     def _limit_of(self, d: Array, q: Array, u: Array, pull: Array, parameters: Array) -> tuple[Array, Array]:
         """The inequalities times their multipliers at a control moved in its chart."""
-        problem, point, control, _ = self._bound(q, u, q, parameters)
+        problem, point, control, _ = self._problem_at(q, u, q, parameters)
         return pull @ problem.inequalities(point, problem._steer(control, d)), jnp.zeros(0)
 
     def _at_samples(self, stages: Stages, given: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
@@ -153,14 +153,14 @@ class Diagnosis:
         rounding = ROUNDING * EPS * parts.max(axis=1)
         return rounding, {name: value.max(axis=1) for name, value in zip(self._names, brackets, strict=True)}
 
-    def _bound(
+    def _problem_at(
         self, q: Array, u: Array, p: Array, parameters: Array
     ) -> tuple[OptimalControlProblem, Ambient, Ambient, Ambient]:
         bound = self.problem.with_parameters(self.parameter.point(parameters))
         return bound, self.state.point(q), self.control.point(u), self.state.point(p)
 
     def _at_stage(self, *given: Array) -> tuple[Array, Array, Array]:
-        problem, q, u, p = self._bound(*given)
+        problem, q, u, p = self._problem_at(*given)
         velocity, rate = problem.velocity(q, u), problem.cost_rate(q, u)
         power, speed = vec.pairing(p, velocity), vec.size(velocity)
         normal = vec.size(vec.subtract(velocity, problem.manifold.projection(q, velocity)))
@@ -184,7 +184,7 @@ class Diagnosis:
         return self.state.flat(tangent), violations, *momenta, *covectors
 
     def _terms_of(self, d: Array, *given: Array) -> tuple[Array, ...]:
-        problem, q, u, p = self._bound(*given)
+        problem, q, u, p = self._problem_at(*given)
         (velocity, rate), pull = vec.pullback(lambda x: (problem.velocity(x, u), problem.cost_rate(x, u)), q)
         (force,) = pull((p, -jnp.ones_like(rate)))
         n, frame = problem.manifold.dimension, problem.manifold.basis(q)

@@ -33,7 +33,7 @@ class DiscretePhase:
         data = Data(self.data.steps[members], self.data.parameters[members], asked)
         return DiscretePhase(self.transcription, self.at_nodes, ends, data)
 
-    def reached(self, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
+    def end_nodes(self, iterate: Iterate) -> tuple[np.ndarray, np.ndarray]:
         """The first and the last node of an iterate."""
         begins, finishes = self.transcription.ends(iterate.unknowns, self.data)
         first = np.where(self.ends.start_entries, self.ends.start, begins[:, 0])
@@ -71,7 +71,7 @@ class LinkedPhases:
         none = LinkedIterate(parts, np.zeros((count, sum(coupling.sizes))))
         if not any(np.any(part.costates) for part in parts):
             return none
-        nodes = [phase.reached(part) for phase, part in zip(self.phases, parts, strict=True)]
+        nodes = [phase.end_nodes(part) for phase, part in zip(self.phases, parts, strict=True)]
         given = [phase.data.parameters for phase in self.phases]
         linked = coupling([end for pair in nodes for end in pair], given, none.multipliers)
         frames, asked = [], []
@@ -84,4 +84,4 @@ class LinkedPhases:
                 asked.append(side * at[2][:, 0])
         free, wanted = self.free, np.concatenate(asked, axis=1) - linked.slope
         own = [np.linalg.lstsq(j[:, free].T, a[free])[0] for j, a in zip(linked.jacobian, wanted, strict=True)]
-        return none._replace(multipliers=coupling.lifted(np.stack(own), frames))
+        return none._replace(multipliers=coupling.lift(np.stack(own), frames))

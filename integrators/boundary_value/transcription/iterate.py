@@ -12,7 +12,7 @@ class Data(NamedTuple):
     parameters: np.ndarray  # shape (B, P)
     asked: np.ndarray | None = None  # 1 where an inequality is to hold, else 0, shape (B, N, r, c); None: everywhere
 
-    def held(self, inequalities: int, places: int) -> np.ndarray:
+    def activation(self, inequalities: int, places: int) -> np.ndarray:
         """``asked`` with all its axes, or with length 1 along them."""
         return np.ones((1, 1, places, inequalities)) if self.asked is None else self.asked
 

@@ -130,14 +130,14 @@ class KKTSystem:
         """
         hessian, left, right, sizes = self.hessian, self.left, self.right, self.scale.unknowns
         if self.sizes.limits:
-            hessian, own = self._augmented()
+            hessian, own = self._augment()
             none = np.zeros((*left.shape[:2], len(own)))
             left, right = (np.concatenate([ends, none], axis=2) for ends in (left, right))
             sizes = np.concatenate([sizes, own])
         blocks = hessian, left, right, slope, defect, *self.fixed, sizes, self.scale.nodes, np.ones(len(sizes))
         return solve_blocks(BlockArrays(*map(np.ascontiguousarray, blocks)), self.scale.cost)
 
-    def _augmented(self) -> tuple[np.ndarray, np.ndarray]:
+    def _augment(self) -> tuple[np.ndarray, np.ndarray]:
         """The Hessians with the inequalities, ``(N, z + r, z + r)``, and natural sizes of multipliers, ``(r,)``."""
         z, rows, cost = self.dimension, self.limits[0], self.scale.cost
         names = "LIMIT_WEIGHTS", "LIMIT_MULTIPLIERS", "SLACKS", "EXCESSES", "PENALTIES"

@@ -26,7 +26,7 @@ class Watch:
         """All searches are to end with their iterates."""
         self.stopped = True
 
-    def told(self, k: int, iteration: Any) -> bool:
+    def report(self, k: int, iteration: Any) -> bool:
         """Show an iteration of a member to the callback; whether the search is to end."""
         if self.stopped or self.callback is None:
             return self.stopped
@@ -95,7 +95,7 @@ class MemberSearch:
         self, start: MemberIterate | None = None, width: float = 1.0, firm: float = 1.0, looks: bool = False
     ) -> Search:
         """A search that begins at an iterate, if there is one."""
-        search = Search(self._multiphase, *self._options, width, firm, looks, partial(self.watch.told, self.k))
+        search = Search(self._multiphase, *self._options, width, firm, looks, partial(self.watch.report, self.k))
         if start is not None:
             for j, own in enumerate(start.phases):
                 search.phase(j).set_iterate(own)

@@ -7,10 +7,10 @@ from .discrete_phase import DiscretePhase
 from .iterate import Iterate
 
 
-def rolled_out(conditions: DiscretePhase, guess: Iterate) -> Iterate | None:
+def rollout(conditions: DiscretePhase, guess: Iterate) -> Iterate | None:
     """The guess of one member with the states to which its controls lead from its start; None unless all are finite."""
     transcription, data, controls = conditions.transcription, conditions.data, guess.unknowns.controls
-    start = conditions.reached(guess)[0][0]
+    start = conditions.end_nodes(guess)[0][0]
     held = control_spans(transcription.method, data.steps[0])
     rows = controls[0].reshape(len(held[0]), -1)
     states = conditions.at_nodes.roll_out.states(start, rows, held, data.parameters[0])

@@ -70,14 +70,14 @@ class Transcription:
         other._found, other._default_guess = self._found, self._default_guess
         return other
 
-    def traced(self, parameters: Any) -> TracedFunctions:
+    def trace(self, parameters: Any) -> TracedFunctions:
         """The functions with parameters of this structure."""
         key = structure_of(parameters)
         if key not in self._found:
-            self._found[key] = undisturbed(self._traced)(parameters)
+            self._found[key] = undisturbed(self._trace)(parameters)
         return self._found[key]
 
-    def _traced(self, parameters: Any) -> TracedFunctions:
+    def _trace(self, parameters: Any) -> TracedFunctions:
         """The functions with parameters of this structure, traced anew."""
         example = self.problem.with_parameters(parameters)
         require_values(example)
@@ -94,9 +94,7 @@ class Transcription:
 
     def of(self, inputs: Inputs) -> TracedFunctions:
         """The functions with the parameters of the inputs."""
-        return (
-            self._found[inputs.structure] if inputs.structure in self._found else self.traced(inputs.parameters_of(0))
-        )
+        return self._found[inputs.structure] if inputs.structure in self._found else self.trace(inputs.parameters_of(0))
 
     def _require_data(self, inputs: Inputs) -> None:
         """Raise if the node cost reads an entry for the last node that its data do not have."""

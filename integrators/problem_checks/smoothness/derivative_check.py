@@ -64,7 +64,7 @@ class DifferenceQuotients:
         self._moving[1] &= ~self._moving[0]
         self._given, self._point = parameter_layout(given), parameter_layout(point)
 
-    def missed(self, given: Any, points: Any) -> np.ndarray:
+    def relative_errors(self, given: Any, points: Any) -> np.ndarray:
         """The share of the change of each entry that its derivative misses, by the first argument and by the second.
 
         The shape is ``(2, K, E)`` at K points: the median of several lines near each of them.
@@ -77,7 +77,7 @@ class DifferenceQuotients:
         found = self._along.of_any(4, rows[None], bases[None], ways, spans[None, None, None], flat)
         values, slopes = (np.moveaxis(a.astype(self._along.precision, copy=False), 3, 0) for a in found)
         count = 1 + len(DIFFERENCE_SPANS)
-        return np.median(_missed_share(values[1:count], values[count:], slopes[0]), axis=2)
+        return np.median(_relative_error(values[1:count], values[count:], slopes[0]), axis=2)
 
     @cached_property
     def _along(self) -> PointwiseFunction:
@@ -91,7 +91,7 @@ class DifferenceQuotients:
         return jax.jvp(value, (place[0],), (jnp.ones_like(place[0]),))
 
 
-def _missed_share(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+def _relative_error(below: np.ndarray, above: np.ndarray, slopes: np.ndarray) -> np.ndarray:
     """The share of the change of each function that its derivative misses; 0 where that may be rounding.
 
     ``below`` and ``above``: the values at both sides, for each span along the leading axis.
@@ -140,7 +140,7 @@ class DerivativeCheck:
         def move(point: Any, way: Array) -> Any:
             retractions = default_retraction(problem.manifold), default_retraction(problem.controls)
             (q, u, time), (along, turn) = point, jnp.split(way, [n])
-            return moved_along(retractions[0], q, along), moved_along(retractions[1], u, turn), time
+            return move_along(retractions[0], q, along), move_along(retractions[1], u, turn), time
 
         n, m = (space.dimension for space in spaces)
         self._quotients = DifferenceQuotients(values, move, n, n + m, parameters, point)
@@ -161,7 +161,9 @@ class DerivativeCheck:
 
     def words(self, points: tuple[Ambient, Ambient, np.ndarray], parameters: Any, places: list[str]) -> str:
         """Words on that function at some states, controls and times, which have these names."""
-        for about, wrong in zip(("states", "controls"), self._quotients.missed(parameters, points), strict=True):
+        for about, wrong in zip(
+            ("states", "controls"), self._quotients.relative_errors(parameters, points), strict=True
+        ):
             place, entry = np.unravel_index(np.argmax(wrong), wrong.shape)
             if wrong[place, entry] > 0:
                 bound, first = self.problem.with_parameters(parameters).at_time(0.0), vec.taken(points[0], 0)
@@ -196,12 +198,12 @@ def require_correct_hamiltonian_derivatives(
         q, p = point
         frame = retraction.manifold.basis(q)
         units = jnp.maximum(jnp.abs(vec.components(frame, p)), POINT_DISTANCE)
-        return moved_along(retraction, q, way[:n]), vec.add(p, vec.combine(frame, way[n:] * units))
+        return move_along(retraction, q, way[:n]), vec.add(p, vec.combine(frame, way[n:] * units))
 
     def value(_: None, q: Ambient, p: Ambient) -> Array:
         return real_number("the Hamiltonian", hamiltonian(q, p))[None]
 
-    missed = DifferenceQuotients(value, move, n, 2 * n, None, (q, p)).missed(None, vec.taken((q, p), None))
+    missed = DifferenceQuotients(value, move, n, 2 * n, None, (q, p)).relative_errors(None, vec.taken((q, p), None))
     for about, wrong in zip(("states", "momenta"), missed[:, 0, 0], strict=True):
         if wrong > 0:
             raise InvalidInputError(
@@ -217,7 +219,7 @@ def own_rules(program: ClosedJaxpr) -> list[str]:
     return list(dict.fromkeys(filter(None, rules)))
 
 
-def moved_along(retraction: Retraction, x: Ambient, way: Array) -> Ambient:
+def move_along(retraction: Retraction, x: Ambient, way: Array) -> Ambient:
     """The point in a direction of the chart, in units of the sizes of the coordinates."""
     frame = retraction.manifold.basis(x)
     return retraction(x, vec.combine(frame, way * jnp.maximum(vec.coordinate_sizes(frame, x), POINT_DISTANCE)))

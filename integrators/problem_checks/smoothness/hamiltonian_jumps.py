@@ -10,7 +10,7 @@ import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from ....compute.jit_cache import chunked, compile_function
+from ....compute.jit_cache import call_in_chunks, compile_function
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Retraction
@@ -70,7 +70,7 @@ class Energy(NamedTuple):
     system: Any
     retraction: Retraction
 
-    def passed(self, segments: Segments, apart: bool = False) -> list[PassedJump]:
+    def find_jumps(self, segments: Segments, apart: bool = False) -> list[PassedJump]:
         """The jumps on these segments, in their order, at most one of each.
 
         ``apart``: their ends are farther apart than states of one step, and the trajectory may be elsewhere between
@@ -88,7 +88,7 @@ class Energy(NamedTuple):
         jumps = sorted(search.jumps(found, np.zeros(1)), key=lambda jump: (jump.line, -abs(jump.change)))
         change = np.diff(seen.values[:, :, 0], axis=1)[:, 0]
         jumps = [jump for jump in jumps if not apart or abs(change[jump.line]) > SEEN_BESIDE * abs(jump.change)]
-        passed = {jump.line: jump for jump in reversed(self._felt(segments, jumps))}
+        passed = {jump.line: jump for jump in reversed(self._significant_jumps(segments, jumps))}
         return [PassedJump(k, jump.place, jump.change, jump.point[0], steps) for k, jump in sorted(passed.items())]
 
     def _value(self, _: None, *point: Any) -> Array:
@@ -103,13 +103,13 @@ class Energy(NamedTuple):
             key = "steps of", id(method), id(self.system)
             return reading.once(key, lambda: (search(), method, self.system))[0]
 
-    def _felt(self, segments: Segments, jumps: list[Jump]) -> list[Jump]:
+    def _significant_jumps(self, segments: Segments, jumps: list[Jump]) -> list[Jump]:
         """The jumps that are no rounding of the terms of the Hamiltonian, and of which the trajectory feels."""
         if not jumps:
             return []
         places = np.array([[jump.place - jump.distance, jump.place + jump.distance] for jump in jumps])
         own = vec.taken(segments, [jump.line for jump in jumps])
-        sizes, by_clocks = chunked(partial(_terms, *self), own, places)
+        sizes, by_clocks = call_in_chunks(partial(_terms, *self), own, places)
         changes = np.array([jump.change for jump in jumps])
         # A time that is a coordinate: only its own momentum jumps, and nothing depends on that.
         in_time = np.abs(by_clocks - changes) < CLOCK_SHARE * np.abs(changes)
@@ -144,13 +144,13 @@ def _terms(
         (*z, u), (later, *_) = (_along(retraction, segment, s) for s in places)
         value, slopes = jax.value_and_grad(lambda z: function(system, *z, u))(z)
         parts = jax.tree.map(lambda a, b: jnp.sum(jnp.abs(a * b)), z, slopes)
-        timed = function(system, _clocked(partial(function, system), z, later, u), z[1], u)
+        timed = function(system, _advance_clocks(partial(function, system), z, later, u), z[1], u)
         return jnp.abs(value) + sum(jax.tree.leaves(parts)), timed - value
 
     return jax.vmap(one)(segments, places)
 
 
-def _clocked(hamiltonian: Callable[..., Array], state: Any, later: Ambient, control: Any) -> Ambient:
+def _advance_clocks(hamiltonian: Callable[..., Array], state: Any, later: Ambient, control: Any) -> Ambient:
     """The point of a state, with the later values of the clocks."""
     (q, back), (after, _) = (ravel_pytree(point) for point in (state[0], later))
     if jnp.iscomplexobj(q):

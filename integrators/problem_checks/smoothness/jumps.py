@@ -188,11 +188,11 @@ class JumpSearch:
         """The point at a place of a line, the function there and its margins with their slopes along the line."""
         own, line = self._given.point(given), self._row.point(row)
 
-        def looked(s: Array) -> tuple[Any, ...]:
+        def sample(s: Array) -> tuple[Any, ...]:
             point = self._line(line, s)
             return *with_margins(lambda *point: self._function(own, *point), *point), self._point.flat(point)
 
-        (values, margins, point), (_, slopes, _) = jax.jvp(looked, (place[0],), (jnp.ones_like(place[0]),))
+        (values, margins, point), (_, slopes, _) = jax.jvp(sample, (place[0],), (jnp.ones_like(place[0]),))
         return point, values, *margins, slopes.values
 
 

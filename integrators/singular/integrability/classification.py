@@ -20,7 +20,7 @@ from ....manifolds import (
 )
 from ....manifolds.numerics.ambient import Ambient
 from ...problem.optimal_control_problem import OptimalControlProblem, is_same_problem
-from ...reporting.text import Line, counted, table
+from ...reporting.text import Line, plural, table
 from .. import wording
 from ..integrability_result import IntegrabilityResult
 from .algorithm_stages import Level
@@ -206,7 +206,7 @@ class Classification(IntegrabilityResult[Stratum]):
     @cached_property
     def _control(self) -> Callable[..., Ambient]:
         feedback = self.stratum.feedback
-        return jax.jit(lambda z, gauge: feedback.determined(z, gauge))
+        return jax.jit(lambda z, gauge: feedback.determined_control(z, gauge))
 
     @property
     def dynamics(self) -> Immersion:
@@ -242,7 +242,7 @@ def _problem(c: Classification) -> Iterator[Line]:
 def _morse(c: Classification) -> Iterator[Line]:
     if c.morse is None:
         return
-    where = f"{counted(c.morse.count, 'point')} with dH/du = 0"
+    where = f"{plural(c.morse.count, 'point')} with dH/du = 0"
     values = f"smallest singular values {_values(c.morse.family_singular_values)} at {where}"
     yield "H", f"{wording.family_words(c.morse.family)} ({values})"
     kind = "regular" if c.morse.regular else "singular"
@@ -258,7 +258,7 @@ def _level(level: Level) -> str:
     if level.empty:
         return f"no consistent point from {level.tried} starts, smallest residual {level.residual:.1e} (relative)"
     strata = "; ".join(
-        wording.level_words(*signature) + (f" ({counted(count, 'point')})" if len(level.strata) > 1 else "")
+        wording.level_words(*signature) + (f" ({plural(count, 'point')})" if len(level.strata) > 1 else "")
         for signature, count in level.strata.items()
     )
     return f"{strata} [{level.consistent} of {level.tried} points, {_gap(level.gap)}{_irregular(level)}]"
@@ -305,7 +305,7 @@ def _final(c: Classification) -> Iterator[Line]:
 def _stratum(c: Classification, s: Stratum) -> Iterator[Line]:
     total, codimension = 2 * c.problem.manifold.dimension, s.codimension
     kernel = total - codimension - s.rank
-    seen = f", {counted(s.count, 'point')}" if c.stratified else ""
+    seen = f", {plural(s.count, 'point')}" if c.stratified else ""
     if not c.reliable:
         yield (
             "NOT RELIABLE",

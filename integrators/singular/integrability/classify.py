@@ -162,7 +162,7 @@ def _jump(problem: OptimalControlProblem, first: Points, strata: tuple[Stratum, 
     before, after = (vec.taken(z, k) for k in (i, j))
     controls = jax.tree.map(lambda a: np.broadcast_to(a, (len(i), *np.shape(a))), u)
     energy = Energy(OptimalControlProblem.hamiltonian, problem, default_retraction(problem.manifold))
-    jumps = energy.passed(Segments(before, after, controls))
+    jumps = energy.find_jumps(Segments(before, after, controls))
     return jumps[0].fact("between points that were looked at, near") if jumps else ""
 
 
@@ -222,7 +222,7 @@ def _through(
         level = len(levels)
         if level > points.array.order:
             points = _lengthen(points, first, levels)
-        points = _known(make_consistent(points, level, unit_costate))
+        points = _mark_unclear(make_consistent(points, level, unit_costate))
         if level == 0 and points.consistent.any():
             morse = _morse(points)
         points = _without_crossings(points, unit_costate)
@@ -258,7 +258,7 @@ def _signatures(history: list[PointRanks]) -> tuple[Signature, ...]:
     return tuple(ranks.signature for ranks in history)
 
 
-def _known(points: Points) -> Points:
+def _mark_unclear(points: Points) -> Points:
     """The points, with a mark on points at which a rank is not clear or depends on numbers below rounding."""
     histories, rounded = _histories(points), _histories(points.rounded)
     decided = [all(ranks.decided for ranks in history) for history in histories]
@@ -283,7 +283,7 @@ def _without_crossings(points: Points, unit_costate: bool) -> Points:
     own = dict(zip(reliable, map(_signatures, _histories(select(points, reliable))), strict=True))
     if len(set(own.values())) < 2:
         return points
-    beside, crossing = _known(points_beside(points, points.level, unit_costate)), points.slow.copy()
+    beside, crossing = _mark_unclear(points_beside(points, points.level, unit_costate)), points.slow.copy()
     crossing[reliable] |= (beside.slow & beside.consistent)[reliable]
     compared = reliable[beside.regular[reliable]]
     for i, history in zip(compared, _histories(select(beside, compared)), strict=True):

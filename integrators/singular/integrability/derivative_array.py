@@ -64,7 +64,7 @@ class DerivativeArray(eqx.Module):
         try:
             return _taylor(field, slope, flat, u)
         except UNSUITED:
-            return jnp.stack(_nested(field, slope, self.order)(flat, u))
+            return jnp.stack(_nest_derivatives(field, slope, self.order)(flat, u))
 
 
 def _taylor(field: Callable[..., Flat], slope: Callable[..., Array], w: Flat, u: Jet) -> Jet:
@@ -80,13 +80,13 @@ def _taylor(field: Callable[..., Flat], slope: Callable[..., Array], w: Flat, u:
     return jnp.stack([first, *rest])
 
 
-def _nested(
+def _nest_derivatives(
     field: Callable[..., Flat], slope: Callable[..., Array], order: int
 ) -> Callable[[Flat, Jet], tuple[Array, ...]]:
     """The function of ``_taylor`` by ``order`` nested directional derivatives; each returns all lower derivatives."""
     if order == 0:
         return lambda w, u: (slope(w, u[0]),)
-    lower = _nested(field, slope, order - 1)
+    lower = _nest_derivatives(field, slope, order - 1)
 
     def array(w: Flat, u: Jet) -> tuple[Array, ...]:
         along = field(w, u[0]), jnp.concatenate([u[1:], jnp.zeros_like(u[:1])])

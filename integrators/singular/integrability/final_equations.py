@@ -74,7 +74,7 @@ class FinalEquations(eqx.Module):
         )
         return jet.at[unknown].set(jnp.where(found, root, jnp.nan))
 
-    def determined(self, z: Pair, gauge: ArrayLike | None = None) -> Ambient:
+    def determined_control(self, z: Pair, gauge: ArrayLike | None = None) -> Ambient:
         """The control where the solved rows determine it; elsewhere its entries are NaN.
 
         On another piece of ``P_f`` these rows may be singular: then they hold for any control.

@@ -122,7 +122,7 @@ class Points:
             without_small(by_jet, least[..., None] / self.units.jet[:, None, None], change),
         )
 
-    def known(self) -> np.ndarray:
+    def exceeds_rounding(self) -> np.ndarray:
         """Whether each derivative along the state exceeds rounding, ``(batch, order + 1, m, 2n)``."""
         return significance(self.slopes[0]) > COUNTED
 
@@ -191,7 +191,10 @@ def evaluate(array: DerivativeArray, z: Pair, centers: Ambient, jets: np.ndarray
     points = Points(
         array, centers, at, tiny_steps(array, centers, at, units_at(at, sizes)), sizes, -1, no, no, no, no, stiff
     )
-    slopes, known = significance(points.slopes[1].reshape(count, 1 + TINY_STEPS, *unknown.shape, -1)), points.known()
+    slopes, known = (
+        significance(points.slopes[1].reshape(count, 1 + TINY_STEPS, *unknown.shape, -1)),
+        points.exceeds_rounding(),
+    )
     rounding = ~((slopes > COUNTED).any(axis=-1) | known.any(axis=-1))
     return replace(points, sizes=sizes_at_starts(at, lengths, 2 * rounding.sum(axis=0) > count))
 

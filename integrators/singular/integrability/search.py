@@ -69,7 +69,7 @@ def _move(points: Points, search: "_Search", which: np.ndarray, descents: int) -
         residual = np.where(better, own, residual)
         going = going & (better | (residual > CONVERGED_VALUE))
         damping = SHORTENING.after(damping, better)
-    return search.ended(at, slow >= SLOW_STEPS)
+    return search.end_points(at, slow >= SLOW_STEPS)
 
 
 def _where(which: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -99,7 +99,7 @@ class _Search(NamedTuple):
         units = units_at(at, self.points.sizes)
         return replace(units, rows=np.maximum(units.rows, self.points.sizes.rows)) if self.coarse else units
 
-    def ended(self, at: Linearisation, slow: np.ndarray) -> Points:
+    def end_points(self, at: Linearisation, slow: np.ndarray) -> Points:
         """The points where the search ended."""
         points, units = self.points, units_at(at, self.points.sizes)
         steps = np.linalg.norm(self.directions(at, False) / units.both, axis=1)

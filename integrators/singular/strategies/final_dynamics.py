@@ -110,7 +110,7 @@ class FinalDynamics(eqx.Module):
             x, _, pi = begun.unknowns(c[:size])
             jet = self._jet(middle, (x, pi), c[size:])
             u = self._steer(jet)
-            return StepEquations(stage(u), begun.chart), self._determined((x, pi), jet, c[size:]), u
+            return StepEquations(stage(u), begun.chart), self._control_equations((x, pi), jet, c[size:]), u
 
         def residual(c: Array) -> Array:
             moving, determined, _ = equations(c)
@@ -141,7 +141,7 @@ class FinalDynamics(eqx.Module):
         free = unknowns[count : count + len(pivots.free)] if self.gauge is None else jnp.ravel(self.gauge(t, *z))
         return jet.at[jnp.asarray(pivots.free)].set(free)
 
-    def _determined(self, z: Pair, jet: Array, unknowns: Array) -> Array:
+    def _control_equations(self, z: Pair, jet: Array, unknowns: Array) -> Array:
         """The equations solved for the control, with the conditions of least norm, whose multipliers are the last
         unknowns."""
         pivots, solved = self.equations.pivots, jnp.asarray(self.equations.pivots.solved, int)

@@ -15,7 +15,7 @@ from ....manifolds.numerics.tolerances import tolerance
 from ....retractions import CotangentLift
 from ...initial_value.step import StepResult
 from ...problem.optimal_control_problem import OptimalControlProblem
-from ...reporting.text import counted
+from ...reporting.text import plural
 from ..integrability import Classification
 from ..integrability.derivative_array import hamiltonian_field
 from .final_dynamics import DynamicsIntegrator, FinalDynamics, Memory, Pair
@@ -61,12 +61,12 @@ class DirectIntegrator(DynamicsIntegrator):
             )
         if not np.any(composed):
             raise NotApplicableError(
-                f"no step with its stage in S_f was solved from any of {counted(count, 'point')} of P_f, whatever its "
+                f"no step with its stage in S_f was solved from any of {plural(count, 'point')} of P_f, whatever its "
                 f"length (down to {np.min(trials.length):.0e})"
             )
         gap, solved = np.max(trials.departure[composed]), int(np.sum(composed))
         rest = (
-            "" if solved == count else f"; from {count - solved} of {counted(count, 'point')} tried no step was solved"
+            "" if solved == count else f"; from {count - solved} of {plural(count, 'point')} tried no step was solved"
         )
         return found, f"steps with stages in S_f stay on P_f (equations to {gap:.0e}{rest}), so they compose"
 

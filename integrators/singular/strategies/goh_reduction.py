@@ -144,9 +144,9 @@ class GohReduction(eqx.Module):
         return merge_controls(v, rate - self.inverse @ drift, self.singular)
 
     def _drift(self, q: Ambient, v: Float[Array, " r"]) -> Ambient:
-        return self.problem.velocity(q, self._unforced(v))
+        return self.problem.velocity(q, self._resting_controls(v))
 
-    def _unforced(self, v: Float[Array, " r"]) -> Float[Array, " r+m"]:
+    def _resting_controls(self, v: Float[Array, " r"]) -> Float[Array, " r+m"]:
         return merge_controls(v, jnp.zeros(len(self.singular)), self.singular)
 
     def _velocity(self, q_r: Ambient, c: Float[Array, " r+m"]) -> Ambient:
@@ -157,7 +157,7 @@ class GohReduction(eqx.Module):
     def _cost(self, q_r: Ambient, c: Float[Array, " r+m"]) -> Array:
         v, s = self.parts(c)
         q = self.point(q_r, s)
-        cost = self.problem.cost_rate(q, self._unforced(v))
+        cost = self.problem.cost_rate(q, self._resting_controls(v))
         return cost - jax.jvp(self.potential, (q,), (self._drift(q, v),))[1] if self.costly else cost
 
     def parts(self, c: Float[Array, " r+m"]) -> tuple[Float[Array, " r"], Float[Array, " m"]]:

@@ -47,11 +47,11 @@ class ProjectedIntegrator(DynamicsIntegrator):
         z = new.q, new.p
         normals = final.normals(z)
 
-        def moved(c: Array) -> tuple[Ambient, Ambient]:
+        def move(c: Array) -> tuple[Ambient, Ambient]:
             return final.parent.restore(vec.add(z, vec.combine(normals, c)))
 
-        root, found = find_root(lambda c: final.equations(moved(c)), jnp.zeros(jax.tree.leaves(normals)[0].shape[0]))
-        q1, p1 = moved(root)
+        root, found = find_root(lambda c: final.equations(move(c)), jnp.zeros(jax.tree.leaves(normals)[0].shape[0]))
+        q1, p1 = move(root)
         return new._replace(q=q1, p=p1, converged=new.converged & found)
 
     def control(self, unknowns: Memory) -> Ambient:

@@ -22,7 +22,7 @@ from ...problem.initial_controls import resting_control
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.pontryagin import extremal_control
 from ...problem_checks.requirements import require_same_manifold
-from ...reporting.text import counted
+from ...reporting.text import plural
 from ...stages import ControlStage
 from ...stages.stage import positive
 from ..integrability import Classification
@@ -79,7 +79,7 @@ class RattleIntegrator(SingularIntegrator):
         facts = _finite(
             [_facts(split, z, stratum.u) for z in states], f"brackets of the constraints of the controls {singular}"
         )
-        obstacles = [fact.obstacle(singular) or fact.missed() for fact in facts]
+        obstacles = [fact.obstacle(singular) or fact.describe_violation() for fact in facts]
         # Of constant rank on the piece, so not to be refused for a point at which the arc ends.
         obstacles += [fact.degenerate() for fact in facts] if all(fact.degenerate() for fact in facts) else []
         if any(obstacles):
@@ -93,8 +93,8 @@ class RattleIntegrator(SingularIntegrator):
         check_splitting(system, self.singular)
         require_same_manifold(system, self.lift.discretization)
         facts = _facts(ControlAffineSplitting(system, self.singular), (q, p), resting_control(system.controls))
-        if facts.missed():
-            raise NotOnManifoldError(f"start is not on the constraint manifold: {facts.missed()}")
+        if facts.describe_violation():
+            raise NotOnManifoldError(f"start is not on the constraint manifold: {facts.describe_violation()}")
         obstacle = facts.obstacle(self.singular) or facts.degenerate()
         if obstacle:
             raise InvalidInputError(obstacle)
@@ -181,7 +181,7 @@ class _Facts(NamedTuple):
     among: Brackets
     across: Brackets
 
-    def missed(self) -> str:
+    def describe_violation(self) -> str:
         """The first constraint that does not vanish, in words; empty if all do."""
         rounding = default_tolerance()
         for name, values, sizes in zip(("phi = dH/du", "psi = {phi, H_0}"), self.constraints, self.sizes, strict=True):
@@ -218,7 +218,7 @@ def _finite(found: list[Any], what: str) -> list[Any]:
     """The values at points where all is finite. Raises ``NotApplicableError`` if there are none."""
     finite = [one for one in found if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(one))]
     if not finite:
-        raise NotApplicableError(f"the {what} are finite at none of {counted(len(found), 'point')} of P_f")
+        raise NotApplicableError(f"the {what} are finite at none of {plural(len(found), 'point')} of P_f")
     return finite
 
 

@@ -47,9 +47,9 @@ class Field:
         numerator, denominator = sympy.fraction(sympy.cancel(sympy.together(expression.xreplace(self.inside))))
         if not self.relations:
             return numerator, denominator
-        return sympy.fraction(sympy.cancel(self._reduced(numerator) / self._reduced(denominator)))
+        return sympy.fraction(sympy.cancel(self._reduce(numerator) / self._reduce(denominator)))
 
-    def _reduced(self, polynomial: Expression) -> Expression:
+    def _reduce(self, polynomial: Expression) -> Expression:
         for generator, relation in self.relations:
             polynomial = sympy.rem(sympy.expand(polynomial), relation, generator)
         return sympy.expand(polynomial)

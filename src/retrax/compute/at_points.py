@@ -14,7 +14,7 @@ from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.numerics.precision import default_tolerance
 from ..tracing import one_tracing
 from ..undisturbed import undisturbed
-from .jit_cache import call_compiled
+from .jit_cache import compile_and_call
 
 if TYPE_CHECKING:
     from ..tape import Tape
@@ -59,7 +59,7 @@ def _evaluate_tape(tape: "Tape | None", function: Callable[..., Any], points: An
     count = len(jax.tree.leaves(points)[0])
     if tape is None:
         of = _evaluate_alone if count == 1 else _evaluate_each
-        return jax.tree.map(np.asarray, call_compiled(of, function, points, arguments)[0])
+        return jax.tree.map(np.asarray, compile_and_call(of, function, points, arguments)[0])
     fixed = jax.tree.map(lambda leaf: np.repeat(np.asarray(leaf)[..., None], count, axis=-1), arguments)
     values = tape(jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -1), points), *fixed)
     return jax.tree.map(lambda leaf: np.moveaxis(leaf, -1, 0), values)

@@ -13,7 +13,7 @@ from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
 from ..tracing import trace_program
 from .base import Arrays, Evaluator, Function, PointwiseFunction
-from .jit_cache import chunked, of_rows
+from .jit_cache import call_in_chunks, of_rows
 from .tape_evaluator import ALL_TRACED, MOST_OPERATIONS, LargeTapeError, TapeEvaluator
 
 
@@ -34,7 +34,7 @@ class XlaEvaluator(Evaluator):
         """Why XLA compiles the functions."""
         return self._reason
 
-    def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
+    def _make(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
         def at_point(*arguments: Any) -> Any:
             if first is None:
                 return function(*arguments)
@@ -66,7 +66,7 @@ class _XlaFunction(PointwiseFunction):
 
     def of_any(self, axes: int, *arguments: np.ndarray) -> Arrays:
         leading, filled = _fill(axes, arguments)  # one program serves all numbers of them
-        return tuple(v.reshape(*leading, *v.shape[1:]) for v in chunked(self._rows, *filled))
+        return tuple(v.reshape(*leading, *v.shape[1:]) for v in call_in_chunks(self._rows, *filled))
 
     def _rows(self, *filled: np.ndarray) -> Arrays:
         """The values at points in rows."""
@@ -98,14 +98,14 @@ class AutomaticEvaluator(Evaluator):
         """Why not all functions run as tapes, or that they do."""
         return self._refusals[0] if self._refusals else ALL_TRACED
 
-    def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
+    def _make(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
         from ..tape import NotTraceableError
 
         try:
-            return self._tape._made(function, sizes, first)
+            return self._tape._make(function, sizes, first)
         except (NotTraceableError, LargeTapeError) as error:
             self._refusals.append(str(error))
-        return XlaEvaluator(self._refusals[-1])._made(function, sizes, first)
+        return XlaEvaluator(self._refusals[-1])._make(function, sizes, first)
 
 
 def choose_evaluator(evaluator: str | Evaluator) -> Evaluator:

@@ -49,7 +49,7 @@ class Evaluator(ABC):
     def values(self, function: Function, *sizes: int) -> PointwiseFunction:
         """The values of a function, a tuple of arrays."""
         with report_compile_time():
-            return self._made(function, sizes, first=None)
+            return self._make(function, sizes, first=None)
 
     def derivatives(self, function: Function, *sizes: int) -> PointwiseFunction:
         """``(hessian, gradient, *jacobians, *vectors, *others)`` at ``d = 0`` of ``function(d, ...)``.
@@ -58,8 +58,8 @@ class Evaluator(ABC):
         of all arguments; ``d`` is left out of the arguments of what is returned.
         """
         with report_compile_time():
-            return self._made(function, sizes[1:], first=sizes[0])
+            return self._make(function, sizes[1:], first=sizes[0])
 
     @abstractmethod
-    def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
+    def _make(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
         """The function of many points; with derivatives by an argument of the size ``first``, if there is one."""

@@ -26,7 +26,7 @@ class ClosureGuard:
         self._changed = False
 
     @contextmanager
-    def required(self, *given: Any) -> Iterator[None]:
+    def guard(self, *given: Any) -> Iterator[None]:
         """A time in which functions may be traced; raises ``InvalidInputError`` if a traced function has changed.
 
         After a change it raises ever after, because the holder keeps both traces.

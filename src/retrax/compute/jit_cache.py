@@ -36,7 +36,7 @@ class _Program(NamedTuple):
     fixed: Any
 
 
-def call_compiled(function: Callable[..., R], *arguments: Any) -> tuple[R, float, float]:
+def compile_and_call(function: Callable[..., R], *arguments: Any) -> tuple[R, float, float]:
     """Value of ``function(*arguments)``; seconds to trace and compile it, and to run it.
 
     Arrays in the arguments are data, all other leaves are part of the function. Programs that differ in their constants
@@ -46,7 +46,7 @@ def call_compiled(function: Callable[..., R], *arguments: Any) -> tuple[R, float
     return _call(compiler_options(), function, *arguments)
 
 
-def call_optimized(function: Callable[..., R], *arguments: Any) -> tuple[R, float, float]:
+def optimize_and_call(function: Callable[..., R], *arguments: Any) -> tuple[R, float, float]:
     """The results of ``call_compiled`` for a function that runs long or often.
 
     The function takes half as long as by ``call_compiled``, and two to three times as long to compile.
@@ -74,12 +74,12 @@ def compile_function(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def call(*arguments: P.args, **options: P.kwargs) -> R:
-        return call_compiled(function, *arguments, **options)[0]
+        return compile_and_call(function, *arguments, **options)[0]
 
     return call
 
 
-def chunked(function: Callable[..., Any], *rows: Any, size: int = CHUNK) -> Any:
+def call_in_chunks(function: Callable[..., Any], *rows: Any, size: int = CHUNK) -> Any:
     """The values of a compiled function at each row; one program serves any number of rows.
 
     The function is called with ``size`` rows at once, the last of them repeated.

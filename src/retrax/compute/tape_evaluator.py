@@ -14,7 +14,7 @@ from .base import Arrays, Evaluator, Function, PointwiseFunction
 from .binding.tape_machine import TapeCall
 from .program_digest import content_key
 from .threads import worth_threads
-from .working_memory import LINE, aligned
+from .working_memory import LINE, aligned_array
 
 if TYPE_CHECKING:
     from ..tape import Tape
@@ -59,7 +59,7 @@ class TapeEvaluator(Evaluator):
         """The reason: all functions are tapes."""
         return ALL_TRACED
 
-    def _made(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
+    def _make(self, function: Function, sizes: Sequence[int], first: int | None) -> PointwiseFunction:
         d = [] if first is None else [np.zeros(first)]
         return _TapeFunction(_tape(function, [*d, *(np.zeros(size) for size in sizes)], first is not None, self._most))
 
@@ -105,7 +105,7 @@ class _Plan:
         filled = [shape if one else (*leading, *shape[axes:]) for one, shape in zip(shared, given, strict=True)]
         sources = _rows((size, 1 if one else count) for one, size in zip(shared, sizes, strict=True))
         targets = _rows((math.prod(shape), count) for shape in found)
-        return cls(count, _cut(filled), sources, targets, _cut([(*leading, *shape) for shape in found]))
+        return cls(count, _slices(filled), sources, targets, _slices([(*leading, *shape) for shape in found]))
 
     @property
     def numbers(self) -> tuple[int, int]:
@@ -113,7 +113,7 @@ class _Plan:
         return self.read[-1][1] if self.read else 0, self.written[-1][1] if self.written else 0
 
 
-def _cut(shapes: Iterable[tuple[int, ...]]) -> list[tuple[int, int, tuple[int, ...]]]:
+def _slices(shapes: Iterable[tuple[int, ...]]) -> list[tuple[int, int, tuple[int, ...]]]:
     """Begins and ends of arrays of these shapes, one after the other, and the shapes."""
     shapes = list(shapes)
     ends = itertools.accumulate((math.prod(shape) for shape in shapes), initial=0)
@@ -145,7 +145,7 @@ class _TapeFunction(PointwiseFunction):
 
     def at(self, axes: int, *arguments: np.ndarray) -> Arrays:
         key = axes, *map(SHAPE, arguments)
-        plan, small = self._plans.get(key) or self._planned(key)
+        plan, small = self._plans.get(key) or self._plan(key)
         if small is not None:
             return small.at(arguments)
         read, written = map(np.empty, plan.numbers)
@@ -154,7 +154,7 @@ class _TapeFunction(PointwiseFunction):
         self.tape.run(plan.count, (read, plan.sources, written, plan.targets))
         return tuple(_parts(written, plan.written))
 
-    def _planned(self, key: tuple[Any, ...]) -> "tuple[_Plan, _SmallTape | None]":
+    def _plan(self, key: tuple[Any, ...]) -> "tuple[_Plan, _SmallTape | None]":
         """The plan for arrays of some shapes; a few plans are kept."""
         axes, *shapes = key
         plan = _Plan.of(axes, shapes, self.tape.shapes)
@@ -169,7 +169,7 @@ class _Memory:
     """Memory in which one tape after the other runs."""
 
     def __init__(self) -> None:
-        self.numbers = aligned(SHARED_MEMORY)
+        self.numbers = aligned_array(SHARED_MEMORY)
 
 
 _rooms: list[_Memory] = []  # those that no tape runs in

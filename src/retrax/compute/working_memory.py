@@ -12,12 +12,12 @@ KEPT_SCRATCH = 2**19  # numbers of a thread: larger arrays are made anew, which 
 Shapes = tuple[tuple[int, ...], ...]
 
 
-def aligned(*shape: int) -> np.ndarray:
+def aligned_array(*shape: int) -> np.ndarray:
     """An array of numbers that are not set."""
-    return aligned_all([shape])[0]
+    return aligned_arrays([shape])[0]
 
 
-def aligned_all(shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
+def aligned_arrays(shapes: Sequence[tuple[int, ...]]) -> list[np.ndarray]:
     """Arrays of these shapes, of numbers that are not set, in one piece of memory."""
     sizes = [math.prod(shape) for shape in shapes]
     room = np.empty(sum(sizes) + LINE * len(sizes))
@@ -45,7 +45,7 @@ def scratch(shapes: Shapes) -> list[np.ndarray]:
     found = _scratch.known.get(shapes)
     if found is not None:
         return found
-    found, size = aligned_all(shapes), sum(map(math.prod, shapes))
+    found, size = aligned_arrays(shapes), sum(map(math.prod, shapes))
     if size <= KEPT_SCRATCH:
         if _scratch.size + size > KEPT_SCRATCH:
             _scratch.known, _scratch.size = {}, 0

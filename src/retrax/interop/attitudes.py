@@ -55,7 +55,7 @@ def to_quaternions(matrices: Any, scalar: Scalar) -> np.ndarray:
     found[:1] *= np.where(found[:1, 3:] < 0, -1.0, 1.0)
     turns = np.where(np.sum(found[1:] * found[:-1], axis=1) < 0, -1.0, 1.0)
     found[1:] *= np.cumprod(turns)[:, None]
-    return _moved(found, scalar).reshape(*given.shape[:-2], 4)
+    return _reorder_scalar(found, scalar).reshape(*given.shape[:-2], 4)
 
 
 def from_quaternions(quaternions: Any, scalar: Scalar) -> np.ndarray:
@@ -117,7 +117,7 @@ def to_rotation_spline(record: Any, array: int | None = None, problem: About = N
     return RotationSpline(found.times, Rotation.from_matrix(rotations(found, array)))
 
 
-def _sampled(record: Any, found: View, at: Any) -> View:
+def _sample(record: Any, found: View, at: Any) -> View:
     """The arrays at the nodes, or at times."""
     if isinstance(at, str) and at == "nodes":
         return found
@@ -210,7 +210,7 @@ def to_aem(
     ----------
     CCSDS 504.0-B-2, Attitude Data Messages, 2024.
     """
-    found = _sampled(record, view(record, problem), at)
+    found = _sample(record, view(record, problem), at)
     quaternions = to_quaternions(rotations(found, array), "last")
     words = {"OBJECT_NAME": object_name, "OBJECT_ID": object_id, "REF_FRAME_A": reference, "REF_FRAME_B": body}
     words["TIME_SYSTEM"] = time_system
@@ -304,7 +304,7 @@ def _read_stamp(text: str) -> datetime:
     return datetime.strptime(f"{day}T{whole}.{fraction[:6] or '0'}", f"{shape}T%H:%M:%S.%f")
 
 
-def _moved(rows: np.ndarray, scalar: Scalar) -> np.ndarray:
+def _reorder_scalar(rows: np.ndarray, scalar: Scalar) -> np.ndarray:
     return np.roll(rows, 1, axis=1) if scalar == "first" else rows
 
 

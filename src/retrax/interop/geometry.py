@@ -130,7 +130,7 @@ class Geometry(eqx.Module):
         x, y, v : points, tangent vector
             Two points, and a tangent vector at ``x``.
         """
-        return self._known(self.project(y, self.conventions.elsewhere(x, y, v)), x, y)
+        return self._nan_unless_on_manifold(self.project(y, self.conventions.elsewhere(x, y, v)), x, y)
 
     def embed(self, x: Theirs, v: Theirs) -> Theirs:
         """The vector of the space around the points with the coordinates of a tangent vector.
@@ -212,7 +212,7 @@ class Geometry(eqx.Module):
             Two points.
         """
         value = distance(self.metric, self.exponential, self.conventions.point(x), self.conventions.point(y))
-        return self._known(value, x, y)
+        return self._nan_unless_on_manifold(value, x, y)
 
     def middle(self, x: Theirs, y: Theirs) -> Theirs:
         """The point midway on the geodesic between two points.
@@ -239,10 +239,10 @@ class Geometry(eqx.Module):
         way = self.log(x, y)
         middle = jax.lax.stop_gradient(self.exp(x, vec.scale(0.5, way)))
 
-        def reflected(z: Theirs) -> Theirs:
+        def reflect(z: Theirs) -> Theirs:
             return self.exp(middle, vec.scale(-1.0, self.log(middle, z)))
 
-        moved = self.tangential(y, vec.scale(-1.0, jax.jvp(reflected, (x,), (self.embed(x, v),))[1]))
+        moved = self.tangential(y, vec.scale(-1.0, jax.jvp(reflect, (x,), (self.embed(x, v),))[1]))
         return nan_unless(vec.size(way) >= 0, moved)
 
     def gradient(self, x: Theirs, g: Theirs) -> Theirs:
@@ -287,9 +287,9 @@ class Geometry(eqx.Module):
 
     def _between(self, retraction: Retraction, x: Theirs, y: Theirs) -> Theirs:
         w = trusted_inverse(retraction, self.conventions.point(x), self.conventions.point(y))
-        return self._known(self.conventions.coordinates(x, w), x, y)
+        return self._nan_unless_on_manifold(self.conventions.coordinates(x, w), x, y)
 
-    def _known(self, value: Theirs, *points: Theirs) -> Theirs:
+    def _nan_unless_on_manifold(self, value: Theirs, *points: Theirs) -> Theirs:
         """A value, replaced by NaN if the points are not on the manifold."""
         worst = jnp.max(jnp.stack([self.violation(x) for x in points]))
         return nan_unless(worst <= default_tolerance(), value)

@@ -23,12 +23,12 @@ import numpy as np
 
 def import_peer(name: str) -> ModuleType:
     """The module ``name`` of pymanopt or geomstats, or one of ours that imports them, with all global settings kept."""
-    with settings_kept():
+    with keep_settings():
         return importlib.import_module(name, __package__)
 
 
 @contextmanager
-def settings_kept() -> Iterator[None]:
+def keep_settings() -> Iterator[None]:
     """Put the global settings of Python, NumPy and JAX back to what they were."""
     before, finders, environment = dict(jax.config.values), list(sys.meta_path), dict(os.environ)
     level, handlers = logging.root.level, list(logging.root.handlers)
@@ -51,7 +51,7 @@ def settings_kept() -> Iterator[None]:
 
 
 @contextmanager
-def seeded(seed: int) -> Iterator[None]:
+def seed_numpy(seed: int) -> Iterator[None]:
     """NumPy's global random state set to a seed, and put back afterwards: both libraries draw from it."""
     before = np.random.get_state()  # noqa: NPY002
     np.random.seed(seed)  # noqa: NPY002

@@ -13,7 +13,7 @@ from ..integrators.problem.quantities import Quantity, with_unit
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 from ..named_columns import About, View, raw_columns, view
-from ..optional import needed
+from ..optional import require_package
 
 
 def to_xarray(record: Any, problem: About = None) -> Any:
@@ -45,9 +45,9 @@ def to_xarray(record: Any, problem: About = None) -> Any:
     then ``node`` or ``stage``, with times for each member. Axes of an array are ``NAME_0``, ``NAME_1``; named entries
     are coordinates. A variable has the attribute ``units`` if all its entries have one unit.
     """
-    xarray = needed("xarray", "to_xarray")
+    xarray = require_package("xarray", "to_xarray")
     if isinstance(record, Solutions):
-        datasets = [_indexed(xarray, member, problem, k) for k, member in enumerate(record)]
+        datasets = [_index(xarray, member, problem, k) for k, member in enumerate(record)]
         if not datasets:
             raise InvalidInputError("the batch has no members, expected one or more")
         times = [name for name in ("time", "stage_time") if name in datasets[0].coords]
@@ -88,7 +88,7 @@ def _with_record(made: Any, solution: Solution, found: View) -> Any:
     return made
 
 
-def _indexed(xarray: Any, member: Solution, problem: About, k: int) -> Any:
+def _index(xarray: Any, member: Solution, problem: About, k: int) -> Any:
     """A member of a batch, with its numbers as variables, and along nodes and stages, because its times are its own."""
     made = _dataset(xarray, member, problem).assign_coords(member=k)
     numbers = {name: made.attrs.pop(name) for name in ("cost", "success", "result")}
@@ -131,7 +131,7 @@ def to_pandas(record: Any, at: Any = "nodes", problem: About = None) -> Any:
     MissingPackageError
         Without pandas.
     """
-    pandas = needed("pandas", "to_pandas")
+    pandas = require_package("pandas", "to_pandas")
     if isinstance(record, Solutions):
         frames = {k: to_pandas(member, at, problem) for k, member in enumerate(record)}
         if not frames:
@@ -170,13 +170,13 @@ def to_csv(record: Any, path: str | Path, at: Any = "nodes", problem: About = No
     head = [with_unit(name, units[name]) for name in ("time", *tables[0][1])]
     batch = isinstance(record, Solutions)
     with Path(path).open("w", newline="", encoding="utf-8") as file:
-        file.write(",".join(_quoted(word) for word in ["member"] * batch + head) + "\n")
+        file.write(",".join(_quote(word) for word in ["member"] * batch + head) + "\n")
         for k, (times, columns, _) in enumerate(tables):
             for row in np.stack([times, *columns.values()], axis=1):
                 file.write(",".join([str(k)] * batch + [f"{value:.17g}" for value in row]) + "\n")
 
 
-def _quoted(word: str) -> str:
+def _quote(word: str) -> str:
     return '"' + word.replace('"', '""') + '"' if set(',"\n') & set(word) else word
 
 
@@ -201,10 +201,10 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
     words = isinstance(at, str)
     if words and at == "nodes":
         more = _multipliers(record.node_multipliers) if isinstance(record, Solution) else []
-        costates = _named("costate of ", own, found.costates) if found.costates else []
-        return found.times, [*_named("", own, found.states), *costates, *more]
+        costates = _name_leaves("costate of ", own, found.costates) if found.costates else []
+        return found.times, [*_name_leaves("", own, found.states), *costates, *more]
     if words and at == "stages" and not isinstance(record, Solution):
-        return found.stage_times, _named("", controls, found.controls)
+        return found.stage_times, _name_leaves("", controls, found.controls)
     if not isinstance(record, Solution) or (words and at != "stages"):
         expected = '"nodes", "stages"' + (" or times" if isinstance(record, Solution) else "")
         raise InvalidInputError(f"at must be {expected}, got {brief(at)}")
@@ -218,7 +218,12 @@ def _rows(record: Any, found: View, at: Any) -> tuple[np.ndarray, list[tuple[str
         sample, more = record(np.ravel(at)), []
         times, parts = sample.times, (sample.states, sample.costates, sample.controls)
     states, costates, values = ([np.asarray(leaf) for leaf in jax.tree.leaves(part)] for part in parts)
-    kept = [*_named("", own, states), *_named("costate of ", own, costates), *_named("", controls, values), *more]
+    kept = [
+        *_name_leaves("", own, states),
+        *_name_leaves("costate of ", own, costates),
+        *_name_leaves("", controls, values),
+        *more,
+    ]
     return times, kept
 
 
@@ -233,7 +238,7 @@ def _plain(name: str, rows: np.ndarray) -> tuple[str, Quantity, np.ndarray]:
     return "", Quantity(name, ("",), entries, ""), rows
 
 
-def _named(
+def _name_leaves(
     prefix: str, own: Sequence[Quantity], leaves: Sequence[np.ndarray]
 ) -> list[tuple[str, Quantity, np.ndarray]]:
     return [(prefix, quantity, values) for quantity, values in zip(own, leaves, strict=True)]

@@ -68,14 +68,14 @@ class Transcription:
         controls = self.control.rows(guess.controls, 1).reshape(count, self.stages, -1)
         if self.stages == 1:
             return self.join({"centre": states[:, 0], "controls": controls})
-        centres, velocities = Tape.trace(self._begun, jnp.asarray(states[0]), jnp.asarray(controls[0]))(
+        centres, velocities = Tape.trace(self._begin, jnp.asarray(states[0]), jnp.asarray(controls[0]))(
             np.moveaxis(states, 0, -1), np.moveaxis(controls, 0, -1)
         )
         slacks = np.zeros((count, self.stages, self.slack))
         centres, velocities = np.moveaxis(centres, -1, 0), np.moveaxis(velocities, -1, 0)
         return self.join({"centre": centres, "controls": controls, "velocities": velocities, "slacks": slacks})
 
-    def _begun(self, states: Array, controls: Array) -> tuple[Array, Array]:
+    def _begin(self, states: Array, controls: Array) -> tuple[Array, Array]:
         """The centre amid some states, and the velocities there."""
         half = self.stages // 2
         x, points = self.state.point(states[half]), [self.state.point(q) for q in states]
@@ -97,7 +97,7 @@ class Transcription:
             begin, end = stage.ends((x, controls[0]))
             points = [x]
         else:
-            points, (begin, end), inner = self._collocated(x, parts, controls, h[0])
+            points, (begin, end), inner = self._collocate(x, parts, controls, h[0])
             held += inner
         weights = self.method.weights
         rates = [self.problem.cost_rate(q, u) for q, u in zip(points, controls, strict=True)]
@@ -136,7 +136,7 @@ class Transcription:
             return jnp.zeros_like(q)
         return jax.grad(lambda q: equations(self.manifold, self.state.point(q)) @ slack)(q)
 
-    def _collocated(self, x: Any, parts: dict[str, Any], controls: list[Any], h: Array) -> tuple[list, tuple, list]:
+    def _collocate(self, x: Any, parts: dict[str, Any], controls: list[Any], h: Array) -> tuple[list, tuple, list]:
         """Points, ends and equations of a Gauss method."""
         method: Any = self.method
         retraction, velocities = method.retraction, [self.state.point(v) for v in parts["velocities"]]

@@ -8,7 +8,7 @@ import numpy as np
 from ..integrators.problem.quantities import with_unit
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
-from ..named_columns import NamedColumn, joined
+from ..named_columns import NamedColumn, join_names
 from .series import Panel, PictureSeries
 
 PANEL = 4.6, 3.2  # inches
@@ -125,7 +125,7 @@ def _names(channel: NamedColumn, is_mixed: bool) -> list[str]:
     """The names of the entries of a channel, in a panel of several channels with units and a name of the channel."""
     if not is_mixed:
         return channel.labels
-    name = "" if channel.name == joined(channel.entries) else channel.name
+    name = "" if channel.name == join_names(channel.entries) else channel.name
     return [with_unit(f"{name} {label}".strip(), channel.unit) for label in channel.labels]
 
 

@@ -43,7 +43,7 @@ def conserved(solution: Solution, ax: Any = None) -> Any:
     is compared with its first value, relative to the largest. Violations of the manifold are absolute, at the nodes.
     Errors of zero are drawn at the rounding of 1. With an explicit time the Hamiltonian is not constant.
     """
-    found, axis, checks = view(_checked(solution)), one(ax), solution.checks
+    found, axis, checks = view(_check(solution)), one(ax), solution.checks
     size = checks.hamiltonian_size or 1.0
     energy = np.abs(solution.hamiltonians - solution.hamiltonians.mean()) / size
     axis.semilogy(found.stage_times, np.maximum(energy, EPS), label="Hamiltonian")
@@ -90,7 +90,7 @@ def multipliers(solution: Solution, ax: Any = None) -> Any:
     The legend has the names that are active somewhere. Each curve is relative to the largest multiplier of its name,
     because units differ.
     """
-    at_stages, at_nodes = _checked(solution).stage_multipliers, solution.node_multipliers
+    at_stages, at_nodes = _check(solution).stage_multipliers, solution.node_multipliers
     if not (at_stages or at_nodes):
         raise InvalidInputError(
             "the solution has no multipliers at its stages or nodes, its problem has no inequalities; try "
@@ -113,14 +113,16 @@ def _entry_names(name: str, count: int, controls: tuple[Quantity, ...]) -> list[
     """The names of the entries of an inequality, which for bounds are the names of the controls."""
     side = {LOWER: 0, UPPER: 1}.get(name)
     if side is not None:
-        bounds = [(f"{own.name} {label}".rstrip(), pair[side]) for own in controls for label, pair in _bounded(own)]
+        bounds = [
+            (f"{own.name} {label}".rstrip(), pair[side]) for own in controls for label, pair in _bounds_of_entries(own)
+        ]
         found = [f"{('lower', 'upper')[side]} bound of {words}" for words, bound in bounds if np.isfinite(bound)]
         if len(found) == count:
             return found
     return [f"{name}[{k}]" for k in range(count)] if count > 1 else [name]
 
 
-def _bounded(quantity: Quantity) -> Iterator[tuple[str, tuple[float, float]]]:
+def _bounds_of_entries(quantity: Quantity) -> Iterator[tuple[str, tuple[float, float]]]:
     """The names of the entries of a control as pictures show them, and their bounds."""
     return zip(raw_columns(quantity, np.zeros((1, len(quantity.entries)))).labels, quantity.bounds, strict=False)
 
@@ -164,7 +166,7 @@ def switching(problem: OptimalControlProblem, solution: Solution, ax: Any = None
     ----------
     Pontryagin et al., The Mathematical Theory of Optimal Processes, 1962.
     """
-    found, axis = view(_checked(solution), problem), one(ax)
+    found, axis = view(_check(solution), problem), one(ax)
     own = []
     for quantity, values in zip(found.quantities.controls, switching_functions(problem, solution), strict=True):
         bare = Quantity(f"dH/d({quantity.name})", ("",), quantity.entries, quantity.space)
@@ -199,7 +201,7 @@ def optimality(
     InvalidInputError
         For anything but a ``Solution``, another problem, or another number of axes.
     """
-    every = picture_series(_checked(solution), problem)
+    every = picture_series(_check(solution), problem)
     has_multipliers = any(getattr(solution.checks, "active", {}).values())
     axes = several(ax, 1 + (problem is not None) + has_multipliers, columns=1, panel=(6.4, 2.6))
     draw(axes[0], as_one(panels_of(every, of_controls, degrees)), every, "controls")
@@ -210,7 +212,7 @@ def optimality(
     return axes
 
 
-def _checked(solution: Any) -> Solution:
+def _check(solution: Any) -> Solution:
     if not isinstance(solution, Solution):
         raise InvalidInputError(f"expected a Solution, got {brief(solution)}; try one that solve returns")
     return solution

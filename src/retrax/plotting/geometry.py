@@ -10,7 +10,7 @@ from ..integrators.problem.quantities import with_unit
 from ..manifolds import InvalidInputError
 from ..named_columns import POSES, SPHERE, About, View, rotations
 from .axes import legend, one, record_handles, styles
-from .marks import checked_cones, checked_pairs
+from .marks import check_cones, check_pairs
 from .series import picture_series
 
 DRAWN_FRAMES = 8  # body frames along a path in a picture, by default
@@ -114,7 +114,7 @@ def path(
     axis = one(ax, "3d" if n == 3 else None)
     if first.on_sphere:
         _sphere(axis, cones)
-    _add_obstacles(axis, checked_pairs("obstacles", () if first.on_sphere else obstacles, n))
+    _add_obstacles(axis, check_pairs("obstacles", () if first.on_sphere else obstacles, n))
     for number, (own, style, name) in enumerate(zip(paths, styles(every), every.names, strict=True)):
         colour = {"color": f"C{number}"} if first.on_sphere else {}
         for part, each in enumerate(own):
@@ -177,7 +177,7 @@ def _sphere(axis: Any, cones: Any) -> Any:
     """The axes with the unit sphere and cones."""
     from .sphere import add_sphere
 
-    add_sphere(axis, checked_cones(cones))
+    add_sphere(axis, check_cones(cones))
     return axis
 
 

@@ -9,7 +9,7 @@ from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 
 
-def checked_pairs(what: str, given: Any, n: int) -> list[tuple[np.ndarray, float]]:
+def check_pairs(what: str, given: Any, n: int) -> list[tuple[np.ndarray, float]]:
     """Pairs of a vector of ``n`` entries and a positive number, as for cones and obstacles; raises for other input."""
     found = []
     for pair in given if isinstance(given, Iterable) else [given]:
@@ -26,9 +26,9 @@ def checked_pairs(what: str, given: Any, n: int) -> list[tuple[np.ndarray, float
     return found
 
 
-def checked_cones(given: Any) -> list[tuple[np.ndarray, float]]:
+def check_cones(given: Any) -> list[tuple[np.ndarray, float]]:
     """Cones with unit vectors as axes; raises for other input."""
-    found = [(vector, size, np.linalg.norm(vector)) for vector, size in checked_pairs("cones", given, 3)]
+    found = [(vector, size, np.linalg.norm(vector)) for vector, size in check_pairs("cones", given, 3)]
     if any(length == 0 or size >= np.pi for _, size, length in found):
         raise InvalidInputError(
             "cones must be pairs of a direction that is not zero and a half-angle below pi; try half-angles in rad"

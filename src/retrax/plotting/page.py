@@ -16,10 +16,10 @@ from ..integrators.problem.quantities import with_unit
 from ..integrators.reporting.text import brief
 from ..manifolds import InvalidInputError
 from ..named_columns import BODY, SPHERE, About, View, view
-from ..optional import needed
+from ..optional import require_package
 from .axes import STYLES
-from .marks import checked_cones, checked_pairs, circle
-from .series import History, every_panel, named, picture_series
+from .marks import check_cones, check_pairs, circle
+from .series import History, every_panel, names_and_records, picture_series
 
 PAGE_FRAMES = 241  # times at which a page shows the motion
 BODY_SIZE, BODY_ARM = 0.62, 1.0  # of the body on the sphere of directions, and of its axes
@@ -94,14 +94,14 @@ def to_html(
     share one clock, and each has a line style and a body of its own; a shorter record stays at its end. The library
     that draws is Plotly's, 4.8 MB of the file; its button that uploads a chart is off.
     """
-    every, records, body = picture_series(record, problem), named(record)[1], _checked(mesh)
+    every, records, body = picture_series(record, problem), names_and_records(record)[1], _check_mesh(mesh)
     if len(records) > len(STYLES):
         raise InvalidInputError(
             f"a page shows at most {len(STYLES)} records, got {len(records)}; try a few of them, or plotting.histories"
         )
-    plotly = needed("plotly.offline", "to_html").get_plotlyjs()
+    plotly = require_package("plotly.offline", "to_html").get_plotlyjs()
     times, scene = _motion(records, problem, body)
-    marks = _marks(scene, checked_cones(cones), obstacles)
+    marks = _marks(scene, check_cones(cones), obstacles)
     panels = [[_panel(own, place) for place, own in enumerate(rows) if own] for rows in every_panel(every, degrees)]
     data = {"times": times, "clock": with_unit("time", every.time), "names": every.names, **scene, **marks}
     data |= {"histories": panels, "borders": every.borders}
@@ -125,7 +125,7 @@ class _Body(NamedTuple):
     given: bool
 
 
-def _checked(mesh: Any) -> _Body:
+def _check_mesh(mesh: Any) -> _Body:
     """The body that is drawn; raises for what is not a mesh."""
     if mesh is None:
         return _Body(BOX, np.array(BOX_SIDES), given=False)
@@ -191,7 +191,7 @@ def _marks(scene: dict[str, Any], cones: list[tuple[np.ndarray, float]], obstacl
     if scene.get("sphere"):
         return {"cones": [circle(*cone).T for cone in cones]}
     flat = scene.get("plane", False)
-    balls = checked_pairs("obstacles", obstacles, 2 if flat else 3)
+    balls = check_pairs("obstacles", obstacles, 2 if flat else 3)
     return {"balls": [(np.pad(centre, (0, 3 - len(centre))), radius) for centre, radius in balls]}
 
 

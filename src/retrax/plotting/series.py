@@ -44,14 +44,14 @@ class PictureSeries(NamedTuple):
 def picture_series(record: Any, problem: About = None) -> PictureSeries:
     """The views of one record, of the members of a batch, or of the records of a list or a dictionary with their
     names."""
-    names, records = named(record)
+    names, records = names_and_records(record)
     ends = [record.times[1:-1].tolist() for record in records if isinstance(record, PhasedSolution)]
     return PictureSeries(
         names, [_parts(record, problem) for record in records], sorted({t for each in ends for t in each})
     )
 
 
-def named(record: Any) -> tuple[list[str], list[Any]]:
+def names_and_records(record: Any) -> tuple[list[str], list[Any]]:
     """The names of records and the records: of one record and of the members of a batch the names are empty."""
     if isinstance(record, Mapping):
         names, records = [str(name) for name in record], list(record.values())
@@ -65,7 +65,7 @@ def named(record: Any) -> tuple[list[str], list[Any]]:
     return names, records
 
 
-def drawn(record: Any, problem: About = None) -> View:
+def view_of(record: Any, problem: About = None) -> View:
     """The view of a solution or a trajectory as it is drawn.
 
     States are those between the nodes of a solution. Controls are given from the beginning of each step to its end,
@@ -115,13 +115,13 @@ def every_panel(every: PictureSeries, degrees: bool) -> list[Panel]:
 def _parts(record: Any, problem: About) -> list[View]:
     """The views of a record: phases with the same arrays are one."""
     if not isinstance(record, PhasedSolution):
-        return [drawn(record, problem)]
-    views = [drawn(phase, problem) for phase in record.phases]
+        return [view_of(record, problem)]
+    views = [view_of(phase, problem) for phase in record.phases]
     runs = groupby(views, key=lambda found: (found.quantities, found.is_held))
-    return [_joined(list(run)) for _, run in runs]
+    return [_join(list(run)) for _, run in runs]
 
 
-def _joined(views: Sequence[View]) -> View:
+def _join(views: Sequence[View]) -> View:
     """One view of views that follow each other."""
 
     def along(name: str) -> Any:

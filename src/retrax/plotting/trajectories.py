@@ -45,7 +45,7 @@ def energy(
     matplotlib Axes
         The axes.
     """
-    values = _along(hamiltonian, _checked(trajectory))
+    values = _along(hamiltonian, _check(trajectory))
     axis = one(ax)
     axis.plot(np.asarray(trajectory.times), values - values[0], label=label)
     axis.ticklabel_format(axis="y", scilimits=(-2, 3))
@@ -81,7 +81,7 @@ def phase_portrait(
     """
     axis = one(ax)
     for trajectory in [trajectories] if isinstance(trajectories, Trajectory) else trajectories:
-        x, y = (_along(coordinate, _checked(trajectory)) for coordinate in coordinates)
+        x, y = (_along(coordinate, _check(trajectory)) for coordinate in coordinates)
         (drawn,) = axis.plot(x, y, linewidth=1)
         axis.plot(x[:1], y[:1], "o", color=drawn.get_color(), markersize=3)
     axis.set_xlabel(names[0])
@@ -89,7 +89,7 @@ def phase_portrait(
     return axis
 
 
-def _checked(trajectory: Any) -> Trajectory:
+def _check(trajectory: Any) -> Trajectory:
     if not isinstance(trajectory, Trajectory) or np.ndim(trajectory.times) != 1:
         raise InvalidInputError(f"expected a Trajectory, got {brief(trajectory)}; try one that integrate returns")
     return trajectory

@@ -12,7 +12,7 @@ from ..integrators import Free, OptimalControlProblem
 from ..manifolds import SO, Euclidean, Manifold, hat
 from ..retractions import Cayley, Gauss
 from .geodesics import IDENTITY, energy
-from .record import KnownProblem, known
+from .record import KnownProblem, register
 
 BETTS = (
     "J. T. Betts, Practical Methods for Optimal Control and Estimation Using Nonlinear Programming, 2nd ed., SIAM 2010"
@@ -40,7 +40,7 @@ def cayley(manifold: Manifold) -> Gauss:
     return Gauss(3, Cayley(manifold))
 
 
-@known
+@register
 def rest_to_rest_slew() -> KnownProblem:
     """150 degrees about (1, 2, -2)/3 in 60 s."""
     return KnownProblem(
@@ -77,7 +77,7 @@ def three_turns(s: np.ndarray) -> tuple[Any, Any]:
     return (turns, rates), np.zeros((len(s), 2))
 
 
-@known
+@register
 def failed_actuator() -> KnownProblem:
     """The slew of Betts' spacecraft in 120 s without torque about the third axis."""
     return KnownProblem(
@@ -109,7 +109,7 @@ def failed_actuator() -> KnownProblem:
     )
 
 
-@known
+@register
 def limited_slew() -> KnownProblem:
     """The rest-to-rest slew with torques of at most three quarters of the largest that it takes without limits."""
     limit = 10.0
@@ -145,7 +145,7 @@ def below_the_sun(s: np.ndarray) -> tuple[Any, Any]:
     return (turns, np.zeros((len(s), 3))), np.zeros((len(s), 3))
 
 
-@known
+@register
 def keep_out_cone() -> KnownProblem:
     """A turn by 120 degrees about the vertical, on which the instrument keeps 25 degrees from the Sun."""
     sun, apart = np.array([np.cos(np.pi / 3), np.sin(np.pi / 3), 0.1]), np.cos(np.deg2rad(25))
@@ -183,7 +183,7 @@ def keep_out_cone() -> KnownProblem:
     )
 
 
-@known
+@register
 def reaction_wheels() -> KnownProblem:
     """A slew by three wheels, whose momentum is limited, of a spacecraft with total angular momentum."""
     total, limit = np.array([20.0, -10.0, 5.0]), 150.0
@@ -226,7 +226,7 @@ def reaction_wheels() -> KnownProblem:
     )
 
 
-@known
+@register
 def detumbling() -> KnownProblem:
     """A tumbling body is brought to rest: the torque is along the momentum."""
     inertia, rate, horizon = np.array([1.0, 1.7, 2.3]), np.array([1.0, -0.5, 0.8]), 2.0
@@ -263,7 +263,7 @@ def eigenaxis_turn(s: np.ndarray) -> tuple[Any, Any]:
     return (Rotation.from_rotvec(turns).as_matrix(), rates), torques
 
 
-@known
+@register
 def betts() -> KnownProblem:
     """Minimum-time reorientation of an asymmetric body; the turn about the axis itself, 34.3112 s, is an extremal
     too."""
@@ -295,7 +295,7 @@ def betts() -> KnownProblem:
     )
 
 
-@known
+@register
 def bilimoria_wie() -> KnownProblem:
     """Minimum-time reorientation of a sphere by half a turn; the eigenaxis takes 2 sqrt(pi) = 3.5449."""
     return KnownProblem(

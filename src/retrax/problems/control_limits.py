@@ -8,10 +8,10 @@ from ..integrators import Free, OptimalControlProblem
 from ..manifolds import Euclidean
 from .flat import BRYSON, COPS, LINE, MOTION, PLANE, double_integrator
 from .geodesics import energy, time
-from .record import KnownProblem, known
+from .record import KnownProblem, register
 
 
-@known
+@register
 def least_time() -> KnownProblem:
     """The double integrator from rest to rest in least time."""
     return KnownProblem(
@@ -37,7 +37,7 @@ def least_time() -> KnownProblem:
     )
 
 
-@known
+@register
 def turnpike() -> KnownProblem:
     """Bang, singular, bang."""
     return KnownProblem(
@@ -64,7 +64,7 @@ def turnpike() -> KnownProblem:
     )
 
 
-@known
+@register
 def aly_chan() -> KnownProblem:
     """Aly and Chan's problem, singular all along."""
 
@@ -98,7 +98,7 @@ def aly_chan() -> KnownProblem:
     )
 
 
-@known
+@register
 def bryson_denham() -> KnownProblem:
     """A state inequality of second order."""
     limit = 1 / 9
@@ -130,7 +130,7 @@ def bryson_denham() -> KnownProblem:
     )
 
 
-@known
+@register
 def van_der_pol() -> KnownProblem:
     """The oscillator of van der Pol, with limits."""
 
@@ -169,7 +169,7 @@ def van_der_pol() -> KnownProblem:
     )
 
 
-@known
+@register
 def fuller() -> KnownProblem:
     """Fuller's problem: the optimal control switches infinitely often before it comes to rest."""
     return KnownProblem(
@@ -199,7 +199,7 @@ def fuller() -> KnownProblem:
     )
 
 
-@known
+@register
 def catalyst_mixing() -> KnownProblem:
     """Two catalysts along a tubular reactor: bang, singular, bang."""
 
@@ -237,7 +237,7 @@ def catalyst_mixing() -> KnownProblem:
     )
 
 
-@known
+@register
 def fishing() -> KnownProblem:
     """Predators and prey are fished towards their balance: bang, singular, bang."""
 

@@ -11,7 +11,7 @@ from ..integrators import Free, OptimalControlProblem
 from ..manifolds import Euclidean
 from .attitude import BETTS
 from .geodesics import energy, time
-from .record import KnownProblem, known
+from .record import KnownProblem, register
 
 BRYSON = "A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975"
 COPS = "E. D. Dolan, J. J. More, T. S. Munson, Benchmarking optimization software with COPS 3.0, ANL/MCS-TM-273, 2004"
@@ -24,7 +24,7 @@ def double_integrator(q: Array, u: Array) -> Array:
     return jnp.stack([q[1], u[0]])
 
 
-@known
+@register
 def regulator() -> KnownProblem:
     """The scalar regulator."""
     return KnownProblem(
@@ -48,7 +48,7 @@ def regulator() -> KnownProblem:
     )
 
 
-@known
+@register
 def least_effort() -> KnownProblem:
     """The double integrator from rest to rest."""
     return KnownProblem(
@@ -73,7 +73,7 @@ def least_effort() -> KnownProblem:
     )
 
 
-@known
+@register
 def brachistochrone() -> KnownProblem:
     """The curve of quickest descent, a cycloid."""
     gravity, (across, down) = 9.80665, (10.0, 5.0)
@@ -109,7 +109,7 @@ def brachistochrone() -> KnownProblem:
     )
 
 
-@known
+@register
 def rayleigh() -> KnownProblem:
     """Rayleigh's oscillator."""
 
@@ -139,7 +139,7 @@ def rayleigh() -> KnownProblem:
     )
 
 
-@known
+@register
 def hypersensitive() -> KnownProblem:
     """A short arc at each end of a long rest."""
     return KnownProblem(
@@ -166,7 +166,7 @@ def hypersensitive() -> KnownProblem:
     )
 
 
-@known
+@register
 def hanging_chain() -> KnownProblem:
     """A chain between two nails hangs with least potential energy."""
     length, (low, high) = 4.0, (1.0, 3.0)

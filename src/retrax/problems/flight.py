@@ -13,12 +13,12 @@ from ..manifolds import Euclidean
 from .attitude import BETTS
 from .flat import BRYSON, COPS
 from .geodesics import energy, time
-from .record import KnownProblem, known
+from .record import KnownProblem, register
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 
 
-@known
+@register
 def goddard() -> KnownProblem:
     """Goddard's rocket: full thrust, a singular arc, no thrust."""
     exhaust = 0.5
@@ -67,7 +67,7 @@ def goddard() -> KnownProblem:
     )
 
 
-@known
+@register
 def moon_landing() -> KnownProblem:
     """A soft landing on the Moon with least fuel: free fall, then full thrust."""
     return KnownProblem(
@@ -98,7 +98,7 @@ def moon_landing() -> KnownProblem:
     )
 
 
-@known
+@register
 def linear_tangent_steering() -> KnownProblem:
     """Least time to an orbit's height and velocity: the tangent of the angle of thrust is linear in time."""
 
@@ -139,7 +139,7 @@ def linear_tangent_steering() -> KnownProblem:
     )
 
 
-@known
+@register
 def orbit_raising() -> KnownProblem:
     """The largest circular orbit within a given time under a small thrust. ``w = v sqrt(r)`` is 1 on a circular
     orbit."""
@@ -186,7 +186,7 @@ def orbit_raising() -> KnownProblem:
     )
 
 
-@known
+@register
 def rendezvous() -> KnownProblem:
     """Rendezvous near a circular orbit in the linear equations of Clohessy and Wiltshire."""
     a = np.zeros((6, 6))
@@ -226,7 +226,7 @@ def rendezvous() -> KnownProblem:
     )
 
 
-@known
+@register
 def low_thrust_transfer() -> KnownProblem:
     """From a circular orbit to a wider and inclined one with least energy of the thrust."""
     tilt, radius, place = np.deg2rad(15), 1.5, 1.5 * np.pi
@@ -265,7 +265,7 @@ def low_thrust_transfer() -> KnownProblem:
     )
 
 
-@known
+@register
 def free_flying_robot() -> KnownProblem:
     """A robot in space with two thrusters that push and pull, on least fuel: coasts between full thrusts."""
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from ..integrators import OptimalControlProblem
 from ..manifolds import SE, SO, SU, Euclidean, Sphere, hat
 from ..retractions import Cayley, Gauss
-from .record import KnownProblem, known
+from .record import KnownProblem, register
 
 AGRACHEV = "A. Agrachev, D. Barilari, U. Boscain, A Comprehensive Introduction to Sub-Riemannian Geometry, 2019"
 IDENTITY = np.eye(3)
@@ -37,7 +37,7 @@ def circling(turns: float, size: float) -> Any:
     return controls
 
 
-@known
+@register
 def kinematic_slew() -> KnownProblem:
     """A rotation with its angular velocity as control."""
     angle = 2.5
@@ -63,7 +63,7 @@ def kinematic_slew() -> KnownProblem:
     )
 
 
-@known
+@register
 def sphere_geodesic() -> KnownProblem:
     """Part of a great circle."""
     angle, sphere = 2.0, Sphere(2)
@@ -88,7 +88,7 @@ def sphere_geodesic() -> KnownProblem:
     )
 
 
-@known
+@register
 def rotation_geodesic() -> KnownProblem:
     """A rotation of 4-space in two planes at once."""
     group, (a, b) = SO(4), (1.2, 0.5)
@@ -117,7 +117,7 @@ def rotation_geodesic() -> KnownProblem:
     )
 
 
-@known
+@register
 def half_plane_geodesic() -> KnownProblem:
     """A geodesic of the hyperbolic plane, in the coordinates of the upper half-plane."""
     (x0, y0), (x1, y1) = (0.0, 1.0), (2.0, 0.5)
@@ -143,7 +143,7 @@ def half_plane_geodesic() -> KnownProblem:
     )
 
 
-@known
+@register
 def rotation_cubic() -> KnownProblem:
     """From rest to rest with the angular acceleration as control."""
     angle, space = 2.0, SO(3) * Euclidean(3)
@@ -170,7 +170,7 @@ def rotation_cubic() -> KnownProblem:
     )
 
 
-@known
+@register
 def sub_riemannian_rotations() -> KnownProblem:
     """A turn about the third axis with angular velocities about the first two."""
     turn = 1.0
@@ -203,7 +203,7 @@ def sub_riemannian_rotations() -> KnownProblem:
     )
 
 
-@known
+@register
 def heisenberg() -> KnownProblem:
     """Brockett's integrator: the isoperimetric problem."""
     space = Euclidean(3)
@@ -233,7 +233,7 @@ def heisenberg() -> KnownProblem:
     )
 
 
-@known
+@register
 def grushin() -> KnownProblem:
     """Along the line on which one of the two controls does nothing."""
     return KnownProblem(
@@ -258,7 +258,7 @@ def grushin() -> KnownProblem:
     )
 
 
-@known
+@register
 def three_levels() -> KnownProblem:
     """Population of the third level from the first by way of the second, which two laser fields join to both."""
 
@@ -288,13 +288,13 @@ def three_levels() -> KnownProblem:
     )
 
 
-@known
+@register
 def phase_gate() -> KnownProblem:
     """A phase gate of one qubit by fields along x and y."""
     group, phi = SU(2), np.pi / 2
     controls = circling(1.0 - phi / (2 * np.pi), np.sqrt(phi * (4 * np.pi - phi)))
 
-    def turned(s: np.ndarray) -> np.ndarray:
+    def rotation(s: np.ndarray) -> np.ndarray:
         states = np.zeros((len(s), 2, 2), complex)
         states[:, 0, 0], states[:, 1, 1] = np.exp(-0.5j * phi * s), np.exp(0.5j * phi * s)
         return states
@@ -308,9 +308,9 @@ def phase_gate() -> KnownProblem:
         ),
         problem=OptimalControlProblem(group, lambda q, u: q @ group.hat(jnp.stack([u[0], u[1], 0 * u[0]])), energy, 2),
         start=np.eye(2, dtype=complex),
-        end=turned(np.ones(1))[0],
+        end=rotation(np.ones(1))[0],
         horizon=1.0,
-        path=lambda s: (turned(s), controls(s)),
+        path=lambda s: (rotation(s), controls(s)),
         states={"U": "propagator"},
         controls={"u1": "field along x", "u2": "field along y"},
         source="U. Boscain, F. Rossi, Invariant Carnot-Caratheodory metrics on S^3, SO(3), SL(2), and lens spaces, "
@@ -322,7 +322,7 @@ def phase_gate() -> KnownProblem:
     )
 
 
-@known
+@register
 def unicycle() -> KnownProblem:
     """Sideways with a vehicle that rolls and turns: least energy on SE(2)."""
     group = SE(2)

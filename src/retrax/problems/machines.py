@@ -12,7 +12,7 @@ from ..manifolds import SE, Euclidean, Sphere, TangentBundle
 from .attitude import INERTIA as SATELLITE
 from .attitude import cayley
 from .geodesics import energy
-from .record import KnownProblem, known
+from .record import KnownProblem, register
 
 RIGID = SE(3) * Euclidean(6)
 UP = np.array([0.0, 0.0, 1.0])
@@ -38,7 +38,7 @@ def pose(vector: Any, position: Any) -> np.ndarray:
     return out
 
 
-@known
+@register
 def spherical_pendulum() -> KnownProblem:
     """A spherical pendulum swings up with least force."""
     sphere = Sphere(2)
@@ -69,7 +69,7 @@ def spherical_pendulum() -> KnownProblem:
     )
 
 
-@known
+@register
 def pendulum() -> KnownProblem:
     """A pendulum on the circle swings up with least torque."""
 
@@ -99,7 +99,7 @@ def pendulum() -> KnownProblem:
     )
 
 
-@known
+@register
 def cart_pole() -> KnownProblem:
     """A pole on a cart swings up with least force."""
     cart, bob, length, gravity = 1.0, 0.3, 0.5, 9.81
@@ -142,7 +142,7 @@ def cart_pole() -> KnownProblem:
     )
 
 
-@known
+@register
 def quadrotor() -> KnownProblem:
     """A quadrotor flies from hover to hover and turns on the way."""
     mass, inertia, gravity = 4.34, np.array([0.0820, 0.0845, 0.1377]), 9.81
@@ -182,7 +182,7 @@ def quadrotor() -> KnownProblem:
     )
 
 
-@known
+@register
 def docking() -> KnownProblem:
     """A spacecraft moves by 10 m and turns by 90 degrees from rest to rest: both motions at once, as if each were "
     "alone."""
@@ -219,7 +219,7 @@ def docking() -> KnownProblem:
     )
 
 
-@known
+@register
 def docking_corridor() -> KnownProblem:
     """The approach within a cone in front of the port, with limited forces."""
     mass, width = 500.0, np.tan(np.deg2rad(20))
@@ -263,7 +263,7 @@ def docking_corridor() -> KnownProblem:
     )
 
 
-@known
+@register
 def robot_arm() -> KnownProblem:
     """An arm that extends, turns and lifts, in least time."""
 

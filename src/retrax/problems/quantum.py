@@ -9,13 +9,13 @@ from ..integrators import OptimalControlProblem
 from ..manifolds import SU, Sphere
 from ..retractions import Cayley, Gauss
 from .geodesics import energy
-from .record import KnownProblem, known
+from .record import KnownProblem, register
 
 X, Y, Z = np.array([[[0, 1], [1, 0]], [[0, -1j], [1j, 0]], [[1, 0], [0, -1]]])
 ONE = np.eye(2)
 
 
-@known
+@register
 def hadamard_gate() -> KnownProblem:
     """Hadamard's gate of a qubit that precesses about z, by a field along x."""
     group = SU(2)
@@ -45,16 +45,16 @@ def hadamard_gate() -> KnownProblem:
     )
 
 
-@known
+@register
 def two_spins() -> KnownProblem:
     """Two spins of different frequency are inverted by one pulse."""
     offset, sphere = 1.0, Sphere(2)
 
-    def turned(q: Array, u: Array, detuning: float) -> Array:
+    def rotate(q: Array, u: Array, detuning: float) -> Array:
         return jnp.cross(jnp.stack([u[0], u[1], detuning + 0 * u[0]]), q)
 
     def dynamics(q: tuple[Array, Array], u: Array) -> tuple[Array, Array]:
-        return turned(q[0], u, 0.0), turned(q[1], u, offset)
+        return rotate(q[0], u, 0.0), rotate(q[1], u, offset)
 
     up = np.array([0.0, 0.0, 1.0])
     return KnownProblem(
@@ -80,7 +80,7 @@ def two_spins() -> KnownProblem:
     )
 
 
-@known
+@register
 def two_qubit_gate() -> KnownProblem:
     """A gate of two qubits by the nine couplings of their spins, without fields on either, with least energy.
 

@@ -120,7 +120,7 @@ class KnownProblem:
 _LIBRARY: dict[str, Callable[[], KnownProblem]] = {}
 
 
-def known(make: Callable[[], KnownProblem]) -> Callable[[], KnownProblem]:
+def register(make: Callable[[], KnownProblem]) -> Callable[[], KnownProblem]:
     """Add a function that makes a problem to the library, by its name with hyphens."""
     _LIBRARY[make.__name__.replace("_", "-")] = make
     return make

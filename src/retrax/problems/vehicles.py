@@ -12,7 +12,7 @@ from ..integrators import Free, OptimalControlProblem
 from ..manifolds import SE, SO, Euclidean, Sphere, hat
 from .attitude import cayley
 from .geodesics import energy
-from .record import KnownProblem, known
+from .record import KnownProblem, register
 
 PLANE = SE(2)
 POSE = {"g": "pose, body to plane: heading and position, unit of length"}
@@ -24,12 +24,12 @@ def planar(x: float, y: float, heading: float) -> np.ndarray:
     return np.array([[c, -s, x], [s, c, y], [0.0, 0.0, 1.0]])
 
 
-def steered(q: Array, u: Array) -> Array:
+def steer(q: Array, u: Array) -> Array:
     """Unit speed along the first body axis, turning at the rate ``u``."""
     return q @ PLANE.hat(jnp.stack([u[0], 1 + 0 * u[0], 0 * u[0]]))
 
 
-@known
+@register
 def elastica() -> KnownProblem:
     """Euler's elastica: a rod of length 2 from (0, 0) along x to (1, 1) along y."""
     return KnownProblem(
@@ -40,7 +40,7 @@ def elastica() -> KnownProblem:
             r"\dot g = g\,\widehat{(k, 1, 0)} \text{ in } SE(2):",
             r"\dot x = \cos a, \quad \dot y = \sin a, \quad \dot a = k",
         ),
-        problem=OptimalControlProblem(PLANE, steered, energy, 1),
+        problem=OptimalControlProblem(PLANE, steer, energy, 1),
         start=np.eye(3),
         end=planar(1.0, 1.0, np.pi / 2),
         horizon=2.0,
@@ -54,7 +54,7 @@ def elastica() -> KnownProblem:
     )
 
 
-@known
+@register
 def rod() -> KnownProblem:
     """Kirchhoff's rod: bending and torsion of a rod of length 2 between two clamps in space."""
     group, stiffness = SE(3), np.array([1.0, 1.0, 0.5])
@@ -89,7 +89,7 @@ def rod() -> KnownProblem:
     )
 
 
-@known
+@register
 def dubins() -> KnownProblem:
     """Dubins's car: turn, straight, turn."""
     return KnownProblem(
@@ -101,7 +101,7 @@ def dubins() -> KnownProblem:
             r"\dot x = \cos a, \quad \dot y = \sin a, \quad \dot a = k",
             r"\lvert k\rvert \le 1",
         ),
-        problem=OptimalControlProblem(PLANE, steered, lambda q, u: 1.0, 1, control_bounds=(-1.0, 1.0)),
+        problem=OptimalControlProblem(PLANE, steer, lambda q, u: 1.0, 1, control_bounds=(-1.0, 1.0)),
         start=np.eye(3),
         end=planar(4.0, 1.0, np.pi * 0.9),
         horizon=Free(7.0, lower=1.0),
@@ -118,7 +118,7 @@ def dubins() -> KnownProblem:
     )
 
 
-@known
+@register
 def rolling_ball() -> KnownProblem:
     """The plate-ball problem: a ball rolls without slipping to another place and the same attitude."""
     space = Euclidean(2) * SO(3)
@@ -154,7 +154,7 @@ def rolling_ball() -> KnownProblem:
     )
 
 
-@known
+@register
 def zermelo() -> KnownProblem:
     """Zermelo's problem in a linear current."""
 
@@ -186,7 +186,7 @@ def zermelo() -> KnownProblem:
     )
 
 
-@known
+@register
 def zermelo_sphere() -> KnownProblem:
     """Zermelo's problem on the sphere in a wind that turns about the poles: a great circle in the air that moves "
     "along."""
@@ -228,7 +228,7 @@ def zermelo_sphere() -> KnownProblem:
     )
 
 
-@known
+@register
 def sphere_obstacle() -> KnownProblem:
     """Around a cap of the sphere: great circles that touch it, joined by a part of its edge."""
     sphere, angle, radius = Sphere(2), 2.0, 0.5

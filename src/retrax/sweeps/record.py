@@ -37,7 +37,7 @@ class Sweep:
     """
 
     def __init__(self, store: Store, parts: Sequence[int] | None = None) -> None:
-        self._store, self._parts = store, store.finished() if parts is None else list(parts)
+        self._store, self._parts = store, store.finished_chunks() if parts is None else list(parts)
 
     @property
     def folder(self) -> Path:
@@ -67,7 +67,7 @@ class Sweep:
     def _read(self) -> list[dict[str, Any]]:
         return [self._store.read(part) for part in self._parts]
 
-    def _joined(self, name: str, kind: Any) -> np.ndarray:
+    def _join(self, name: str, kind: Any) -> np.ndarray:
         return np.concatenate([np.zeros(0, kind), *(found[name] for found in self._read)])
 
     @property
@@ -78,12 +78,12 @@ class Sweep:
     @cached_property
     def cost(self) -> np.ndarray:
         """The costs, shape ``(M,)``; without success, the cost of the best iterate."""
-        return self._joined("cost", float)
+        return self._join("cost", float)
 
     @cached_property
     def success(self) -> np.ndarray:
         """Whether the first-order conditions of each member hold, shape ``(M,)``."""
-        return self._joined("success", bool)
+        return self._join("success", bool)
 
     @cached_property
     def result(self) -> list[str]:

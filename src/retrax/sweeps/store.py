@@ -46,7 +46,7 @@ class Store:
         """The file of a chunk."""
         return self.folder / "chunks" / f"{part // IN_A_FOLDER:06d}" / f"{part:09d}.npz"
 
-    def finished(self) -> list[int]:
+    def finished_chunks(self) -> list[int]:
         """The chunks that are there, in their order; a file that is cut off does not count."""
         paths = [path for path in self.folder.glob("chunks/*/*.npz") if path.stem.isdigit()]
         found = [int(path.stem) for path in paths if zipfile.is_zipfile(path)]
@@ -67,7 +67,7 @@ class Store:
         kept = {f"kept/{name}": array for name, array in found["kept"].items()}
         path = self.path(part)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with _finished(path) as file:
+        with _atomic_file(path) as file:
             np.savez(file, allow_pickle=False, **own, **kept)
 
     def read(self, part: int) -> dict[str, Any]:
@@ -97,7 +97,7 @@ class Store:
 
 
 @contextmanager
-def _finished(path: Path) -> Iterator[IO[bytes]]:
+def _atomic_file(path: Path) -> Iterator[IO[bytes]]:
     """A file that has its name when it is whole, and on the disk: a machine that loses power loses nothing finished."""
     unfinished = path.with_name(f".{path.stem}.{uuid.uuid4().hex}.part")
     with unfinished.open("wb") as file:
@@ -112,7 +112,7 @@ def worker() -> str:
     return f"{socket.gethostname()}:{os.getpid()}"
 
 
-def opened(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store:
+def open_store(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store:
     """The store in a folder, new or of the same sweep; raises ``InvalidInputError`` for a folder of another sweep."""
     folder.mkdir(parents=True, exist_ok=True)
     head, wanted = folder / SWEEP_ENTRY, {"schema": SWEEP_SCHEMA, "count": count, "chunk": chunk, **marks}
@@ -121,7 +121,7 @@ def opened(folder: Path, count: int, chunk: int, marks: dict[str, str]) -> Store
             raise InvalidInputError(
                 f"{folder} has other files than those of a sweep; give a new folder, or an empty one"
             )
-        with _finished(head) as file:
+        with _atomic_file(head) as file:
             file.write(json.dumps(wanted, indent=1).encode())
     there = _read_head(head)
     others = [name for name, value in wanted.items() if there.get(name) != value]

@@ -55,7 +55,7 @@ class Study:
             )
 
 
-def made(build: Callable[[], Any]) -> Study:
+def make_study(build: Callable[[], Any]) -> Study:
     """The study that a function returns; raises if it returns something else."""
     study = build()
     if not isinstance(study, Study):
@@ -65,7 +65,7 @@ def made(build: Callable[[], Any]) -> Study:
     return study
 
 
-def asked(study: Study, members: np.ndarray) -> dict[str, Any]:
+def solve_arguments(study: Study, members: np.ndarray) -> dict[str, Any]:
     """The arguments of ``solve_many`` for some members; raises unless these are arguments of it."""
     given = study.cases(members)
     if not isinstance(given, dict) or not {"starts", "ends", "horizons"} <= set(given) <= set(ASKED):
@@ -77,26 +77,29 @@ def asked(study: Study, members: np.ndarray) -> dict[str, Any]:
     return given
 
 
-def solved(study: Study, members: np.ndarray) -> dict[str, Any]:
+def solve_members(study: Study, members: np.ndarray) -> dict[str, Any]:
     """Cost, success, result and kept figures of some members; a rejected member has the reason as its result.
 
     ``kept`` arrays have rows for the solved members, which ``has`` marks. Raises ``KeyboardInterrupt`` if the iteration
     was stopped.
     """
-    return _joined(
-        [_tried(study, members[first : first + CHUNK_MEMBERS]) for first in range(0, len(members), CHUNK_MEMBERS)]
+    return _join(
+        [
+            _solve_or_halve(study, members[first : first + CHUNK_MEMBERS])
+            for first in range(0, len(members), CHUNK_MEMBERS)
+        ]
     )
 
 
-def _tried(study: Study, members: np.ndarray) -> dict[str, Any]:
+def _solve_or_halve(study: Study, members: np.ndarray) -> dict[str, Any]:
     """The results of one batch, or of its halves if the batch is rejected, so that one member does not spoil a
     batch."""
     try:
-        return _solved(study, members)
+        return _solve_batch(study, members)
     except RetraxError as error:
         if len(members) > 1:
             half = len(members) // 2
-            return _joined([_tried(study, members[:half]), _tried(study, members[half:])])
+            return _join([_solve_or_halve(study, members[:half]), _solve_or_halve(study, members[half:])])
         no = np.zeros(1, bool)
         return {
             "cost": np.full(1, np.nan),
@@ -107,14 +110,14 @@ def _tried(study: Study, members: np.ndarray) -> dict[str, Any]:
         }
 
 
-def _solved(study: Study, members: np.ndarray) -> dict[str, Any]:
-    count, solutions = len(members), study.solver.solve_many(**asked(study, members))
+def _solve_batch(study: Study, members: np.ndarray) -> dict[str, Any]:
+    count, solutions = len(members), study.solver.solve_many(**solve_arguments(study, members))
     if len(solutions) != count:
         raise InvalidInputError(f"cases returned {len(solutions)} cases for {count} members, expected one for each")
     result = solutions.result
     if any(spent.stopped for spent in solutions.statistics):
         raise KeyboardInterrupt
-    kept = _checked(study.keep(solutions), count) if study.keep else {}
+    kept = _check_figures(study.keep(solutions), count) if study.keep else {}
     return {
         "cost": solutions.cost,
         "success": solutions.success,
@@ -124,7 +127,7 @@ def _solved(study: Study, members: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _checked(kept: Any, count: int) -> dict[str, np.ndarray]:
+def _check_figures(kept: Any, count: int) -> dict[str, np.ndarray]:
     """The kept figures as arrays of numbers; raises if the user's function returns something else."""
     arrays = {name: np.asarray(value) for name, value in kept.items()} if isinstance(kept, dict) else {}
     if not isinstance(kept, dict) or not all(
@@ -137,7 +140,7 @@ def _checked(kept: Any, count: int) -> dict[str, np.ndarray]:
     return {name: a.astype(float) for name, a in arrays.items()}
 
 
-def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
+def _join(parts: list[dict[str, Any]]) -> dict[str, Any]:
     """The members of all parts."""
     joined = {name: np.concatenate([part[name] for part in parts]) for name in ("cost", "success", "has")}
     known = [part["kept"] for part in parts if part["has"].any()]
@@ -148,7 +151,7 @@ def _joined(parts: list[dict[str, Any]]) -> dict[str, Any]:
 def marks(study: Study, count: int) -> dict[str, str]:
     """Digests by which a sweep that goes on is known to be the same: of the problem with its method, and of its
     cases."""
-    cases = [asked(study, np.array([k])) for k in (0, count - 1)]
+    cases = [solve_arguments(study, np.array([k])) for k in (0, count - 1)]
     solver = study.solver
     bound = solver.problem.with_parameters(jax.tree.map(_first, cases[0].get("parameters"), is_leaf=is_free)).at_time(
         0.0

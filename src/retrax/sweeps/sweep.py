@@ -17,8 +17,8 @@ from ..manifolds.numerics.ambient import is_count
 from ..manifolds.numerics.precision import working_precision
 from ..progress import progress
 from .record import Sweep
-from .store import opened
-from .study import Study, made, marks
+from .store import open_store
+from .study import Study, make_study, marks
 from .worker import ChunkResult, Job, adopt, run
 
 AHEAD = 1000  # chunks that wait for a worker: more than workers, and few to hold in memory
@@ -74,9 +74,9 @@ def sweep(
     Workers use one processor each for problems on the tape; functions that XLA compiled use threads of XLA.
     """
     _check(build, count, executor, chunk)
-    study, where = made(build), Path(folder).absolute()
-    store = opened(where, count, chunk, marks(study, count))
-    there = store.finished()
+    study, where = make_study(build), Path(folder).absolute()
+    store = open_store(where, count, chunk, marks(study, count))
+    there = store.finished_chunks()
     job = Job(build, str(where), count, chunk, uuid.uuid4().hex, str(working_precision()), executor is not None)
     if executor is None:
         adopt(study, job.token)
@@ -85,7 +85,7 @@ def sweep(
     missing = sorted(set(range(store.parts)) - set(there))
     with (
         progress("sweep", count, "members", verbose, done) as advance,
-        closing(_finished(job, missing, executor)) as finished,
+        closing(_completed_chunks(job, missing, executor)) as finished,
     ):
         try:
             failed = 0
@@ -119,7 +119,7 @@ def _check(build: Any, count: Any, executor: Any, chunk: Any) -> None:
         )
 
 
-def _finished(job: Job, parts: Sequence[int], executor: Executor | None) -> Generator[ChunkResult, None, None]:
+def _completed_chunks(job: Job, parts: Sequence[int], executor: Executor | None) -> Generator[ChunkResult, None, None]:
     """The chunks as they are finished."""
     if executor is None:
         yield from (run(job, part) for part in parts)

@@ -13,7 +13,7 @@ from ..compute.threads import one_thread
 from ..manifolds import InvalidInputError
 from ..manifolds.numerics.precision import working_precision
 from .store import Store
-from .study import Study, made, solved
+from .study import Study, make_study, solve_members
 
 _own = threading.local()  # what a solver computes with belongs to its thread
 _making = threading.Lock()
@@ -44,7 +44,7 @@ def run(job: Job, part: int) -> ChunkResult:
     study = _study(job)
     clock, cpu = time.perf_counter(), time.thread_time() if job.alone else time.process_time()
     with one_thread() if job.alone else nullcontext():
-        found = solved(study, store.members(part))
+        found = solve_members(study, store.members(part))
     seconds = time.perf_counter() - clock, (time.thread_time() if job.alone else time.process_time()) - cpu
     store.write(part, found, seconds)
     return ChunkResult(len(found["success"]), int(np.sum(~found["success"])))
@@ -62,7 +62,7 @@ def _study(job: Job) -> Study:
                 "environment of workers"
             )
         with _making:
-            _own.study = made(job.build)
+            _own.study = make_study(job.build)
         _own.token = job.token
     return _own.study
 

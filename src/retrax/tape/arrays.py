@@ -102,13 +102,13 @@ def scalars(values: ca.SX, shape: tuple[int, ...]) -> Scalars:
     return Scalars(values if values.is_dense() else ca.densify(values), tuple(shape))
 
 
-def taken(a: Entries, places: np.ndarray) -> Any:
+def take(a: Entries, places: np.ndarray) -> Any:
     """The array of the shape of ``places`` with the entries of ``a`` at these places of its C order.
 
     A known array gives a known array, where NumPy would make one entry a number.
     """
     if isinstance(a, Complex):
-        return Complex(taken(a.real, places), taken(a.imag, places))
+        return Complex(take(a.real, places), take(a.imag, places))
     if isinstance(a, np.ndarray):
         return np.asarray(np.reshape(a, -1)[places])
     order = places.reshape(-1)
@@ -118,11 +118,11 @@ def taken(a: Entries, places: np.ndarray) -> Any:
     return Scalars(values if a.size > 1 else ca.reshape(values, order.size, 1), places.shape)  # a row is taken from one
 
 
-def moved(a: Entries, move: Callable[[np.ndarray], Any]) -> Any:
+def move_entries(a: Entries, move: Callable[[np.ndarray], Any]) -> Any:
     """The array with its entries in the places to which a function of NumPy arrays moves them."""
     if isinstance(a, np.ndarray):
         return np.asarray(move(a))
-    return taken(a, np.asarray(move(np.arange(math.prod(a.shape)).reshape(a.shape))))
+    return take(a, np.asarray(move(np.arange(math.prod(a.shape)).reshape(a.shape))))
 
 
 def broadcast(*arrays: Any) -> tuple[list[Any], tuple[int, ...]]:
@@ -130,21 +130,21 @@ def broadcast(*arrays: Any) -> tuple[list[Any], tuple[int, ...]]:
     scalar."""
     shape = np.broadcast_shapes(*(a.shape for a in arrays))
     alike = [
-        a if a.shape == shape or math.prod(a.shape) == 1 else moved(a, lambda b: np.broadcast_to(b, shape))
+        a if a.shape == shape or math.prod(a.shape) == 1 else move_entries(a, lambda b: np.broadcast_to(b, shape))
         for a in arrays
     ]
     return alike, shape
 
 
-def joined(arrays: list[Any], shape: tuple[int, ...], order: np.ndarray | None = None) -> Any:
+def join(arrays: list[Any], shape: tuple[int, ...], order: np.ndarray | None = None) -> Any:
     """The entries of arrays one after the other as one array; ``order``, of this shape, takes places of them."""
     if is_known(*arrays):
         flat: Entries = np.concatenate([np.reshape(a, -1) for a in arrays])
     elif any(is_complex(a) for a in arrays):
         pairs = [parts(a) for a in arrays]
-        flat = Complex(*(joined(list(part), (-1,)) for part in zip(*pairs, strict=True)))
+        flat = Complex(*(join(list(part), (-1,)) for part in zip(*pairs, strict=True)))
     else:
         values = ca.vertcat(*(column(a) for a in arrays))
         flat = Scalars(values, (values.shape[0],))
     places = np.arange(math.prod(flat.shape)).reshape(shape) if order is None else order
-    return taken(flat, places)
+    return take(flat, places)

@@ -157,8 +157,11 @@ def lines_of(program: Program) -> list[Line]:
 
 def pieces_of(lines: list[Line], most: int) -> list[Piece]:
     """The lines in pieces of at most ``most``; ``LOOP`` and ``REPEAT`` are pieces of their own."""
-    cut = list(_cut(lines, most))
-    given, made = [_given(own) for own in cut], [{line.to for line in own if line.to is not None} for own in cut]
+    cut = list(_chunks(lines, most))
+    given, made = (
+        [_live_registers(own) for own in cut],
+        [{line.to for line in own if line.to is not None} for own in cut],
+    )
     needed, left = [set[int]() for _ in range(len(cut) + 1)], [set[int]() for _ in cut]
     for _ in range(2):  # only the second round knows what the end of a loop leaves to its begin
         again = 0
@@ -171,7 +174,7 @@ def pieces_of(lines: list[Line], most: int) -> list[Piece]:
     return [Piece(own, sorted(before), sorted(new & after)) for own, before, new, after in parts]
 
 
-def _cut(lines: list[Line], most: int) -> Iterator[list[Line]]:
+def _chunks(lines: list[Line], most: int) -> Iterator[list[Line]]:
     own = list[Line]()
     for line in lines:
         if own and (line.name in ALONE or own[0].name in ALONE or len(own) == most):
@@ -182,7 +185,7 @@ def _cut(lines: list[Line], most: int) -> Iterator[list[Line]]:
         yield own
 
 
-def _given(lines: list[Line]) -> set[int]:
+def _live_registers(lines: list[Line]) -> set[int]:
     """The registers that lines read before they write them."""
     found, made = set[int](), set[int | None]()
     for line in lines:

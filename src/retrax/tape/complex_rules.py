@@ -27,7 +27,7 @@ def quotient(x: Pair, y: Pair) -> Pair:
     return a / square, b / square
 
 
-def repeated(x: Pair, exponent: int) -> Pair:
+def whole_power(x: Pair, exponent: int) -> Pair:
     """The power with an exponent that is not negative."""
     value = None
     for bit in bin(exponent)[2:]:
@@ -134,7 +134,7 @@ def _scalar_power(x: Pair, y: Pair) -> Pair:
     if y[1].is_zero() and y[0].is_constant():
         exponent = float(y[0])
         if exponent.is_integer() and abs(exponent) <= LARGEST_PRODUCT:
-            return repeated(x if exponent >= 0 else quotient(COMPLEX_ONE, x), abs(int(exponent)))
+            return whole_power(x if exponent >= 0 else quotient(COMPLEX_ONE, x), abs(int(exponent)))
     # exp(y log x); at zero the power of a real number or NaN, as JAX has it.
     zero = ca.logic_and(x[0] == 0, x[1] == 0)
     real, imag = select(zero, 1.0, x[0]), select(zero, 0.0, x[1])

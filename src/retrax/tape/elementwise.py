@@ -9,9 +9,20 @@ import casadi as ca
 import numpy as np
 
 from . import complex_rules
-from .arrays import Complex, Entries, NotTraceableError, Scalars, broadcast, column, is_complex, moved, parts, scalars
+from .arrays import (
+    Complex,
+    Entries,
+    NotTraceableError,
+    Scalars,
+    broadcast,
+    column,
+    is_complex,
+    move_entries,
+    parts,
+    scalars,
+)
 from .choice import select
-from .complex_rules import Pair, product, repeated
+from .complex_rules import Pair, product, whole_power
 
 Function = Callable[..., ca.SX]
 
@@ -30,7 +41,7 @@ def smaller(x: ca.SX, y: ca.SX) -> ca.SX:
     return select(x < y, x, select(y < x, y, (x + y) / 2))
 
 
-def truncated(x: ca.SX) -> ca.SX:
+def truncate(x: ca.SX) -> ca.SX:
     """The whole number next to ``x`` towards zero."""
     return ca.sign(x) * ca.floor(ca.fabs(x))
 
@@ -143,10 +154,10 @@ def elementwise(name: str, params: dict[str, Any], arrays: list[Entries]) -> Ent
         return _OTHERS[name](params, *arrays)
     if any(is_complex(a) for a in arrays):
         return _complex(name, [parts(a) for a in arrays]) if name in _COMPLEX else None
-    return _mapped(REAL_RULES[name], *arrays) if name in REAL_RULES else None
+    return _map_columns(REAL_RULES[name], *arrays) if name in REAL_RULES else None
 
 
-def _mapped(function: Function, *arrays: Any) -> Scalars:
+def _map_columns(function: Function, *arrays: Any) -> Scalars:
     """A function of columns on real arrays."""
     alike, shape = broadcast(*arrays)
     return _full(function(*(column(a) for a in alike)), shape)
@@ -205,7 +216,7 @@ def select_n(params: dict[str, Any], which: Entries, *cases: Entries) -> Entries
         halves = zip(*(parts(case) for case in cases), strict=True)
         return Complex(*(select_n(params, which, *half) for half in halves))
 
-    def chosen(which: ca.SX, *cases: ca.SX) -> ca.SX:
+    def choose(which: ca.SX, *cases: ca.SX) -> ca.SX:
         last = len(cases) - 1
         return reduce(lambda rest, k: select(which <= k, cases[k], rest), reversed(range(last)), cases[last])
 
@@ -213,14 +224,14 @@ def select_n(params: dict[str, Any], which: Entries, *cases: Entries) -> Entries
         columns = [column(case) for case in cases]
         entries = [columns[int(w)][k] for k, w in enumerate(which.reshape(-1))]
         return scalars(ca.vertcat(*entries), which.shape)
-    return _mapped(chosen, which, *cases)
+    return _map_columns(choose, which, *cases)
 
 
 def _integer_pow(params: dict[str, Any], x: Entries) -> Entries:
     exponent = int(params["y"])
     if is_complex(x):
         real, imag = parts(x)
-        power = repeated((column(real), column(imag)), abs(exponent))
+        power = whole_power((column(real), column(imag)), abs(exponent))
         value = power if exponent >= 0 else complex_rules.quotient(complex_rules.COMPLEX_ONE, power)
         return Complex(*(scalars(part, x.shape) for part in value))
     value, base = None, column(x)
@@ -238,15 +249,15 @@ def _convert(params: dict[str, Any], x: Entries) -> Entries:
     if isinstance(x, Complex):
         x = x.real
     if kind == "b":
-        return _mapped(lambda a: a != 0, x)
-    return _mapped(truncated, x) if kind in "iu" else x
+        return _map_columns(lambda a: a != 0, x)
+    return _map_columns(truncate, x) if kind in "iu" else x
 
 
-def _paired(*halves: Any) -> Complex:
+def _pair(*halves: Any) -> Complex:
     """A complex array from its parts, of which one may be a single number."""
     shape = np.broadcast_shapes(*(half.shape for half in halves))
     return Complex(
-        *(half if half.shape == shape else moved(half, lambda a: np.broadcast_to(a, shape)) for half in halves)
+        *(half if half.shape == shape else move_entries(half, lambda a: np.broadcast_to(a, shape)) for half in halves)
     )
 
 
@@ -259,28 +270,28 @@ def _round(params: dict[str, Any], x: Entries) -> Entries:
         odd = ca.fabs(ca.fmod(near, 2.0)) > 0
         return select(ca.logic_and(near - a == 0.5, odd), near - 1, near)
 
-    return _mapped(away if int(params["rounding_method"]) == 0 else even, x)
+    return _map_columns(away if int(params["rounding_method"]) == 0 else even, x)
 
 
-def _divided(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
+def _divide(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
     if is_complex(x) or is_complex(y):
         return _complex("div", [parts(x), parts(y)])
     whole = params.get("whole", False)
-    return _mapped(lambda a, b: truncated(a / b) if whole else a / b, x, y)
+    return _map_columns(lambda a, b: truncate(a / b) if whole else a / b, x, y)
 
 
 def _logic(params: dict[str, Any], name: str, *arrays: Entries) -> Entries:
     if not params.get("truth", True):
         raise NotTraceableError(name, "here on the bits of whole numbers")
     functions = {"and": ca.logic_and, "or": ca.logic_or, "not": ca.logic_not, "xor": lambda a, b: a != b}
-    return _mapped(functions[name], *arrays)
+    return _map_columns(functions[name], *arrays)
 
 
 _OTHERS: dict[str, Callable[..., Entries]] = {
     "and": lambda params, *a: _logic(params, "and", *a),
-    "complex": lambda params, a, b: _paired(a, b),
+    "complex": lambda params, a, b: _pair(a, b),
     "convert_element_type": _convert,
-    "div": _divided,
+    "div": _divide,
     "imag": lambda params, a: parts(a)[1],
     "integer_pow": _integer_pow,
     "not": lambda params, *a: _logic(params, "not", *a),

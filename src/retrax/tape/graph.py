@@ -127,15 +127,15 @@ class Graph:
         """Second derivatives of one scalar by symbols among the inputs."""
         return self.jacobian(self.gradient(value, by), by) if self._moving(value, by) else ca.hessian(value, by)[0]
 
-    def unmarked(self, values: Sequence[ca.SX]) -> list[ca.SX]:
+    def resolve_marks(self, values: Sequence[ca.SX]) -> list[ca.SX]:
         """The values with what the marks stand for in their place, loops written out."""
-        return _replaced(values, self.marks)
+        return _replace(values, self.marks)
 
-    def scheduled(self, values: Sequence[ca.SX]) -> tuple[list[ca.SX], list[Loop]]:
+    def schedule(self, values: Sequence[ca.SX]) -> tuple[list[ca.SX], list[Loop]]:
         """The values with every mark replaced except loops, and the loops that the values need, in order."""
         marks = [mark for mark in self.marks if isinstance(mark, Mark)]
         loops = [mark for mark in self.marks if isinstance(mark, Loop)]
-        values, loops = changed(lambda parts: _replaced(parts, marks), values, loops)
+        values, loops = apply_change(lambda parts: _replace(parts, marks), values, loops)
         needed, kept = symbols_in(values), list[Loop]()
         for loop in reversed(loops):
             if needed & symbols_in([loop.symbols]):
@@ -145,9 +145,9 @@ class Graph:
 
     def at_zero(self, values: Sequence[ca.SX]) -> tuple[list[ca.SX], "Graph"]:
         """The values where the first input is zero, and their graph, which has the other inputs."""
-        (values, loops), first = self.scheduled(values), self.inputs[0]
+        (values, loops), first = self.schedule(values), self.inputs[0]
         zero = ca.SX.zeros(first.shape)
-        values, loops = changed(lambda parts: ca.substitute(parts, [first], [zero]), values, loops)
+        values, loops = apply_change(lambda parts: ca.substitute(parts, [first], [zero]), values, loops)
         marks = [replace(loop, arguments=ca.vertcat(loop.first, loop.given)) for loop in loops]
         return values, Graph(self.inputs[1:], [*marks])
 
@@ -168,7 +168,7 @@ class Graph:
         return moving
 
 
-def changed(
+def apply_change(
     change: Callable[[list[ca.SX]], list[ca.SX]], values: Sequence[ca.SX], loops: Sequence[Loop]
 ) -> tuple[list[ca.SX], list[Loop]]:
     """The values, and the loops that they need, after a change of all expressions at once."""
@@ -195,7 +195,7 @@ def _total(values: ca.SX, by: ca.SX, slopes: Sequence[tuple[Mark | Loop, ca.SX]]
     return total
 
 
-def _replaced(values: Sequence[ca.SX], marks: Sequence[Mark | Loop]) -> list[ca.SX]:
+def _replace(values: Sequence[ca.SX], marks: Sequence[Mark | Loop]) -> list[ca.SX]:
     """The values with what marks stand for in their place, one after the other."""
     if not marks:
         return list(values)

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ..jaxpr_tools import name_of
-from .arrays import Complex, Entries, broadcast, column, is_complex, is_known, moved, parts, scalars
+from .arrays import Complex, Entries, broadcast, column, is_complex, is_known, move_entries, parts, scalars
 from .choice import select
 from .complex_rules import complex_power
 from .elementwise import larger, smaller, square_root
@@ -23,7 +23,7 @@ def _extreme(graph: Graph, eqn: Any, x: Any) -> Entries:
         return value
     best, axes = graph.constant(value.values), eqn.params["axes"]
     rows = tuple(1 if axis in axes else size for axis, size in enumerate(x.shape))
-    level = column(moved(scalars(best, rows), lambda a: np.broadcast_to(a, x.shape)))
+    level = column(move_entries(scalars(best, rows), lambda a: np.broadcast_to(a, x.shape)))
     equal = ca.logic_and(column(x) == level, ca.fabs(level) < np.inf)
     total: Any = LINEAR["reduce_sum"]
     beside, count = (
@@ -52,7 +52,7 @@ def _power(graph: Graph, eqn: Any, x: Any, y: Any) -> Entries:
     return scalars(select(none, at_zero, select(none, 1.0, base) ** exponent), shape)
 
 
-def _clamped(graph: Graph, eqn: Any, low: Any, x: Any, high: Any) -> Entries:
+def _clamp(graph: Graph, eqn: Any, low: Any, x: Any, high: Any) -> Entries:
     """An entry between two limits, without a derivative at a limit."""
     alike, shape = broadcast(low, x, high)
     least, value, most = map(column, alike)
@@ -63,7 +63,7 @@ def _clamped(graph: Graph, eqn: Any, low: Any, x: Any, high: Any) -> Entries:
 
 
 BY_MARKS: dict[str, Callable[..., Entries]] = {
-    "clamp": _clamped,
+    "clamp": _clamp,
     "pow": _power,
     "reduce_max": _extreme,
     "reduce_min": _extreme,

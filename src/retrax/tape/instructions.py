@@ -102,7 +102,7 @@ class _LoopReader:
     def state(self, place: int) -> int:
         """The instruction that is a number of the state."""
         if place not in self.states:
-            self.states[place] = self._added("STATE", [])
+            self.states[place] = self._add("STATE", [])
         return self.states[place]
 
     def parts(self) -> list[list[int]]:
@@ -114,15 +114,15 @@ class _LoopReader:
             if which:
                 done = made
             else:  # a number that takes the place of another one in the state is copied before that has its own
-                new[place] = self._added("ASSIGN", [made]) if found[made].name == "STATE" else made
+                new[place] = self._add("ASSIGN", [made]) if found[made].name == "STATE" else made
         for place, k in self.states.items():
             found[k].inputs = [self.given[place]]
         a_round = [k for k in range(begin, len(found)) if found[k].name != "STATE"]
-        following = [self._added("NEXT", [new[place], k]) for place, k in self.states.items()]
-        begins, ends = self._added("LOOP", [], self._loop.rounds), self._added("REPEAT", [done])
+        following = [self._add("NEXT", [new[place], k]) for place, k in self.states.items()]
+        begins, ends = self._add("LOOP", [], self._loop.rounds), self._add("REPEAT", [done])
         return [list(self.states.values()), [begins], a_round, following, [ends]]
 
-    def _added(self, name: str, inputs: list[int], value: float = 0.0) -> int:
+    def _add(self, name: str, inputs: list[int], value: float = 0.0) -> int:
         self._found.append(Instruction(name, inputs, value))
         return len(self._found) - 1
 

@@ -17,7 +17,7 @@ from .arrays import (
     Scalars,
     column,
     is_complex,
-    moved,
+    move_entries,
     parts,
     scalars,
 )
@@ -38,12 +38,14 @@ def _operand(
     inner = math.prod(a.shape[axis] for axis in contracted)
     outer = math.prod(a.shape[axis] for axis in batch)
     shape = (outer, math.prod(sizes), inner) if first else (outer, inner, math.prod(sizes))
-    return moved(a, lambda b: np.transpose(b, order).reshape(shape)), sizes
+    return move_entries(a, lambda b: np.transpose(b, order).reshape(shape)), sizes
 
 
 def _matrix(a: Entries, k: int) -> ca.SX:
     """The k-th matrix of a batch."""
-    return ca.reshape(column(moved(a, lambda b: b[k])), a.shape[2], a.shape[1]).T  # CasADi's are column by column
+    return ca.reshape(
+        column(move_entries(a, lambda b: b[k])), a.shape[2], a.shape[1]
+    ).T  # CasADi's are column by column
 
 
 def _dot_general(params: dict[str, Any], x: Entries, y: Entries) -> Entries:
@@ -94,7 +96,7 @@ def _reduction(function: OfRows, *start: float, real: bool = True) -> Callable[.
         kept = [axis for axis in range(len(given)) if axis not in axes]
         shape = tuple(given[axis] for axis in kept)
         count, size = math.prod(given[axis] for axis in axes), math.prod(shape)
-        flat = (moved(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, size)) for x in halves)
+        flat = (move_entries(x, lambda a: np.transpose(a, [*axes, *kept]).reshape(count, size)) for x in halves)
         rows = zip(*(ca.vertsplit(column(x), size) for x in flat), strict=True) if count and size else ()
         empty = [ca.SX.ones(size) * a for a in start[: len(halves)]]
         return [scalars(a, shape) for a in (reduce(function, rows) if count and size else empty)]
@@ -108,11 +110,11 @@ def _cumulative(function: OfRows, real: bool = True) -> Callable[..., Entries]:
             return list(halves)
         given, axis = halves[0].shape, params["axis"]
         order = range(given[axis])[::-1] if params["reverse"] else range(given[axis])
-        along = [tuple(column(moved(x, lambda a, k=k: np.take(a, k, axis))) for x in halves) for k in order]
+        along = [tuple(column(move_entries(x, lambda a, k=k: np.take(a, k, axis))) for x in halves) for k in order]
         rows = list(accumulate(along, function))[:: -1 if params["reverse"] else 1]
         shape = (given[axis], *np.delete(given, axis))
         stacked = (scalars(ca.vertcat(*part), shape) for part in zip(*rows, strict=True))
-        return [moved(x, lambda a: np.moveaxis(a, 0, axis)) for x in stacked]
+        return [move_entries(x, lambda a: np.moveaxis(a, 0, axis)) for x in stacked]
 
     return _of_rows(rule, real)
 
@@ -122,7 +124,7 @@ def _extreme(beats: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entries]:
 
     def rule(params: dict[str, Any], x: Entries) -> Entries:
         (axis,) = params["axes"]
-        rows = [column(moved(x, lambda a, k=k: np.take(a, k, axis))) for k in range(x.shape[axis])]
+        rows = [column(move_entries(x, lambda a, k=k: np.take(a, k, axis))) for k in range(x.shape[axis])]
         best, place = rows[0], ca.SX.zeros(rows[0].shape[0])
         for k, row in enumerate(rows[1:], 1):
             place, best = select(beats(row, best), k, place), select(beats(row, best), row, best)
@@ -133,7 +135,7 @@ def _extreme(beats: Callable[[ca.SX, ca.SX], ca.SX]) -> Callable[..., Entries]:
 
 def matrices(a: Entries) -> list[ca.SX]:
     """The matrices of a batch, one after the other."""
-    flat: Any = moved(a, lambda b: b.reshape(-1, *a.shape[-2:]))
+    flat: Any = move_entries(a, lambda b: b.reshape(-1, *a.shape[-2:]))
     return [_matrix(flat, k) for k in range(flat.shape[0])]
 
 
@@ -173,12 +175,12 @@ def _triangular_solve(params: dict[str, Any], x: Any, y: Any) -> Entries:
     lower = params["lower"] != transposed
     found = []
     for a, b in zip(matrices(x), matrices(y), strict=True):
-        value = substituted(a.T if transposed else a, b if left else b.T, lower, unit)
+        value = substitute(a.T if transposed else a, b if left else b.T, lower, unit)
         found.append(value if left else value.T)
     return batch(found, y.shape[:-2])
 
 
-def substituted(matrix: ca.SX, right: ca.SX, lower: bool, unit: bool) -> ca.SX:
+def substitute(matrix: ca.SX, right: ca.SX, lower: bool, unit: bool) -> ca.SX:
     """Solution of a triangular system with several right sides."""
     n = matrix.shape[0]
     found = ca.SX(right)
@@ -189,7 +191,7 @@ def substituted(matrix: ca.SX, right: ca.SX, lower: bool, unit: bool) -> ca.SX:
     return found
 
 
-def factored(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+def factorise(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """``L`` and ``U`` in one matrix, interchanges and permutation, with partial pivoting as LAPACK does it."""
     a, n = ca.densify(matrix), matrix.shape[0]
     width = min(matrix.shape)
@@ -212,7 +214,7 @@ def factored(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 def _lu(params: dict[str, Any], x: Any) -> list[Entries]:
     _require("lu", x.shape[-2], x)
-    factors, pivots, orders = zip(*map(factored, matrices(x)), strict=True)
+    factors, pivots, orders = zip(*map(factorise, matrices(x)), strict=True)
     outer = x.shape[:-2]
     columns = (scalars(ca.vertcat(*part), (*outer, part[0].shape[0])) for part in (pivots, orders))
     return [batch(list(factors), outer), *columns]
@@ -223,11 +225,11 @@ def inverse(matrix: ca.SX) -> ca.SX:
     found = ca.SX(*matrix.shape)
     for block in _blocks(matrix):
         _require("custom_linear_solve", len(block))
-        factors, _, order = factored(matrix[block, block])
+        factors, _, order = factorise(matrix[block, block])
         n = len(block)
         units = ca.vertcat(*(ca.horzcat(*(order[i] == j for j in range(n))) for i in range(n)))
-        lower = substituted(factors, units, lower=True, unit=True)
-        found[block, block] = substituted(factors, lower, lower=False, unit=False)
+        lower = substitute(factors, units, lower=True, unit=True)
+        found[block, block] = substitute(factors, lower, lower=False, unit=False)
     return found
 
 
@@ -248,12 +250,12 @@ def _qr(params: dict[str, Any], x: Any) -> list[Entries]:
     m, n = x.shape[-2:]
     _require("qr", m, x)
     width = m if params["full_matrices"] else min(m, n)
-    found = [_reflected(a) for a in matrices(x)]
+    found = [_householder(a) for a in matrices(x)]
     outer = x.shape[:-2]
     return [batch([q[:, :width] for q, _ in found], outer), batch([r[:width, :] for _, r in found], outer)]
 
 
-def _reflected(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:
+def _householder(matrix: ca.SX) -> tuple[ca.SX, ca.SX]:
     m, n = matrix.shape
     r, q = ca.densify(matrix), ca.densify(ca.SX.eye(m))
     for k in range(min(m - 1, n)):

@@ -9,12 +9,12 @@ from ..jaxpr_tools import CALLS, called_program
 RULES = {"custom_jvp_call", "custom_vjp_call"}  # calls with derivatives of their own
 
 
-def opened(jaxpr: Any) -> Any:
+def open_jaxpr(jaxpr: Any) -> Any:
     """The jaxpr without its constants."""
     return getattr(jaxpr, "jaxpr", jaxpr)
 
 
-def needed(jaxpr: Any, wanted: list[bool]) -> tuple[list[tuple[Any, list[bool], list[bool]]], set[Any]]:
+def live_equations(jaxpr: Any, wanted: list[bool]) -> tuple[list[tuple[Any, list[bool], list[bool]]], set[Any]]:
     """Equations in order, each with the outputs that are wanted of it and the inputs that it needs, and the live
     variables."""
     live = {v for v, want in zip(jaxpr.outvars, wanted, strict=True) if want and not isinstance(v, Literal)}
@@ -30,8 +30,8 @@ def needed(jaxpr: Any, wanted: list[bool]) -> tuple[list[tuple[Any, list[bool], 
 
 def _inputs(eqn: Any, outputs: list[bool]) -> list[bool]:
     if eqn.primitive.name in CALLS.keys() - RULES:
-        inner = opened(called_program(eqn))
-        live = needed(inner, outputs)[1]
+        inner = open_jaxpr(called_program(eqn))
+        live = live_equations(inner, outputs)[1]
         return [v in live for v in inner.invars]
     if eqn.primitive.name == "custom_linear_solve":  # its factors are made anew from the linear map
         counts = eqn.params["const_lengths"]

@@ -51,7 +51,7 @@ def argument_shapes(leaves: list[Leaf], structure: Any) -> tuple[Any, ...]:
     return jax.tree.unflatten(structure, [leaf.shape for leaf in leaves])
 
 
-def packed(arguments: Any, expected: list[Leaf], expected_structure: Any) -> np.ndarray:
+def pack(arguments: Any, expected: list[Leaf], expected_structure: Any) -> np.ndarray:
     """All arguments as one array with a row for every scalar and a column for every point."""
     leaves, structure = jax.tree.flatten(arguments)
     arrays = [np.asarray(leaf) for leaf in leaves]
@@ -69,7 +69,7 @@ def packed(arguments: Any, expected: list[Leaf], expected_structure: Any) -> np.
     return np.concatenate([np.asarray(h, float).reshape(math.prod(h.shape[:-1]), h.shape[-1]) for h in halves])
 
 
-def unpacked(rows: np.ndarray, results: list[Leaf]) -> list[np.ndarray]:
+def unpack(rows: np.ndarray, results: list[Leaf]) -> list[np.ndarray]:
     """The arrays of the values, from an array with a row for every scalar and a column for every point."""
     ends = np.cumsum([0, *(leaf.rows for leaf in results)])
     found = []

@@ -55,7 +55,7 @@ class Program:
         return len(self.codes) + (USUAL - 1) * int(np.sum(ends - self.values[ends]))
 
 
-def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, window: int | None = WINDOW) -> Program:
+def assemble(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, window: int | None = WINDOW) -> Program:
     """The program of a column of scalars as a function of a column of symbols.
 
     ``loops``: those whose symbols the scalars have, in the order in which they run. ``window``: among so many
@@ -64,13 +64,13 @@ def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, wind
     """
     instructions, parts = read(inputs, ca.densify(outputs), loops)
     _count(instructions)
-    cut = _cut(instructions)
+    cut = _rounded_instructions(instructions)
     for k, instruction in enumerate(instructions):
         if instruction.name in ("ADD", "SUB"):
             _select(instructions, instruction)
             _immediate(instructions, instruction)
-            _multiplied(instructions, instruction)
-            _summed(instructions, instruction)
+            _fuse_product(instructions, instruction)
+            _fuse_sum(instructions, instruction)
         elif instruction.name in ("MUL", "DIV"):
             _divide(instructions, instruction, FEW_DIVISIONS if k not in cut else np.inf)
             _immediate(instructions, instruction)
@@ -78,12 +78,12 @@ def assembled(inputs: ca.SX, outputs: ca.SX, loops: Sequence[Loop] = (), *, wind
     for part in parts:
         kept = [k for k in part if instructions[k].uses or instructions[k].name in ALWAYS]
         size = len(kept) if window is None else window
-        order += [k for i in range(0, len(kept), size or 1) for k in _grouped(instructions, kept[i : i + size])]
+        order += [k for i in range(0, len(kept), size or 1) for k in _group(instructions, kept[i : i + size])]
     order = order if window is None else _in_fours(instructions, order)
-    return _allocated(instructions, order, inputs.shape[0], outputs.shape[0])
+    return _allocate(instructions, order, inputs.shape[0], outputs.shape[0])
 
 
-def _grouped(instructions: list[Instruction], kept: list[int]) -> list[int]:
+def _group(instructions: list[Instruction], kept: list[int]) -> list[int]:
     """An order of some instructions in which many equal instructions follow each other.
 
     The next kind is the kind of which most instructions can run. Results of other instructions are there.
@@ -149,7 +149,7 @@ def _replace(
             old += unused.inputs
 
 
-def _cut(instructions: list[Instruction]) -> set[int]:
+def _rounded_instructions(instructions: list[Instruction]) -> set[int]:
     """The instructions that ``FLOOR`` and ``CEIL`` round to a whole number, whose own rounding may change the
     result."""
     found = set[int]()
@@ -196,7 +196,7 @@ def _immediate(instructions: list[Instruction], instruction: Instruction) -> Non
         _replace(instructions, instruction, name, [instruction.inputs[0]], value)
 
 
-def _multiplied(instructions: list[Instruction], instruction: Instruction) -> None:
+def _fuse_product(instructions: list[Instruction], instruction: Instruction) -> None:
     """A product that only this sum needs is formed in it."""
     if instruction.name not in ("ADD", "SUB"):
         return
@@ -208,7 +208,7 @@ def _multiplied(instructions: list[Instruction], instruction: Instruction) -> No
             return
 
 
-def _summed(instructions: list[Instruction], instruction: Instruction) -> None:
+def _fuse_sum(instructions: list[Instruction], instruction: Instruction) -> None:
     """A sum that only this one needs is formed in it."""
     for place in SUMMANDS.get(instruction.name, ()):
         inner = instructions[instruction.inputs[place]]
@@ -227,7 +227,7 @@ def _first_of_four(instructions: list[Instruction], ahead: list[int]) -> bool:
     return [(instructions[k].name, instructions[k].value) for k in ahead] == expected
 
 
-def _allocated(instructions: list[Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
+def _allocate(instructions: list[Instruction], kept: list[int], inputs: int, outputs: int) -> Program:
     """Registers for the values, first the register that was freed last; never an operand's, so that loops are
     vectors."""
     ends = _ends(instructions, kept)

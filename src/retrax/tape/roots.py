@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from ..newton_constants import MAX_JACOBIANS, PROBE, QUADRATIC_POWER, SMALLEST_PART
-from .arrays import Entries, NotTraceableError, column, is_complex, scalars, taken
+from .arrays import Entries, NotTraceableError, column, is_complex, scalars, take
 from .choice import select
 from .elementwise import larger
 from .linear import LARGEST_FACTOR, inverse
@@ -71,7 +71,7 @@ def _batch(params: dict[str, Any], arrays: list[Any], system: System, loop: Loop
 
 def _slice(a: Any, axis: int, k: int) -> Any:
     places = np.arange(int(np.prod(a.shape))).reshape(a.shape)
-    return taken(a, np.take(places, k, axis))
+    return take(a, np.take(places, k, axis))
 
 
 def _root(system: ca.Function, start: ca.SX, at: ca.SX, loop: Looped) -> tuple[ca.SX, ca.SX]:

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from ..constant_folding import reshape
-from .arrays import Complex, Entries, Scalars, column, is_complex, is_known, joined, moved, parts, scalars, taken
+from .arrays import Complex, Entries, Scalars, column, is_complex, is_known, join, move_entries, parts, scalars, take
 from .choice import select
 from .elementwise import elementwise
 
@@ -26,37 +26,37 @@ def _broadcast(params: dict[str, Any], x: Entries) -> Entries:
             full[axis] = size
         return np.broadcast_to(a.reshape(full), shape)
 
-    return moved(x, move)
+    return move_entries(x, move)
 
 
 def _slice(params: dict[str, Any], x: Entries) -> Entries:
     strides = params["strides"] or (1,) * len(params["start_indices"])
     part = tuple(map(slice, params["start_indices"], params["limit_indices"], strides))
-    return moved(x, lambda a: a[part])
+    return move_entries(x, lambda a: a[part])
 
 
 def _split(params: dict[str, Any], x: Entries) -> list[Entries]:
     ends = np.cumsum(params["sizes"])[:-1]
     count = len(params["sizes"])
-    return [moved(x, lambda a, k=k: np.split(a, ends, params["axis"])[k]) for k in range(count)]
+    return [move_entries(x, lambda a, k=k: np.split(a, ends, params["axis"])[k]) for k in range(count)]
 
 
 def _unstack(params: dict[str, Any], x: Entries) -> list[Entries]:
     count = x.shape[params["axis"]]
-    return [moved(x, lambda a, k=k: np.take(a, k, params["axis"])) for k in range(count)]
+    return [move_entries(x, lambda a, k=k: np.take(a, k, params["axis"])) for k in range(count)]
 
 
-def concatenated(arrays: list[Entries], axis: int) -> Entries:
+def concatenate(arrays: list[Entries], axis: int) -> Entries:
     """The arrays one after the other along an axis."""
     starts = np.cumsum([0, *(math.prod(a.shape) for a in arrays)])
     places = [s + np.arange(math.prod(a.shape)).reshape(a.shape) for s, a in zip(starts, arrays, strict=False)]
     order = np.concatenate(places, axis)
-    return joined(arrays, order.shape, order)
+    return join(arrays, order.shape, order)
 
 
-def stacked(arrays: list[Entries]) -> Entries:
+def stack(arrays: list[Entries]) -> Entries:
     """The arrays along a new first axis."""
-    return joined(arrays, (len(arrays), *arrays[0].shape))
+    return join(arrays, (len(arrays), *arrays[0].shape))
 
 
 def _pad(params: dict[str, Any], x: Entries, value: Entries) -> Entries:
@@ -72,16 +72,16 @@ def _pad(params: dict[str, Any], x: Entries, value: Entries) -> Entries:
         wide = np.pad(wide, around, constant_values=OUTSIDE_ENTRY)
         cut = slice(max(-low, 0), wide.shape[axis] - max(-high, 0))
         places = wide[(slice(None),) * axis + (cut,)]
-    return _filled(x, places, value)
+    return _fill(x, places, value)
 
 
-def _filled(x: Entries, places: np.ndarray, value: Entries) -> Entries:
+def _fill(x: Entries, places: np.ndarray, value: Entries) -> Entries:
     """Entries at places, ``value`` where a place is outside."""
     count = math.prod(x.shape)
-    return joined([x, value], places.shape, np.where(places == OUTSIDE_ENTRY, count, places))
+    return join([x, value], places.shape, np.where(places == OUTSIDE_ENTRY, count, places))
 
 
-def _clamped(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]) -> list[int | ca.SX]:
+def _clamp(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]) -> list[int | ca.SX]:
     """Starts of a window, moved into the array."""
     found: list[int | ca.SX] = []
     for start, full, size in zip(starts, shape, sizes, strict=True):
@@ -93,7 +93,7 @@ def _clamped(starts: list[Any], shape: tuple[int, ...], sizes: tuple[int, ...]) 
 
 def _window(x: Entries, starts: list[int | ca.SX], sizes: tuple[int, ...]) -> Entries:
     """The part of an array of these sizes that starts at an index; one that depends on the input selects among all."""
-    return _chosen([(c, moved(x, lambda a, part=part: a[part])) for c, part in _parts(starts, x.shape, sizes)])
+    return _choose([(c, move_entries(x, lambda a, part=part: a[part])) for c, part in _parts(starts, x.shape, sizes)])
 
 
 def _parts(
@@ -108,12 +108,12 @@ def _parts(
         yield reduce(ca.logic_and, conditions) if conditions else None, part
 
 
-def _chosen(found: list[tuple[Any, Entries]]) -> Entries:
+def _choose(found: list[tuple[Any, Entries]]) -> Entries:
     if len(found) == 1:
         return found[0][1]
     if any(is_complex(value) for _, value in found):
         halves = ([(c, parts(value)[k]) for c, value in found] for k in (0, 1))
-        return Complex(*(_chosen(half) for half in halves))
+        return Complex(*(_choose(half) for half in halves))
     shape, value = found[0][1].shape, column(found[-1][1])
     for condition, part in reversed(found[:-1]):
         value = select(condition, column(part), value)
@@ -122,12 +122,12 @@ def _chosen(found: list[tuple[Any, Entries]]) -> Entries:
 
 def _dynamic_slice(params: dict[str, Any], x: Entries, *starts: Entries) -> Entries:
     sizes = params["slice_sizes"]
-    return _window(x, _clamped(list(starts), x.shape, sizes), sizes)
+    return _window(x, _clamp(list(starts), x.shape, sizes), sizes)
 
 
 def _dynamic_update_slice(params: dict[str, Any], x: Entries, update: Entries, *starts: Entries) -> Entries:
-    at = _clamped(list(starts), x.shape, update.shape)
-    return _chosen([(c, _combined("scatter", x, part, update)) for c, part in _parts(at, x.shape, update.shape)])
+    at = _clamp(list(starts), x.shape, update.shape)
+    return _choose([(c, _combine("scatter", x, part, update)) for c, part in _parts(at, x.shape, update.shape)])
 
 
 def _entry(indices: Entries, at: tuple[int, ...], k: int) -> Any:
@@ -135,7 +135,7 @@ def _entry(indices: Entries, at: tuple[int, ...], k: int) -> Any:
     if isinstance(indices, np.ndarray):
         return int(indices[(*at, k)])
     flat = int(np.ravel_multi_index((*at, k), indices.shape))
-    return taken(indices, np.array(flat))
+    return take(indices, np.array(flat))
 
 
 def _starts(
@@ -170,8 +170,8 @@ def _window_or(filling: np.ndarray, x: Entries, starts: list[Any], sizes: tuple[
     if _is_outside(starts, x.shape, sizes):
         return nothing
     at = _columns(starts)
-    found = [(c, moved(x, lambda a, part=part: a[part])) for c, part in _parts(at, x.shape, sizes)]
-    return found[0][1] if found[0][0] is None else _chosen([*found, (None, nothing)])
+    found = [(c, move_entries(x, lambda a, part=part: a[part])) for c, part in _parts(at, x.shape, sizes)]
+    return found[0][1] if found[0][0] is None else _choose([*found, (None, nothing)])
 
 
 def _columns(starts: list[Any]) -> list[int | ca.SX]:
@@ -190,17 +190,17 @@ def _gather(params: dict[str, Any], x: Entries, indices: Entries) -> Entries:
     for at in np.ndindex(*batch):
         starts = _starts(d.start_index_map, indices, at, len(x.shape), batching)
         if filling is None:
-            window = _window(x, _clamped(starts, x.shape, sizes), sizes)
+            window = _window(x, _clamp(starts, x.shape, sizes), sizes)
         else:
             window = _window_or(filling, x, starts, sizes)
-        windows.append(moved(window, lambda a: a.reshape(kept)))
+        windows.append(move_entries(window, lambda a: a.reshape(kept)))
     rank = len(batch) + len(kept)
     outer = [axis for axis in range(rank) if axis not in d.offset_dims]
     order = np.argsort([*outer, *d.offset_dims])
     if not windows:
         return np.transpose(np.zeros((*batch, *kept), complex if is_complex(x) else float), order)
-    whole = moved(stacked(windows), lambda a: a.reshape((*batch, *kept)))
-    return moved(whole, lambda a: np.transpose(a, order))
+    whole = move_entries(stack(windows), lambda a: a.reshape((*batch, *kept)))
+    return move_entries(whole, lambda a: np.transpose(a, order))
 
 
 def _scatter(name: str, params: dict[str, Any], x: Entries, indices: Entries, updates: Entries) -> Entries:
@@ -212,12 +212,12 @@ def _scatter(name: str, params: dict[str, Any], x: Entries, indices: Entries, up
         for starts, sizes, of in windows:
             ((_, into),) = _parts(starts, x.shape, sizes)
             order[into] = count + of
-        return joined([x, updates], x.shape, order)
+        return join([x, updates], x.shape, order)
     result = x
     for starts, sizes, of in windows:
-        update = taken(updates, of)
-        found = [(c, _combined(name, result, into, update)) for c, into in _parts(starts, x.shape, sizes)]
-        result = found[0][1] if found[0][0] is None else _chosen([*found, (None, result)])
+        update = take(updates, of)
+        found = [(c, _combine(name, result, into, update)) for c, into in _parts(starts, x.shape, sizes)]
+        result = found[0][1] if found[0][0] is None else _choose([*found, (None, result)])
     return result
 
 
@@ -236,15 +236,15 @@ def _windows(params: dict[str, Any], shape: tuple[int, ...], indices: Any, updat
     for at in np.ndindex(*indices.shape[:-1]):
         starts = _starts(d.scatter_dims_to_operand_dims, indices, at, len(shape), batching)
         if "CLIP" in str(params["mode"]):
-            starts = _clamped(starts, shape, tuple(sizes))
+            starts = _clamp(starts, shape, tuple(sizes))
         if not _is_outside(starts, shape, tuple(sizes)):
             found.append((_columns(starts), tuple(sizes), np.reshape(places[at], sizes)))
     return found
 
 
-def _combined(name: str, x: Entries, into: tuple[slice, ...], update: Entries) -> Entries:
+def _combine(name: str, x: Entries, into: tuple[slice, ...], update: Entries) -> Entries:
     """``x`` with a window combined with an update of its shape."""
-    window = moved(x, lambda a: a[into])
+    window = move_entries(x, lambda a: a[into])
     function = name.removeprefix("scatter-")
     new: Any = update
     if function != "scatter" and is_known(window, update):
@@ -253,26 +253,26 @@ def _combined(name: str, x: Entries, into: tuple[slice, ...], update: Entries) -
         new = elementwise(function, {}, [window, update])
     order = np.arange(math.prod(x.shape)).reshape(x.shape)
     order[into] = math.prod(x.shape) + np.arange(math.prod(update.shape)).reshape(update.shape)
-    return joined([x, new], x.shape, order)
+    return join([x, new], x.shape, order)
 
 
 Rule = Callable[..., Entries | list[Entries]]
 
 STRUCTURAL_RULES: dict[str, Rule] = {
     "broadcast_in_dim": _broadcast,
-    "concatenate": lambda params, *a: concatenated(list(a), params["dimension"]),
+    "concatenate": lambda params, *a: concatenate(list(a), params["dimension"]),
     "dynamic_slice": _dynamic_slice,
     "dynamic_update_slice": _dynamic_update_slice,
     "gather": _gather,
     "pad": _pad,
-    "reshape": lambda params, x: moved(x, lambda a: reshape(params, a)),
-    "rev": lambda params, x: moved(x, lambda a: np.flip(a, params["dimensions"])),
+    "reshape": lambda params, x: move_entries(x, lambda a: reshape(params, a)),
+    "rev": lambda params, x: move_entries(x, lambda a: np.flip(a, params["dimensions"])),
     "slice": _slice,
     "split": _split,
-    "stack": lambda params, *a: moved(stacked(list(a)), lambda b: np.moveaxis(b, 0, params["axis"])),
-    "squeeze": lambda params, x: moved(x, lambda a: np.squeeze(a, tuple(params["dimensions"]))),
-    "tile": lambda params, x: moved(x, lambda a: np.tile(a, params["reps"])),
-    "transpose": lambda params, x: moved(x, lambda a: np.transpose(a, params["permutation"])),
+    "stack": lambda params, *a: move_entries(stack(list(a)), lambda b: np.moveaxis(b, 0, params["axis"])),
+    "squeeze": lambda params, x: move_entries(x, lambda a: np.squeeze(a, tuple(params["dimensions"]))),
+    "tile": lambda params, x: move_entries(x, lambda a: np.tile(a, params["reps"])),
+    "transpose": lambda params, x: move_entries(x, lambda a: np.transpose(a, params["permutation"])),
     "unstack": _unstack,
     **{
         name: partial(_scatter, name)

@@ -15,8 +15,8 @@ from ..compute.threads import in_threads
 from ..errors import InvalidInputError
 from .arrays import Entries, column, is_complex, parts, scalars
 from .graph import Graph, Loop
-from .packing import Argnums, Leaf, argument_places, packed, require_numbers, unpacked
-from .program import Program, assembled
+from .packing import Argnums, Leaf, argument_places, pack, require_numbers, unpack
+from .program import Program, assemble
 from .trace import Flat, flat, readable, trace
 
 
@@ -98,11 +98,11 @@ class Tape:
         pytree of arrays
             The values, with the axis of the points last.
         """
-        inputs = packed(arguments, self._leaves, self._arguments)
+        inputs = pack(arguments, self._leaves, self._arguments)
         rows = np.empty((sum(leaf.rows for leaf in self._results), inputs.shape[1]))
         ends = inputs.ravel(), _rows(*inputs.shape), rows.reshape(-1), _rows(*rows.shape)
         self.run(inputs.shape[1], ends)
-        return jax.tree.unflatten(self.structure, unpacked(rows, self._results))
+        return jax.tree.unflatten(self.structure, unpack(rows, self._results))
 
     @property
     def instructions(self) -> int:
@@ -147,13 +147,13 @@ class Tape:
     @cached_property
     def _scheduled(self) -> tuple[list[ca.SX], list[Loop]]:
         """The outputs without marks, and the loops that they need."""
-        return self.graph.scheduled([self.outputs])
+        return self.graph.schedule([self.outputs])
 
     @cached_property
     def program(self) -> Program:
         """The instructions."""
         (outputs,), loops = self._scheduled
-        return assembled(self.inputs, outputs, loops)
+        return assemble(self.inputs, outputs, loops)
 
     @cached_property
     def on_core(self) -> MachineProgram:
@@ -281,7 +281,7 @@ class Tape:
         A complex array has two columns, the real and the imaginary parts.
         """
         outputs = [column(half) for v in self._values for half in _halves(v)]
-        return ca.Function(name, self.graph.inputs, self.graph.unmarked(outputs), {"cse": True})
+        return ca.Function(name, self.graph.inputs, self.graph.resolve_marks(outputs), {"cse": True})
 
     def c_code(self, name: str = "f") -> str:
         """The function as a C program, with the interface of CasADi's generated code.

@@ -27,16 +27,16 @@ from .arrays import (
     is_known,
     parts,
     scalars,
-    taken,
+    take,
 )
 from .elementwise import elementwise, select_n
 from .graph import Graph, Mark
 from .guarded_rules import BY_MARKS
 from .linear import LINEAR, inverse
-from .liveness import RULES, needed, opened
+from .liveness import RULES, live_equations, open_jaxpr
 from .roots import PRIMITIVE as ROOT
 from .roots import roots
-from .structural_rules import STRUCTURAL_RULES, stacked
+from .structural_rules import STRUCTURAL_RULES, stack
 
 BACKWARD = {"custom_vjp_call", "CustomVJPTraced"}  # what has a rule in reverse mode only
 LONGEST_LOOP = 1000  # iterations of a loop that is written out
@@ -56,14 +56,14 @@ class Tracer:
         # Since JAX 0.11 the variables of constants that a program lacks are among those of its arguments.
         given = [*map(_entries, constants), *arguments]
         values.update(zip([*jaxpr.constvars, *jaxpr.invars], given, strict=True))
-        for eqn, outputs, inputs in needed(jaxpr, wanted)[0]:
+        for eqn, outputs, inputs in live_equations(jaxpr, wanted)[0]:
             arrays = [_read(values, v) if need else None for v, need in zip(eqn.invars, inputs, strict=True)]
             values.update(zip(eqn.outvars, self._equation(eqn, arrays, outputs), strict=True))
         return [_read(values, v) if want else None for v, want in zip(jaxpr.outvars, wanted, strict=True)]
 
-    def closed(self, jaxpr: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
+    def evaluate(self, jaxpr: Any, arguments: list[Any], wanted: list[bool] | None = None) -> list[Any]:
         """Values of a jaxpr that may hold its constants."""
-        return self.run(opened(jaxpr), getattr(jaxpr, "consts", ()), arguments, wanted)
+        return self.run(open_jaxpr(jaxpr), getattr(jaxpr, "consts", ()), arguments, wanted)
 
     def _equation(self, eqn: Any, arrays: list[Any], wanted: list[bool]) -> list[Any]:
         """Values of an equation; it is refused by name where its rule does not take this, as complex numbers."""
@@ -81,7 +81,7 @@ class Tracer:
         if name in RULES or eqn.primitive.name == HIGH:
             return self._custom(eqn, arrays)
         if name in CALLS:
-            return self.closed(called_program(eqn), arrays, wanted)
+            return self.evaluate(called_program(eqn), arrays, wanted)
         if name in _CONTROL:
             return _CONTROL[name](self, eqn, arrays)
         if name in STRUCTURAL_RULES:
@@ -107,12 +107,12 @@ class Tracer:
         fixed, carry, along = scan_parts(params, arrays)
         rows: dict[int, list[Entries]] = {}
         for k in reversed(range(length)) if params["reverse"] else range(length):
-            out = self.closed(params["jaxpr"], [*fixed, *carry, *(_row(a, k) for a in along)])
+            out = self.evaluate(params["jaxpr"], [*fixed, *carry, *(_row(a, k) for a in along)])
             carry, rows[k] = out[: len(carry)], out[len(carry) :]
         empty = [np.zeros(v.aval.shape, v.aval.dtype) for v in eqn.outvars[len(carry) :]]
         return [
             *carry,
-            *([stacked([rows[k][i] for k in range(length)]) for i in range(len(empty))] if length else empty),
+            *([stack([rows[k][i] for k in range(length)]) for i in range(len(empty))] if length else empty),
         ]
 
     def _while(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
@@ -120,20 +120,20 @@ class Tracer:
         first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
         of_test, of_body, carry = arrays[:first], arrays[first:second], arrays[second:]
         for _ in range(LONGEST_LOOP):
-            (going,) = self.closed(params["cond_jaxpr"], [*of_test, *carry])
+            (going,) = self.evaluate(params["cond_jaxpr"], [*of_test, *carry])
             if not is_known(going):
                 raise NotTraceableError("while", "whose number of iterations depends on the input")
             if not going:
                 return carry
-            carry = self.closed(params["body_jaxpr"], [*of_body, *carry])
+            carry = self.evaluate(params["body_jaxpr"], [*of_body, *carry])
         raise NotTraceableError("while", f"with more than {LONGEST_LOOP} iterations")
 
     def _cond(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         which, branches = arrays[0], eqn.params["branches"]
         last = len(branches) - 1
         if isinstance(which, np.ndarray):
-            return self.closed(branches[int(np.clip(which, 0, last))], arrays[1:])
-        found = [self.closed(branch, arrays[1:]) for branch in branches]
+            return self.evaluate(branches[int(np.clip(which, 0, last))], arrays[1:])
+        found = [self.evaluate(branch, arrays[1:]) for branch in branches]
         return [select_n({}, which, *values) for values in zip(*found, strict=True)]
 
     def _platform_index(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
@@ -141,11 +141,11 @@ class Tracer:
         return [np.asarray(next(k for k, names in enumerate(platforms) if names is None or "cpu" in names))]
 
     def _stop_gradient(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
-        return [self._stopped(a) for a in arrays]
+        return [self._without_slopes(a) for a in arrays]
 
-    def _stopped(self, a: Entries) -> Entries:
+    def _without_slopes(self, a: Entries) -> Entries:
         if isinstance(a, Complex):
-            return Complex(self._stopped(a.real), self._stopped(a.imag))
+            return Complex(self._without_slopes(a.real), self._without_slopes(a.imag))
         return a if isinstance(a, np.ndarray) else scalars(self.graph.constant(a.values), a.shape)
 
     def _linear_solve(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
@@ -158,11 +158,11 @@ class Tracer:
         ]
         side = _flat(right, leaves)
         unknown = ca.SX.sym("x", side.shape[0])
-        images = self.closed(matvec, [*fixed, *_arrays(unknown, leaves)])
-        inverted = self._marked_inverse(ca.jacobian(_flat(images, leaves), unknown))
+        images = self.evaluate(matvec, [*fixed, *_arrays(unknown, leaves)])
+        inverted = self._mark_inverse(ca.jacobian(_flat(images, leaves), unknown))
         return _arrays(ca.mtimes(inverted, side), leaves)
 
-    def _marked_inverse(self, matrix: ca.SX) -> ca.SX:
+    def _mark_inverse(self, matrix: ca.SX) -> ca.SX:
         """The inverse with the derivative ``dB = -B dA B``, which needs none of the elimination."""
         value = inverse(matrix)
         symbols = self.graph.symbols(value.nnz())
@@ -178,8 +178,8 @@ class Tracer:
 
     def _custom(self, eqn: Any, arrays: list[Entries]) -> list[Entries]:
         """A function with a derivative of its own, which JAX knows."""
-        values = self.closed(called_program(eqn), arrays)
-        return values if is_in_scalars(eqn) else self._marked(eqn, arrays, values)
+        values = self.evaluate(called_program(eqn), arrays)
+        return values if is_in_scalars(eqn) else self._mark_derivative(eqn, arrays, values)
 
     def _root(self, eqn: Any, arrays: list[Any]) -> list[Entries]:
         """A root with the derivatives of the implicit function theorem; one that is met again, in a derivative of
@@ -188,7 +188,7 @@ class Tracer:
         key = id(jaxpr), eqn.params["axes"], *map(id, arrays)
         if key not in self._roots:
             found = roots(eqn.params, arrays, self._system, self.graph.loop)
-            self._roots[key] = (jaxpr, arrays), self._marked(eqn, arrays, found)
+            self._roots[key] = (jaxpr, arrays), self._mark_derivative(eqn, arrays, found)
         return self._roots[key][1]
 
     def _system(self, jaxpr: Any, operands: list[Any]) -> ca.Function:
@@ -199,10 +199,10 @@ class Tracer:
         constants = [scalars(symbols, a.shape) for symbols, a in zip(given, operands, strict=True)]
         (value,) = inner.run(jaxpr, constants, [scalars(unknown, unknown.shape[:1])])
         residual = column(value)
-        found = inner.graph.unmarked([residual, inner.graph.jacobian(residual, unknown)])
+        found = inner.graph.resolve_marks([residual, inner.graph.jacobian(residual, unknown)])
         return ca.Function("residual", [unknown, ca.vertcat(ca.SX(0, 1), *given)], found, {"cse": True})
 
-    def _marked(self, eqn: Any, arrays: list[Any], values: list[Entries]) -> list[Entries]:
+    def _mark_derivative(self, eqn: Any, arrays: list[Any], values: list[Entries]) -> list[Entries]:
         """The values of an equation with a derivative of its own, as symbols of the graph."""
         if any(is_complex(a) for a in (*arrays, *values)):
             raise NotTraceableError(name_of(eqn), "here of complex numbers")
@@ -240,7 +240,7 @@ class Tracer:
             program = trace_program(image, *examples)
         symbols = [ca.SX.sym("t", int(np.prod(s.shape))) for s in shapes]
         directions = [scalars(t, s.shape) for t, s in zip(symbols, shapes, strict=True)]
-        images = ca.vertcat(*(column(a) for a in self.closed(program, [*arrays, *directions])))
+        images = ca.vertcat(*(column(a) for a in self.evaluate(program, [*arrays, *directions])))
         matrix = ca.jacobian(images, ca.vertcat(*symbols))
         return matrix if forward else matrix.T
 
@@ -250,7 +250,7 @@ def _function(eqn: Any) -> Callable[..., list[Any]]:
     variable = gensym()
     ins, outs = ([variable(v.aval) for v in part] for part in (eqn.invars, eqn.outvars))
     alone = new_jaxpr_eqn(ins, outs, eqn.primitive, eqn.params, eqn.effects)
-    debug = opened(called_program(eqn) or eqn.params["jaxpr"]).debug_info
+    debug = open_jaxpr(called_program(eqn) or eqn.params["jaxpr"]).debug_info
     return jaxpr_as_fun(ClosedJaxpr(Jaxpr([], ins, outs, [alone], eqn.effects, debug), []))
 
 
@@ -300,7 +300,7 @@ def _require_short(name: str, length: int) -> None:
 def _row(a: Entries, k: int) -> Entries:
     shape = a.shape[1:]
     count = int(np.prod(shape))
-    return taken(a, np.arange(k * count, (k + 1) * count).reshape(shape))
+    return take(a, np.arange(k * count, (k + 1) * count).reshape(shape))
 
 
 _CONTROL: dict[str, Callable[[Tracer, Any, list[Entries]], list[Entries]]] = {
@@ -367,4 +367,4 @@ def trace(function: Flat) -> tuple[Graph, list[Entries]]:
         halves: list[Entries] = [scalars(s, leaf.shape) for s in symbols]
         arrays.append(halves[0] if len(halves) == 1 else Complex(*halves))
     graph = Graph(inputs)
-    return graph, Tracer(graph).closed(function.jaxpr, arrays)
+    return graph, Tracer(graph).evaluate(function.jaxpr, arrays)

@@ -28,10 +28,10 @@ _WISHES: dict[str, Option] = {
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """``function`` compiled quickly, with numpy arrays as its values: in double precision, for what is made of them."""
     fast = jax.jit(function, compiler_options=known_options(_WISHES))
-    return lambda *arguments: jax.tree.map(_widened, fast(*arguments))
+    return lambda *arguments: jax.tree.map(_widen, fast(*arguments))
 
 
-def _widened(a: Any) -> np.ndarray:
+def _widen(a: Any) -> np.ndarray:
     found = np.asarray(a)
     return found.astype(np.result_type(found, np.float64)) if np.issubdtype(found.dtype, np.inexact) else found
 

@@ -12,7 +12,7 @@ LENGTH_RATIO = 2.0**7  # the longer of two displacements over the shorter: curva
 NEIGHBOURHOODS = 8  # points of a cloud whose neighbourhoods are examined
 
 
-def least_seen(
+def least_visible_normal(
     violation: Callable[[np.ndarray], np.ndarray], x: np.ndarray, basis: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """How much the equations see of the normal displacement that they see least of, and the unit normal vector along

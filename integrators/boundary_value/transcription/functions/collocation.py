@@ -51,8 +51,8 @@ class CollocationFunctions:
             FunctionName.ENDS: evaluator.values(self._ends_of, e, n),
             FunctionName.POINTS: evaluator.derivatives(self._point_of, *point),
             FunctionName.BOTH_ENDS: evaluator.derivatives(self._both_of, *both),
-            FunctionName.MOVE: evaluator.values(self._centre_moved, e, n),
-            FunctionName.MOVE_CONTROLS: evaluator.values(self._control_moved, u, m),
+            FunctionName.MOVE: evaluator.values(self._centre_move_of, e, n),
+            FunctionName.MOVE_CONTROLS: evaluator.values(self._control_move_of, u, m),
         }
         self.state_at_point = evaluator.values(self._state_at, e, n, e)
         self._velocity = evaluator.values(self._velocity_at, e, e, u, k)
@@ -100,7 +100,7 @@ class CollocationFunctions:
     def weights(self, data: Data) -> np.ndarray:
         """Weights of the inequalities, shape (B, N, r, c)."""
         own = np.array([*self.tableau.weights, 1.0][: self.places])
-        return data.steps[:, :, None, None] * own[:, None] * data.held(self.inequalities, self.places)
+        return data.steps[:, :, None, None] * own[:, None] * data.activation(self.inequalities, self.places)
 
     def at_stages(
         self, unknowns: CollocationUnknowns, costates: np.ndarray, data: Data, slacks: Slacks | None
@@ -114,7 +114,7 @@ class CollocationFunctions:
         )
         return states, controls, covectors
 
-    def _moved(self, x: Array, dx: Array) -> tuple[Ambient, Any]:
+    def _move_centre(self, x: Array, dx: Array) -> tuple[Ambient, Any]:
         """The centre moved in its chart, and its frame carried along."""
         centre = self.state.point(x)
         frame = self.manifold.basis(centre)
@@ -133,7 +133,7 @@ class CollocationFunctions:
         bound = self.problem.with_parameters(self.parameter.point(parameters))
         here = self.state.point(x)
         e = self.manifold.basis(self.method.retraction(here, vec.combine(self.manifold.basis(here), xi)))
-        centre, carried = self._moved(x, z[:n])
+        centre, carried = self._move_centre(x, z[:n])
         a, v = carried(xi + z[n : 2 * n]), carried(nu + z[2 * n : 3 * n])
         q, velocity = jax.jvp(lambda a: self.method.retraction(centre, a), (a,), (v,))
         turn = default_retraction(self.controls)
@@ -149,7 +149,7 @@ class CollocationFunctions:
         inequalities."""
         q0, q1, p0, p1 = map(self.state.point, given[:4])
         n = self.directions
-        centre, carried = self._moved(x, z[:n])
+        centre, carried = self._move_centre(x, z[:n])
         begin, finish = self.method.retraction.both_ways(centre, carried((eta + z[n:]) / 2))
         values = vec.components(self.manifold.basis(q0), begin), vec.components(self.manifold.basis(q1), finish)
         lagrangian = vec.pairing(p0, begin) - vec.pairing(p1, finish)
@@ -165,13 +165,13 @@ class CollocationFunctions:
         limits = jnp.concatenate([bound.node_inequalities(end) for end in (finish, begin)])
         return lagrangian + step[0] * pull @ limits, (*values, limits)
 
-    def _centre_moved(self, x: Array, dx: Array) -> tuple[Array, Array]:
-        moved, carried = self._moved(x, dx)
+    def _centre_move_of(self, x: Array, dx: Array) -> tuple[Array, Array]:
+        moved, carried = self._move_centre(x, dx)
         frame = self.manifold.basis(moved)
         turns = jax.vmap(lambda c: vec.components(frame, carried(c)))(jnp.eye(self.directions))
         return self.state.flat(moved), turns.T
 
-    def _control_moved(self, u: Array, du: Array) -> tuple[Array]:
+    def _control_move_of(self, u: Array, du: Array) -> tuple[Array]:
         turn, control = default_retraction(self.controls), self.control.point(u)
         return (self.control.flat(turn.chart(control, turn.frame(control), du)),)
 

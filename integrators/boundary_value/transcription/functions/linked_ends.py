@@ -77,7 +77,7 @@ class LinkageFunctions:
         _, slope, jacobian, values, *_ = self.function.at(1, *ends, *parameters, multipliers)
         return LinkedEnds(values, jacobian, slope)
 
-    def lifted(self, coordinates: np.ndarray, frames: Sequence[np.ndarray]) -> np.ndarray:
+    def lift(self, coordinates: np.ndarray, frames: Sequence[np.ndarray]) -> np.ndarray:
         """Multipliers as they are kept, from their coordinates in the frames at all ends, each (B, n, E)."""
         found, begin = [coordinates[:, : self.count]], self.count
         for link, size in zip(self.links, self.sizes[1:], strict=True):

@@ -48,7 +48,7 @@ class OneStageFunctions:
         self.functions: dict[FunctionName, PointwiseFunction] = {
             FunctionName.ENDS: evaluator.values(self._ends_of, *sizes, *given),
             FunctionName.POINTS: evaluator.derivatives(self._row_of, *row),
-            FunctionName.MOVE: evaluator.values(self._moved, *sizes, self.dimension, *given),
+            FunctionName.MOVE: evaluator.values(self._move_of, *sizes, self.dimension, *given),
         }
         self._covectors = evaluator.values(self._covector_of, *sizes, *nodes[:2], *given, at_nodes, self.node_costs)
 
@@ -71,7 +71,7 @@ class OneStageFunctions:
 
     def weights(self, data: Data) -> np.ndarray:
         """Weights of the inequalities, shape (B, N, 1, c)."""
-        return data.steps[:, :, None, None] * data.held(self.inequalities, 1)
+        return data.steps[:, :, None, None] * data.activation(self.inequalities, 1)
 
     def begin(
         self,
@@ -115,7 +115,7 @@ class OneStageFunctions:
         lagrangian = cost + vec.pairing(p0, begin) - vec.pairing(p1, finish) + given[4][0] * given[6] @ limits
         return lagrangian, values
 
-    def _moved(self, x: Array, u: Array, d: Array, h: Array, parameters: Array) -> tuple[Array, Array]:
+    def _move_of(self, x: Array, u: Array, d: Array, h: Array, parameters: Array) -> tuple[Array, Array]:
         stage, y = self.stage(h, parameters), (self.state.point(x), self.control.point(u))
         centre, control = stage.move(y, stage.frame(y), d)
         return self.state.flat(centre), self.control.flat(control)

@@ -75,7 +75,7 @@ def _system(arrays: CollocationArrays) -> CollocationSystemStruct:
     return CollocationSystemStruct(count, s, n, m, k, *addresses)
 
 
-def _kept(kept: KeptArrays, sizes: tuple[int, int, int, int, int]) -> CondensedSystemStruct:
+def _kept_struct(kept: KeptArrays, sizes: tuple[int, int, int, int, int]) -> CondensedSystemStruct:
     """The struct with what is kept alone."""
     count, s, n, m, k = sizes
     z, p = n + s * m, s * n
@@ -127,7 +127,7 @@ def condense_slope(
     inner, outer = np.empty((count, s, n)), np.empty((count, n + s * m))
     library().retrax_condense_slope(
         byref(system),
-        byref(_kept(kept, sizes)),
+        byref(_kept_struct(kept, sizes)),
         address_of(slope, FLOAT, (count, s, 3 * n + m), "slope of collocation steps"),
         None if end_slope is None else address_of(end_slope, FLOAT, (count, 2 * n), "slope of the ends"),
         *(address_of(a, FLOAT, a.shape, "result") for a in (inner, outer)),

@@ -5,7 +5,7 @@ from ctypes import POINTER, byref, pointer
 from typing import Any, NamedTuple, final
 
 from ...errors import InvalidInputError
-from ..working_memory import aligned
+from ..working_memory import aligned_array
 from .problem_functions import CallbackFunction
 from .structs import FunctionStruct, LayoutStruct, LinkStruct, MultiphaseStruct
 from .tape_machine import MachineProgram
@@ -57,7 +57,7 @@ class Multiphase:
         if isinstance(program, CallbackFunction):
             self._struct.function = program.as_function(first.failure)
         else:
-            registers = aligned(program.sizes[2] * program.lanes(1))
+            registers = aligned_array(program.sizes[2] * program.lanes(1))
             own = registers, program.lanes(1), first.instruction_set
             self._struct.function, context = program.as_function(*own)
             self._kept += [registers, context]

@@ -108,7 +108,7 @@ class Search:
         self._memory = self._of[0].search_room(-(-size // BYTES))
         self._place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
         self._report, self._interrupted = report, False
-        self._callback = REPORT(partial(_told, ref(self)))  # C calls it
+        self._callback = REPORT(partial(_report, ref(self)))  # C calls it
         options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
         best = self._of[0].instruction_set
         self._search = own.retrax_search_make(self._phases.address, byref(options), best, self._place)
@@ -144,17 +144,17 @@ class Search:
     def run(self) -> SearchStatus:
         """Search an extremal from the guess; an error of the report or of a function, or an interrupt, is raised when
         the search has ended."""
-        return SearchStatus(self._watched(self._library.retrax_search_run))
+        return SearchStatus(self._call_with_reports(self._library.retrax_search_run))
 
     def restore(self, max_trials: int) -> Feasibility:
         """Search a feasible trajectory near the guess, whatever it costs, which is the iterate then.
 
         Errors and interrupts are raised as by ``run``.
         """
-        found = self._watched(self._library.retrax_search_restore, max_trials)
+        found = self._call_with_reports(self._library.retrax_search_restore, max_trials)
         return Feasibility(*(getattr(found, name) for name in Feasibility._fields))
 
-    def _watched(self, function: Callable[..., Any], *arguments: Any) -> Any:
+    def _call_with_reports(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """The result of a function of the core that reports its trials.
 
         An interrupt asks the search to stop: where C calls Python, nobody could catch it.
@@ -204,10 +204,10 @@ class Search:
             for own in (found.judging, found.steps)
         ]
         limits, residuals = self._part(found.limits, sizes.limits), self._part(found.residuals, len(at["RESIDUALS"]))
-        coupled, facts = self._coupled(found), SearchFacts(*read_facts(found))
+        coupled, facts = self._coupling_arrays(found), SearchFacts(*read_facts(found))
         return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, facts)
 
-    def _coupled(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _coupling_arrays(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Natural sizes, values and derivatives of the equations between the ends."""
         r, coordinates = self._phases.equations, 2 * sum([of.sizes.state_size for of in self._of])
         if not found.equations:
@@ -231,7 +231,7 @@ def search_memory(transcription: Transcription, max_iterations: int) -> int:
     return library().retrax_search_memory(Multiphase((transcription,)).address, max_iterations)
 
 
-def _told(search: Any, _context: int | None, iteration: Any) -> bool:
+def _report(search: Any, _context: int | None, iteration: Any) -> bool:
     """The report that C calls after each evaluation."""
     own = search()
     return own is None or own._reports(iteration.contents)

@@ -81,7 +81,7 @@ class MachineProgram:
         """
         TapeCall(self, points, ends, self.lanes(len(points)) if lanes is None else lanes)(ends[2])
 
-    def checked_data(self, points: range, ends: Ends, lanes: int) -> TapeDataStruct:
+    def tape_data(self, points: range, ends: Ends, lanes: int) -> TapeDataStruct:
         """The arrays of ``run`` for C; raises ``InvalidInputError`` where points lie outside of them."""
         inputs, sources, outputs, targets = ends
         data = TapeDataStruct(
@@ -112,7 +112,7 @@ class TapeCall:
     def __init__(
         self, program: MachineProgram, points: range, ends: Ends, lanes: int, registers: np.ndarray | None = None
     ) -> None:
-        self._data = program.checked_data(points, ends, lanes)
+        self._data = program.tape_data(points, ends, lanes)
         if registers is None:
             (registers,) = scratch(((program.sizes[-1], lanes),))
         room = address_of(registers, FLOAT, registers.shape, "registers")

@@ -10,7 +10,7 @@ from weakref import ref
 import numpy as np
 
 from ...errors import InvalidInputError
-from ..working_memory import aligned
+from ..working_memory import aligned_array
 from .library import BYTES, FLOAT, PLACE, address_of, best_instruction_set, library
 from .problem_functions import CallbackFunction, Failure, FunctionName
 from .structs import ARRAYS, LayoutStruct, ProblemStruct
@@ -105,13 +105,13 @@ class Transcription:
             )
         self._set_functions()
         self._workspace_size = -(-room // BYTES)
-        self._memory, self.layout = aligned(-(-size // BYTES)), LayoutStruct()
+        self._memory, self.layout = aligned_array(-(-size // BYTES)), LayoutStruct()
         place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a layout")
         self._library.retrax_layout_make(byref(self._problem), place, byref(self.layout))
         firsts, counts = self.layout.first[:], self.layout.count[:]
         self.parts = {name: slice(firsts[k], firsts[k] + counts[k]) for name, k in array_places().items()}
         self.iterate_numbers = firsts[array_places()["POINT_CENTRES"]]
-        self._room = aligned(1)
+        self._room = aligned_array(1)
 
     def _addresses(self) -> tuple[Any, ...]:
         """The addresses of the arrays of the problem, for its struct."""
@@ -132,7 +132,7 @@ class Transcription:
 
     @cached_property
     def _workspace(self) -> np.ndarray:
-        return aligned(self._workspace_size)
+        return aligned_array(self._workspace_size)
 
     @property
     def workspace(self) -> int:
@@ -151,12 +151,12 @@ class Transcription:
         """
         last = _last_room.of()
         if last is not None and last is not self:
-            last._room = aligned(1)
+            last._room = aligned_array(1)
         if size > KEPT_ROOM:
-            return aligned(size)
+            return aligned_array(size)
         _last_room.of = ref(self)
         if len(self._room) < size:
-            self._room = aligned(size)
+            self._room = aligned_array(size)
         return self._room
 
     def trajectory(self) -> "Trajectory":
@@ -167,7 +167,7 @@ class Transcription:
         """Hand the functions of the problem to its struct."""
         points = (self.sizes.steps + 1) * self.sizes.points
         tapes = [own for own in self.programs.values() if isinstance(own, MachineProgram)]
-        self._registers = aligned(max([1, *(own.sizes[2] * own.lanes(points) for own in tapes)]))
+        self._registers = aligned_array(max([1, *(own.sizes[2] * own.lanes(points) for own in tapes)]))
         for name in FunctionName:
             if name is not FunctionName.CONTROL_FRAMES or self.control_groups is not None:
                 self._set_function(name, self.programs.get(name), points)
@@ -218,7 +218,7 @@ class Trajectory:
     def __init__(self, transcription: Transcription, numbers: np.ndarray | None = None) -> None:
         self._of, self._layout = transcription, transcription.layout
         if numbers is None:
-            numbers = aligned(self._layout.numbers)
+            numbers = aligned_array(self._layout.numbers)
             numbers[...] = 0.0
         self._numbers = numbers
 

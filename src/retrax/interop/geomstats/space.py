@@ -80,7 +80,7 @@ class RetraxSpace(GeomstatsManifold):
         atol : float
             The largest normal part.
         """
-        return self.host("normal_part", _given(base_point), vector) <= atol
+        return self.host("normal_part", _require_point(base_point), vector) <= atol
 
     def to_tangent(self, vector: np.ndarray, base_point: np.ndarray | None = None) -> Any:
         """The tangent projection.
@@ -92,7 +92,7 @@ class RetraxSpace(GeomstatsManifold):
         base_point : array, optional
             The base point.
         """
-        return self.host("project", _given(base_point), vector)
+        return self.host("project", _require_point(base_point), vector)
 
     def random_point(self, n_samples: int = 1, bound: float = 1.0) -> Any:
         """Random points.
@@ -105,7 +105,7 @@ class RetraxSpace(GeomstatsManifold):
             As in geomstats; it has no effect.
         """
         seeds = np.random.randint(2**31, size=n_samples)  # noqa: NPY002
-        drawn = np.array(_drawn(self.geometry, jnp.asarray(seeds)))
+        drawn = np.array(_draw(self.geometry, jnp.asarray(seeds)))
         return drawn if n_samples > 1 else drawn[0]
 
     def projection(self, point: np.ndarray) -> np.ndarray:
@@ -161,7 +161,7 @@ class RetraxMetric(RiemannianMetric):
         base_point : array, optional
             The base point.
         """
-        return self._space.host("inner_product", _given(base_point), tangent_vec_a, tangent_vec_b)
+        return self._space.host("inner_product", _require_point(base_point), tangent_vec_a, tangent_vec_b)
 
     def exp(self, tangent_vec: np.ndarray, base_point: np.ndarray) -> np.ndarray:
         """The exponential map.
@@ -244,11 +244,11 @@ class RetraxMetric(RiemannianMetric):
                 f"parallel transport is known on symmetric spaces, not on {self._space.geometry.manifold}"
             )
         if end_point is None:
-            end_point = self.exp(_given(direction), base_point)
+            end_point = self.exp(_require_point(direction), base_point)
         return self._space.host("transport", base_point, end_point, tangent_vec)
 
 
-def _given(array: np.ndarray | None) -> np.ndarray:
+def _require_point(array: np.ndarray | None) -> np.ndarray:
     if array is None:
         raise ValueError("base_point (for a transport: end_point or direction) is missing: these spaces need it")
     return array
@@ -263,5 +263,5 @@ def _kernel(method: str, signature: str) -> Any:
 
 
 @eqx.filter_jit
-def _drawn(geometry: Geometry, seeds: jax.Array) -> jax.Array:
+def _draw(geometry: Geometry, seeds: jax.Array) -> jax.Array:
     return jax.vmap(lambda seed: geometry.random_point(jax.random.key(seed)))(seeds)

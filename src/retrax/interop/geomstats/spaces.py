@@ -40,7 +40,7 @@ from ...manifolds import (
 from ...retractions import PowerRetraction, ProductRetraction, default_retraction
 from ..conventions import Conventions, Reshaping, SameConvention, Stack
 from ..counterpart import Counterpart
-from ..isolated_import import seeded
+from ..isolated_import import seed_numpy
 from ..metrics import natural_metric
 from ..wrapped import HostSpace, wrap
 from .space import RetraxSpace
@@ -60,7 +60,7 @@ def counterpart(space: Any) -> Counterpart:
     Counterpart
         Manifold, retraction, metric and conventions.
     """
-    return _wrapped(space) if _has_another_metric(space) else _counterpart(space)
+    return _wrap(space) if _has_another_metric(space) else _counterpart(space)
 
 
 def _has_another_metric(space: Any) -> bool:
@@ -70,7 +70,7 @@ def _has_another_metric(space: Any) -> bool:
     )
 
 
-def _wrapped(space: GeomstatsManifold) -> Counterpart:
+def _wrap(space: GeomstatsManifold) -> Counterpart:
     manifold, retraction = wrap(GeomstatsHost(space), _name(space))
     return Counterpart(manifold, retraction, natural_metric(manifold), SameConvention())
 
@@ -86,7 +86,7 @@ def _(space: GeomstatsManifold) -> Counterpart:
         raise InvalidInputError(
             f"{_name(space)} has no metric, whose exponential map is needed; call equip_with_metric()"
         )
-    return _wrapped(space)
+    return _wrap(space)
 
 
 @_counterpart.register
@@ -142,7 +142,7 @@ def _(space: Hyperboloid) -> Counterpart:
 @_counterpart.register
 def _(space: NFoldManifold) -> Counterpart:
     if type(space) is not NFoldManifold:  # landmarks, curves and the polydisk come with metrics of their own
-        return _wrapped(space)
+        return _wrap(space)
     base = counterpart(space.base_manifold)
     manifold, k = Power(base.manifold, space.n_copies), space.n_copies
     return Counterpart(
@@ -213,7 +213,7 @@ class GeomstatsHost(HostSpace):
         return self.space.belongs(x, atol=1e-8)
 
     def random_point(self, seed: int) -> np.ndarray:
-        with seeded(seed):
+        with seed_numpy(seed):
             return self.space.random_point()
 
     @cached_property

@@ -111,7 +111,7 @@ def _(manifold: Grassmann) -> Conventions:
 
 @conventions_of.register
 def _(manifold: Product) -> Conventions:
-    return PartList(tuple(_nested(factor) for factor in manifold.factors))
+    return PartList(tuple(_nest(factor) for factor in manifold.factors))
 
 
 @conventions_of.register
@@ -122,7 +122,7 @@ def _(manifold: Power) -> Conventions:
     return Stack(base)
 
 
-def _nested(manifold: Manifold) -> Any:
+def _nest(manifold: Manifold) -> Any:
     conventions = conventions_of(manifold)
     return conventions.nest.unflatten(conventions.parts) if isinstance(conventions, PartList) else conventions
 

@@ -38,7 +38,7 @@ from ...retractions import (
 )
 from ..conventions import Conventions, PartList, Representatives, Reshaping, SameConvention, SkewFactors, Stack
 from ..counterpart import Counterpart
-from ..isolated_import import seeded
+from ..isolated_import import seed_numpy
 from ..metrics import natural_metric
 from ..wrapped import HostSpace, wrap
 from .conventions import Factors
@@ -96,12 +96,12 @@ def _(space: theirs.Sphere) -> Counterpart:
 
 @counterpart.register
 def _(space: theirs.SpecialOrthogonalGroup) -> Counterpart:
-    return _copies(space, lambda n, _: SO(n), _named(space), SkewFactors())
+    return _copies(space, lambda n, _: SO(n), _family_of(space), SkewFactors())
 
 
 @counterpart.register
 def _(space: theirs.UnitaryGroup) -> Counterpart:
-    return _copies(space, lambda n, _: U(n), _named(space), SkewFactors())
+    return _copies(space, lambda n, _: U(n), _family_of(space), SkewFactors())
 
 
 @counterpart.register
@@ -118,7 +118,7 @@ def _(space: theirs.SymmetricPositiveDefinite) -> Counterpart:
 
 @counterpart.register
 def _(space: theirs.Stiefel) -> Counterpart:
-    return _copies(space, Stiefel, _named(space), SameConvention())
+    return _copies(space, Stiefel, _family_of(space), SameConvention())
 
 
 @counterpart.register
@@ -157,7 +157,7 @@ def _with_natural_metric(manifold: Manifold, retraction: Retraction, conventions
     return Counterpart(manifold, retraction, natural_metric(manifold), conventions)
 
 
-def _named(space: Any) -> Any:
+def _family_of(space: Any) -> Any:
     """The family of the retraction that a pymanopt manifold was made with."""
     return _RETRACTIONS[space._retraction.__name__]
 
@@ -167,7 +167,7 @@ def _shape(space: Any) -> tuple[int, ...]:
 
 
 def _random_point(space: Any) -> Any:
-    with seeded(0):
+    with seed_numpy(0):
         return space.random_point()
 
 
@@ -199,5 +199,5 @@ class PymanoptHost(HostSpace):
         return np.all(np.isfinite(x.reshape(len(x), -1)), axis=1)
 
     def random_point(self, seed: int) -> np.ndarray:
-        with seeded(seed):
+        with seed_numpy(seed):
             return self.space.random_point()

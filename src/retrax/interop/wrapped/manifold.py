@@ -149,20 +149,20 @@ def moved_points(host: HostSpace) -> Moved:
     """Points on the curves ``s -> R(x, s P_x e_i)`` for the coordinate vectors ``e_i``."""
     size = prod(host.shape)
 
-    def moved(x: np.ndarray, step: float) -> np.ndarray:
+    def move(x: np.ndarray, step: float) -> np.ndarray:
         directions = np.swapaxes(projectors_of(host)(x), 1, 2)[:, :, None] * (step * HOST_NODES)[:, None]
         starts = np.broadcast_to(x[:, None, None], directions.shape)
         there = host.retract(starts.reshape(-1, *host.shape), directions.reshape(-1, *host.shape))
         return there.reshape(len(x), size, len(HOST_NODES), size)
 
-    return moved
+    return move
 
 
 def _moved_tangents(host: HostSpace) -> Moved:
     """Tangent vectors on curves along each coordinate of the base point, then of the fibre."""
     size = prod(host.shape)
 
-    def moved(z: np.ndarray, step: float) -> np.ndarray:
+    def move(z: np.ndarray, step: float) -> np.ndarray:
         x, v = z[:, :size], z[:, size:]
         steps = step * HOST_NODES[:, None] * np.eye(size)[:, None]
         base = moved_points(host)(x, step)
@@ -170,7 +170,7 @@ def _moved_tangents(host: HostSpace) -> Moved:
         along_base, along_fibre = np.concatenate([base, other], -1), np.concatenate([same, other + steps], -1)
         return np.concatenate([along_base, along_fibre], 1)
 
-    return moved
+    return move
 
 
 def _split(host: HostSpace, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

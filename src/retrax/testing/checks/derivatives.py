@@ -37,10 +37,10 @@ def _second(retraction: Retraction, sample: Sample) -> dict:
     move, z, d, c = flat_retraction(retraction), jnp.stack([sample["x"], sample["v"]]), sample["d"], sample["c"]
     gradient = jax.grad(lambda z: c @ move(*z))
 
-    def pushed(z: jax.Array) -> Vector:
+    def push(z: jax.Array) -> Vector:
         return jax.jvp(lambda z: move(*z), (z,), (d,))[1]
 
-    forward, twice_forward = jax.jvp(pushed, (z,), (sample["e"],))
+    forward, twice_forward = jax.jvp(push, (z,), (sample["e"],))
     reverse, forward_reverse = jax.jvp(gradient, (z,), (d,))
     return {
         "forward": forward,
@@ -108,7 +108,7 @@ def differentiated_retraction_is_the_derivative(facts: Facts) -> Comparison | In
     """``DR[w]`` by its closed form is the derivative of ``R`` along the fibre."""
     if not isinstance(facts.subject, DifferentiatedRetraction):
         return Inapplicable("there is no closed form of the derivative along the fibres")
-    f, pushed = facts.measure(_adjoints, "zero", "inside"), _pushed(facts)
+    f, pushed = facts.measure(_adjoints, "zero", "inside"), _pushforward(facts)
     return facts.compare("|DR[w] - d/ds R(x, v + s w)|", f, f["differentiated"], pushed, facts.tolerance)
 
 
@@ -117,7 +117,7 @@ def adjoint_pairs_as_the_derivative_does(facts: Facts) -> Comparison | Inapplica
     """``<DR[w], c> = <w, DR*[c]>`` for the closed form of ``DR*``, and ``DR*[c]`` is tangent at ``x``."""
     if not isinstance(facts.subject, DifferentiatedRetraction):
         return Inapplicable("there is no closed form of the adjoint of the derivative")
-    f, pushed = facts.measure(_adjoints, "zero", "inside"), _pushed(facts)
+    f, pushed = facts.measure(_adjoints, "zero", "inside"), _pushforward(facts)
     tangential = np.einsum("ki,kji,kjl->kl", f["adjoint"], f["frame"], f["frame"])
     pulled = np.concatenate([_along(f["w"], f["adjoint"])[:, None], f["adjoint"]], axis=1)
     expected = np.concatenate([_along(pushed, f["c"])[:, None], tangential], axis=1)
@@ -126,7 +126,7 @@ def adjoint_pairs_as_the_derivative_does(facts: Facts) -> Comparison | Inapplica
     )
 
 
-def _pushed(facts: Facts) -> np.ndarray:
+def _pushforward(facts: Facts) -> np.ndarray:
     """``DR[w]`` by automatic differentiation, from the derivatives along the basis."""
     f = facts.measure(first_derivatives, "zero", "inside")
     return np.einsum("ki,kji,kjl->kl", f["w"], f["frame"], f["push"])

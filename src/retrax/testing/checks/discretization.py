@@ -77,7 +77,7 @@ def both_ends(discretization: DiscretizationMap, sample: Sample) -> dict:
     }
 
 
-def _reversed(discretization: DiscretizationMap, sample: Sample) -> dict:
+def _reverse(discretization: DiscretizationMap, sample: Sample) -> dict:
     """The two ends at ``(x, v)``, and the exchanged ends at ``(x, -v)``."""
     ends, x, v = flat_ends(discretization), sample["x"], sample["v"]
     there, back = jax.vmap(lambda v: ends(jnp.concatenate([x, v])))(jnp.stack([v, -v]))
@@ -143,7 +143,7 @@ def map_is_its_own_adjoint(facts: DiscretizationFacts) -> Comparison | Inapplica
     """A symmetric map is its own adjoint: ``R1(x, -v) = R2(x, v)`` and ``R2(x, -v) = R1(x, v)``."""
     if not facts.symmetric:
         return Inapplicable("symmetry is not claimed")
-    f = facts.measure(_reversed, "inside")
+    f = facts.measure(_reverse, "inside")
     return facts.compare("|R_d(x, v) - R_d*(x, v)|", f, f["value"], f["exchanged"], facts.tolerance)
 
 

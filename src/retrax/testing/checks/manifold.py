@@ -12,7 +12,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ..numerics import along, ambient_size, flat, unflat
 from ..precision import precision
-from ..probes import least_seen, least_spread
+from ..probes import least_spread, least_visible_normal
 from ..properties import SAMPLE_SEEDS, Facts, Sample, examine, largest_entries
 from ..report import Batch, Comparison, Inapplicable, Report, entries, fact, number
 from ..sites import Site
@@ -52,7 +52,7 @@ class ManifoldFacts(Facts):
         return self.measure(self._displace, "points")
 
     def _displace(self, sample: Sample) -> Sample:
-        seen, normal = least_seen(lambda y: self.violation(y)[0], sample["x"], sample["basis"])
+        seen, normal = least_visible_normal(lambda y: self.violation(y)[0], sample["x"], sample["basis"])
         return {"seen": seen, "normal": normal}
 
 
@@ -81,11 +81,11 @@ def _basis(manifold: Manifold, sample: Sample) -> dict:
     back, x = unflat(manifold), sample["x"]
     unit = sample["v"] / jnp.linalg.norm(sample["v"])
 
-    def projected(x: jax.Array, e: jax.Array) -> jax.Array:
+    def project(x: jax.Array, e: jax.Array) -> jax.Array:
         return flat(manifold.projection(back(x), back(e)))
 
     basis, rate = jax.jvp(lambda x: vec.flatten_frame(manifold.basis(back(x))), (x,), (unit,))
-    bent = jax.vmap(lambda e: jax.jvp(lambda x: projected(x, e), (x,), (unit,))[1])(basis)
+    bent = jax.vmap(lambda e: jax.jvp(lambda x: project(x, e), (x,), (unit,))[1])(basis)
     return {"basis": basis, "rate": rate, "bent": bent}
 
 
@@ -97,15 +97,15 @@ def _equations(manifold: Manifold, sample: Sample) -> dict:
     def violation(y: jax.Array) -> jax.Array:
         return max_violation(manifold, back(y))
 
-    def restored(y: jax.Array) -> jax.Array:
+    def restore(y: jax.Array) -> jax.Array:
         return flat(manifold.restore(back(y)))
 
     distances = jnp.asarray(precision().distances, x.dtype)
     return {
         "on": violation(x),
         "tangent line": jax.vmap(lambda t: violation(x + t * unit))(distances),
-        "restored": restored(x),
-        "after restoring": jax.vmap(lambda t: violation(restored(x + t * a)))(distances),
+        "restored": restore(x),
+        "after restoring": jax.vmap(lambda t: violation(restore(x + t * a)))(distances),
     }
 
 

@@ -140,7 +140,7 @@ def vector_inverts_covector(facts: MetricFacts) -> Comparison:
     """``vector(x, covector(x, v)) = v``, so that the kinetic energy belongs to the inverse of ``g_x``."""
     f = facts.measure(_products, "points")
     names = ("vector(x, covector(x, v))", "v")
-    return facts.compare("|vector(covector(v)) - v|", f, f["vector"], f["v"], _conditioned(facts, f), names)
+    return facts.compare("|vector(covector(v)) - v|", f, f["vector"], f["v"], _conditioning(facts, f), names)
 
 
 @fact
@@ -149,10 +149,10 @@ def energy_is_half_the_square_of_the_velocity(facts: MetricFacts) -> Comparison:
     f = facts.measure(_products, "points")
     got, expected = (a[:, None] / _scale(f)[:, None] for a in (f["energy"], f["square"] / 2))
     names = ("the energy", "g(v, v) / 2")
-    return facts.compare("|energy - g(v, v) / 2|", f, got, expected, _conditioned(facts, f), names)
+    return facts.compare("|energy - g(v, v) / 2|", f, got, expected, _conditioning(facts, f), names)
 
 
-def _conditioned(facts: MetricFacts, f: dict) -> np.ndarray:
+def _conditioning(facts: MetricFacts, f: dict) -> np.ndarray:
     """The rounding of what goes through the inverse of ``g_x``."""
     condition = np.linalg.cond(np.nan_to_num(f["gram"])) if f["gram"].shape[1] else np.ones(len(f["gram"]))
     return np.minimum(10 * facts.tolerance * condition, WORST)
@@ -164,7 +164,7 @@ def energy_is_that_of_the_tangential_part(facts: MetricFacts) -> Comparison:
     f = facts.measure(_products, "points")
     energies = f["energies"] * _scale(f)[:, None]
     return facts.compare(
-        "|K(p) - K(P p)|", f, energies[:, :1], energies[:, 1:], _conditioned(facts, f), ("K(p)", "K(P p)")
+        "|K(p) - K(P p)|", f, energies[:, :1], energies[:, 1:], _conditioning(facts, f), ("K(p)", "K(P p)")
     )
 
 
@@ -178,7 +178,7 @@ def vector_is_that_of_the_tangential_part(facts: MetricFacts) -> Comparison:
         np.concatenate([given, given], axis=1) * scale,
         np.concatenate([tangential, f["tangent"]], axis=1) * scale,
     )
-    return facts.compare("|vector(p) - vector(P p)|", f, got, expected, _conditioned(facts, f))
+    return facts.compare("|vector(p) - vector(P p)|", f, got, expected, _conditioning(facts, f))
 
 
 @fact
@@ -198,7 +198,7 @@ def isometries_keep_inner_products(facts: MetricFacts) -> Comparison | Inapplica
     if not facts.isometries:
         return Inapplicable("no isometry is claimed")
 
-    def moved(metric: Metric, sample: Sample) -> dict:
+    def move(metric: Metric, sample: Sample) -> dict:
         back = unflat(metric.manifold)
         x, v, w = (back(sample[name]) for name in "xvw")
 
@@ -209,7 +209,7 @@ def isometries_keep_inner_products(facts: MetricFacts) -> Comparison | Inapplica
         products, violations = map(jnp.stack, zip(*map(product, facts.isometries.values()), strict=True))
         return {"products": products, "violations": violations}
 
-    f, g = facts.measure(moved, "points"), facts.measure(_products, "points")
+    f, g = facts.measure(move, "points"), facts.measure(_products, "points")
     scale = _scale(g)[:, None]
     got = np.concatenate([f["products"] / scale, f["violations"]], axis=1)
     expected = np.concatenate(

@@ -164,7 +164,7 @@ class RetractionFacts(Facts):
     def _inverse_slope(self, sample: Sample) -> jax.Array:
         back = unflat(self.manifold)
         pull = jax.vjp(lambda x, y: flat(self.subject.preimage(back(x), back(y))), sample["xs"][0], sample["ys"][0])[1]
-        return _paired(pull(sample["c"]), sample)
+        return _pair(pull(sample["c"]), sample)
 
     def _midpoints(self, sample: Sample) -> tuple[jax.Array, jax.Array]:
         back, retraction = unflat(self.manifold), cast(MidpointRetraction, self.subject)
@@ -173,9 +173,9 @@ class RetractionFacts(Facts):
             return flat(retraction.midpoint(back(x), back(y)))
 
         pull = jax.vjp(middle, sample["xs"][0], sample["ys"][0])[1]
-        return _paired(pull(sample["c"]), sample), jax.vmap(middle)(sample["xs"], sample["ys"])
+        return _pair(pull(sample["c"]), sample), jax.vmap(middle)(sample["xs"], sample["ys"])
 
 
-def _paired(pulled: tuple[Vector, Vector], sample: Sample) -> jax.Array:
+def _pair(pulled: tuple[Vector, Vector], sample: Sample) -> jax.Array:
     """Derivative along the curves from that by both points, of shape ``(1,)``."""
     return jnp.atleast_1d(pulled[0] @ sample["along x"] + pulled[1] @ sample["along y"])
