@@ -11,14 +11,14 @@
 #define SHRINKS 0.1
 /* Residual that is rounding. */
 #define EXACT (64.0 * DBL_EPSILON)
-/* Times its natural sizes: a trajectory that has grown so far follows the null vector of a singular system. */
+/* Times its scaling factors: a trajectory that has grown so far follows the null vector of a singular system. */
 #define GROWN 1e6
 /* Times the residual: a step that leads to less is Newton's own. */
 #define GAINED 0.1
 /* A shift has to shorten a step to this share; a step is cut no further than to the other. */
 #define SHORTER 0.5
 #define SLOW 1e-6
-/* Trials after which natural sizes are measured again. */
+/* Trials after which scaling factors are measured again. */
 #define ROUND 40
 
 void retrax_swap(retrax_search *search) {
@@ -218,7 +218,7 @@ static void stand(retrax_search *search) {
     settle(search);
 }
 
-/* Goes on in the natural sizes of the iterate where those in use are far larger. */
+/* Goes on in the scaling factors of the iterate where those in use are far larger. */
 static void renew(retrax_search *search) {
     if (retrax_renew_scale(search)) {
         retrax_measure(search, search->at);

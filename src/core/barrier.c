@@ -1,5 +1,5 @@
 /*
- * Barrier: the natural sizes of the inequalities, their first slacks, and how the barrier falls and penalties grow.
+ * Barrier: the scaling factors of the inequalities, their first slacks, and how the barrier falls and penalties grow.
  *
  * A barrier problem is solved to ten times the barrier, which then is the smaller of a fifth of it and its power 1.5
  * [Waechter, Biegler, On the implementation of an interior-point filter line-search algorithm, Math. Program. 106, 2006].
@@ -12,7 +12,7 @@
 
 /* An inequality that holds at first by less than this share of its size is elastic. */
 #define INSIDE 1e-2
-/* The first barrier, in natural sizes. */
+/* The first barrier, in units of the scaling. */
 #define FIRST_BARRIER 0.3
 /* Factor by which the cost counts less where penalties are too small. */
 #define DEARER 3.0
@@ -39,7 +39,7 @@ bool retrax_is_kept(const retrax_phase *phase, retrax_index i) {
     return phase->layout->problem->kept[limit_of(phase, i)] != 0.0;
 }
 
-/* The natural size of an unknown that an inequality depends on. */
+/* The scaling factor of an unknown that an inequality depends on. */
 static double size_of_unknown(const retrax_phase *phase, const retrax_limit *of, retrax_index a) {
     const retrax_problem *const problem = phase->layout->problem;
     const retrax_index n = problem->state_size, m = problem->control_size, point = of->block % problem->points;
@@ -52,8 +52,8 @@ static double size_of_unknown(const retrax_phase *phase, const retrax_limit *of,
     return a < 2 * n ? phase->scale.unknowns[a % n] : 0.0; /* no inequality depends on velocities */
 }
 
-/* Writes the natural sizes of the inequalities: what a step of natural size changes them by, or their values where that
- * is next to nothing, as that of a ball where its derivative vanishes. */
+/* Writes the scaling factors of the inequalities: what a step of the size of the scaling changes them by, or their
+ * values where that is next to nothing, as that of a ball where its derivative vanishes. */
 static void write_limits(retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;

@@ -185,7 +185,7 @@ static retrax_inertia solve_border(const retrax_search *search, retrax_border *b
 
 /* ------------------------------------------------------------------------------------------------------------ step */
 
-/* Sum of d' H d and of the squares of d in natural sizes over the stages, and the largest steps. */
+/* Sum of d' H d and of the squares of d in units of the scaling over the stages, and the largest steps. */
 static void summarise(const retrax_layout *layout, const double *trajectory, retrax_phase *phase, double *curvature,
                       double *size) {
     const retrax_index N = layout->problem->steps, z = layout->count[RETRAX_ARRAY_PARTS];

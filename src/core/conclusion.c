@@ -19,7 +19,7 @@
 
 /* Whether ends of steps are not as far apart as the arrays of the states are large, whatever gaps are measured by.
  *
- * Where natural sizes have lost their meaning, as where controls reach next to nothing or next to everything, a gap in
+ * Where scaling factors have lost their meaning, as where controls reach next to nothing or next to everything, a gap in
  * these sizes says nothing. */
 static bool do_ends_meet(const retrax_search *search) {
     const retrax_layout *const layout = search->phases->layout;

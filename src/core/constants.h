@@ -8,7 +8,7 @@
 #define RETRAX_ROOT_EPS 1.4901161193847656e-08
 /* An entry that moves by a smaller share of its value is constant, but for rounding. */
 #define RETRAX_STILL 1e-12
-/* Share of its natural size by which a coordinate, or a part of a sum, is measured where it is less. */
+/* Share of its scaling factor by which a coordinate, or a part of a sum, is measured where it is less. */
 #define RETRAX_SHARE 1e-3
 /* Share of its value by which an entry, or an inequality, is measured where it changes by less: values are rounded. */
 #define RETRAX_VALUE_SHARE 1e-2
@@ -16,7 +16,7 @@
 #define RETRAX_LEAST_SHIFT 1e6
 /* The shortest fraction of a step, a power of two. */
 #define RETRAX_SHORTEST 0.0625
-/* The usual first penalty of an excess, in natural sizes. */
+/* The usual first penalty of an excess, in units of the scaling. */
 #define RETRAX_FIRST_PENALTY 10.0
 
 #endif /* RETRAX_CONSTANTS_H */

@@ -22,7 +22,7 @@
 #define OPPOSITE 0.05
 /* Share of what the linearised constraints ask for: a step that leaves more solves another problem. */
 #define UNMET 1e-3
-/* Share of the natural sizes of the nodes: of a guess that lacks less, what a step leaves is rounding. */
+/* Share of the scaling factors of the nodes: of a guess that lacks less, what a step leaves is rounding. */
 #define MET 1e-8
 /* Share of its spread by which a trajectory is moved. */
 #define MOVED 0.5
@@ -116,7 +116,7 @@ static bool is_unmet(const retrax_search *search) {
     return asked > MET && !(remaining <= UNMET * asked);
 }
 
-/* The length of a defect at a node in natural sizes. */
+/* The length of a defect at a node in units of the scaling. */
 static double length_of(const retrax_search *search, const double *defect) {
     double sum = 0.0;
     for (retrax_index a = 0; a < search->phases->layout->problem->state_size; a++) {
@@ -164,7 +164,7 @@ bool retrax_is_degenerate(retrax_search *search) {
 
 /* -------------------------------------------------------------------------------------------------- perturbed guess */
 
-/* Writes natural sizes of the controls, by the curvature of the cost, behind ones for the states. */
+/* Writes scaling factors of the controls, by the curvature of the cost, behind ones for the states. */
 static void write_control_sizes(retrax_search *search) {
     const retrax_layout *const layout = search->phases->layout;
     const double *const trajectory = search->at;
@@ -174,7 +174,7 @@ static void write_control_sizes(retrax_search *search) {
     }
 }
 
-/* Writes to the trial the Hessian of a cost of the controls in natural sizes, and the slope of waves in it. */
+/* Writes to the trial the Hessian of a cost of the controls in units of the scaling, and the slope of waves in it. */
 static void write_waves(retrax_search *search, const double *draws) {
     const retrax_layout *const layout = search->phases->layout;
     double *const trajectory = search->trial;

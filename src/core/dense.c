@@ -7,7 +7,7 @@
 
 /* A number of this size is zero, but for rounding, rows being scaled to one size. */
 #define NOTHING 1e-15
-/* A right-hand side of this size, in natural sizes, is zero but for rounding: 64 eps. */
+/* A right-hand side of this size, in units of the scaling, is zero but for rounding: 64 eps. */
 #define CONSISTENT 1.4210854715202004e-14
 /* Share of the entries of the border that a pivot has to exceed, or its row is left: of what it is subtracted from no more
  * than so many digits are lost. */

@@ -20,7 +20,7 @@
 #define CONVEX 1e2
 /* Times the spread of a trajectory: gaps from which on its pieces do not belong together. */
 #define APART 1.0
-/* Share of the largest curvature of a coordinate in natural sizes that others are shifted by at least. */
+/* Share of the largest curvature of a coordinate in units of the scaling that others are regularised by at least. */
 #define SOFTEST 1e-3
 /* Share of the way to the boundary that slacks and multipliers may go. */
 #define BOUNDARY 0.99
@@ -28,7 +28,7 @@
 #define CLEAR 4.05381695970951e-10
 #define MANY 1e3
 
-/* Writes the typical curvatures of the coordinates in natural sizes. With a barrier the curvature has no bound, and
+/* Writes the typical curvatures of the coordinates in units of the scaling. With a barrier the curvature has no bound, and
  * coupled trajectories have one measure. */
 static void write_curvatures(const retrax_search *search, retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;

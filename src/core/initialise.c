@@ -1,5 +1,5 @@
 /*
- * Initialise: natural sizes, first slacks and first multipliers of a guess.
+ * Initialise: scaling factors, first slacks and first multipliers of a guess.
  */
 #include "search.h"
 
@@ -177,7 +177,7 @@ static void find_first_multipliers(retrax_search *search) {
     retrax_assess(search, search->at);
 }
 
-/* Evaluates the guess as where inequalities do not pull yet, and finds its natural sizes. */
+/* Evaluates the guess as where inequalities do not pull yet, and finds its scaling factors. */
 static void measure_guess(retrax_search *search) {
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
     retrax_evaluate(search, search->at);

@@ -189,7 +189,7 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
     return found;
 }
 
-/* What an equation changes by where both ends of each phase move by sizes of their coordinates: ALONG, the natural sizes
+/* What an equation changes by where both ends of each phase move by sizes of their coordinates: ALONG, the scaling factors
  * of the iterate, or the ways that controls make in free coordinates. */
 typedef enum { BY_ALONG, BY_FRESH, BY_WAYS } measure;
 
@@ -229,7 +229,7 @@ static double missed_of(const retrax_search *search, const double *iterate) {
     return found;
 }
 
-/* The most that an equation between the ends lacks, in its natural size. */
+/* The most that an equation between the ends lacks, in units of its scaling. */
 static double apart_of(const retrax_search *search, const double *iterate) {
     double found = 0.0;
     for (retrax_index i = 0; i < search->coupling.count[RETRAX_COUPLED_VALUES]; i++) {
@@ -307,7 +307,7 @@ static double size_asked(const retrax_search *search, const double *iterate) {
     return asked;
 }
 
-/* The natural size of the cost of a whole phase; 0 where it costs nothing. At rest a square has neither a value nor a
+/* The scaling factor of the cost of a whole phase; 0 where it costs nothing. At rest a square has neither a value nor a
  * slope: its curvature is what there is. */
 static double cost_of(const retrax_phase *phase, const double *trajectory) {
     static const retrax_array paid[] = {RETRAX_ARRAY_GRADIENTS, RETRAX_ARRAY_COSTS, RETRAX_ARRAY_HESSIANS};

@@ -1,13 +1,13 @@
 /*
- * Rescaling: natural sizes that a search has come to, in the place of those of its guess.
+ * Rescaling: scaling factors that a search has come to, in the place of those of its guess.
  */
 #include "search.h"
 
 #include <math.h>
 
-/* Times its natural size: a size that the second-order change of a step exceeds by less is not mistaken. */
+/* Times its scaling factor: a size that the second-order change of a step exceeds by less is not mistaken. */
 #define WIDER 10.0
-/* Share of a natural size: where the sizes of the iterate are less, they take its place. */
+/* Share of a scaling factor: where the sizes of the iterate are less, they take its place. */
 #define LESS 0.1
 /* Times the size of the cost, the least fall of the cost, and the fewest trials, that tell that it has no lower bound. */
 #define FALLEN 1e2

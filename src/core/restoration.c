@@ -22,7 +22,7 @@
 /* Share of the infeasibility: near to feasible a step that leaves more is held by rounding or by an inequality. */
 #define GAINED 0.1
 
-/* Takes the guess without multipliers, and finds its natural sizes and first slacks. */
+/* Takes the guess without multipliers, and finds its scaling factors and first slacks. */
 static void begin(retrax_search *search) {
     retrax_forget_multipliers(search, search->at);
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }

@@ -14,7 +14,7 @@
  *   6. Transcription: from the iterate of a trajectory to the linear system of a Newton step
  *   7. Inequalities
  *   8. Convergence: how far a trajectory is from satisfying its conditions
- *   9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
+ *   9. Scaling: scaling factors of a trajectory, free of the units that its problem is written in
  *  10. Search: Newton's method on the conditions of trajectories, whose ends may be coupled
  *  11. Integration: implicit steps of trajectories, many of them side by side
  *
@@ -213,9 +213,9 @@ typedef struct {
     const double *defect;      /* [N + 1][n][columns] */
     const double *fixed_start; /* [n]: 1, or 0 where the equation of the first node is replaced by c = 0 */
     const double *fixed_end;   /* [n]: the same of the last node */
-    const double *stage_scale; /* [z] natural sizes of d; pivots are chosen in these units */
-    const double *node_scale;  /* [n] natural sizes of the defects */
-    double cost_scale;         /* natural size of the cost of a stage */
+    const double *stage_scale; /* [z] scaling factors of d; pivots are chosen in these units */
+    const double *node_scale;  /* [n] scaling factors of the defects */
+    double cost_scale;         /* scaling factor of the cost of a stage */
     double regularisation;     /* r >= 0, in units of cost_scale and stage_scale */
     const double *regularised; /* [z] diagonal of S in the same units */
 } retrax_block_system;
@@ -530,7 +530,7 @@ RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double
  * whose weight is zero is not asked for.
  * ------------------------------------------------------------------------------------------------------ */
 
-/* Natural sizes of the inequalities of a trajectory. */
+/* Scaling factors of the inequalities of a trajectory. */
 typedef struct {
     double rate;          /* of the cost per time: unit of the barrier */
     const double *limits; /* [c + d] of the inequalities */
@@ -612,7 +612,7 @@ enum {
     RETRAX_RESIDUALS        /* their number */
 };
 
-/* Natural sizes of a trajectory; the array belongs to the caller. See 9. */
+/* Scaling factors of a trajectory; the array belongs to the caller. See 9. */
 typedef struct {
     double *unknowns; /* [z] of a step, of which the first n are those of the nodes too */
     double cost;      /* of a step */
@@ -628,7 +628,7 @@ RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *tr
                                          double least_part, const retrax_limit_scale *limits);
 
 /* ------------------------------------------------------------------------------------------------------ 9. Scaling:
- * natural sizes of a trajectory, free of the units that its problem is written in
+ * scaling factors of a trajectory, free of the units that its problem is written in
  *
  * A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest
  * to a deviation e costs e' G^-1 e / 2 with the Gramian G_{k+1} = A G_k A' + B W B' of the linearised steps, where W is
@@ -638,7 +638,7 @@ RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *tr
  * beside what each step makes of the sizes of others, nor beside what costs as much as all others do.
  * ------------------------------------------------------------------------------------------------------ */
 
-/* Of what the natural sizes of a trajectory are made beside its linear system; the arrays are only read. */
+/* Of what the scaling factors of a trajectory are made beside its linear system; the arrays are only read. */
 typedef struct {
     const double *sizes;  /* [z] what states move by along the trajectory, and sizes of controls */
     const double *values; /* [z] sizes of coordinates that nothing moves */
@@ -646,7 +646,7 @@ typedef struct {
     bool curved;          /* whether the curvature of the cost in the controls is more than rounding */
 } retrax_scale_data;
 
-/* Writes the natural sizes of an assembled trajectory. */
+/* Writes the scaling factors of an assembled trajectory. */
 RETRAX_API void retrax_measure_scale(const retrax_layout *layout, const double *trajectory,
                                      const retrax_scale_data *data, void *workspace,
                                      retrax_instruction_set set, retrax_scale *scale);
@@ -756,11 +756,11 @@ RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
 typedef struct {
     const double *trajectory;   /* the last iterate */
     const double *first;        /* the guess with its first multipliers and slacks: the arrays before POINT_CENTRES */
-    retrax_scale scale;         /* natural sizes that success was judged by */
+    retrax_scale scale;         /* scaling factors that success was judged by */
     const double *limits;       /* [c + d] of the inequalities */
     double rate;                /* unit of the barrier */
     const double *residuals;    /* [RETRAX_RESIDUALS] of all trajectories together */
-    const double *equations;    /* [r] natural sizes of the equations between the ends; NULL where nothing couples them */
+    const double *equations;    /* [r] scaling factors of the equations between the ends; NULL where nothing couples them */
     const double *values;       /* [r] of these equations */
     const double *jacobian;     /* [r][Z] their derivatives by coordinates of all ends */
     retrax_index iterations;
@@ -819,7 +819,7 @@ typedef enum {
     RETRAX_ROWS_STEP_SIZE,  /* 1 */
     RETRAX_ROWS_STATE,      /* S */
     RETRAX_ROWS_FIRST,      /* m: prediction of the unknowns */
-    RETRAX_ROWS_SIZES,      /* m: natural sizes of the unknowns, more than 0 */
+    RETRAX_ROWS_SIZES,      /* m: scaling factors of the unknowns, more than 0 */
     RETRAX_ROWS_RESIDUAL,   /* m */
     RETRAX_ROWS_NEXT_STATE, /* S */
     RETRAX_ROWS_CONTROL,    /* U */

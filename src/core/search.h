@@ -35,13 +35,13 @@ typedef struct {
     const retrax_layout *layout;
     retrax_index place;          /* of its numbers in those of an iterate */
     retrax_index guess_place;    /* of its given arrays and unknowns in search->first */
-    retrax_scale scale;          /* natural sizes of steps, which success is judged by */
+    retrax_scale scale;          /* scaling factors of steps, which success is judged by */
     retrax_scale fresh;          /* those of the iterate, where they are measured again */
     retrax_limit_scale limits;
     double *limit_sizes;         /* [c] */
     double *curvatures;          /* [z] typical ones, by which Hessians are shifted */
     double *largest;             /* [z] the largest step of each unknown */
-    double *sizes, *values;      /* [z] for the natural sizes */
+    double *sizes, *values;      /* [z] for the scaling factors */
     double *room;                /* [s m] */
     double *work;                /* [2 E] */
     double *ways;                /* [2][N s m] of the controls to the inequalities on either side */
@@ -71,7 +71,7 @@ struct retrax_search {
     retrax_index guess_multipliers; /* place of these */
     void *workspace;
     double *costs;               /* [max_iterations + 3] of the iterates after 1, 2, ... trials */
-    double first_cost;           /* natural size of the cost at the guess */
+    double first_cost;           /* scaling factor of the cost at the guess */
     retrax_direction direction;
     retrax_merit merit;
     double fraction;   /* of the step that is tried */
@@ -121,7 +121,7 @@ void retrax_regularised_step(retrax_search *search, double shift, bool keep, boo
 /* inertia.c: whether the smallest pivot of a system with so many equations of nodes is more than rounding. */
 bool retrax_is_clear(double smallest, retrax_index equations);
 
-/* inertia.c: the largest entry of the step in natural sizes. */
+/* inertia.c: the largest entry of the step in units of the scaling. */
 double retrax_step_length(const retrax_search *search);
 
 /* funnel.c: whether the trial is accepted; then the search goes on with its funnel, shift and best residual. again:
@@ -138,7 +138,7 @@ bool retrax_is_degenerate(retrax_search *search);
  * by its size, as of a rate that only products of others change. part: of the step that was made; length: of the step. */
 bool retrax_widen_scale(retrax_search *search, double part, double length);
 
-/* rescaling.c: takes the natural sizes of the iterate where those in use are far larger; returns whether it does. */
+/* rescaling.c: takes the scaling factors of the iterate where those in use are far larger; returns whether it does. */
 bool retrax_renew_scale(retrax_search *search);
 
 /* rescaling.c: whether the cost has fallen by far, and in the second half of the trials by no less than in the first:
@@ -152,7 +152,7 @@ bool retrax_is_extremal(const retrax_search *search);
 void retrax_conclude(retrax_search *search);
 
 /* convergence.c: raises the stationarity of an iterate, of which each trajectory was measured, to that relative to what
- * its unknowns span: natural sizes are what controls reach, and an unstable system reaches farther than any solution. */
+ * its unknowns span: scaling factors are what controls reach, and an unstable system reaches farther than any solution. */
 void retrax_measure_by_spans(const retrax_search *search, double *iterate);
 
 /* convergence.c: what an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size of a
@@ -175,10 +175,10 @@ double retrax_limit_inside(const retrax_phase *phase, const double *trajectory, 
 /* barrier.c: sets slacks and multipliers of inequalities that do not pull. */
 void retrax_rest_slacks(const retrax_layout *layout, double *trajectory);
 
-/* barrier.c: finds the natural sizes of the inequalities of an evaluated trajectory. */
+/* barrier.c: finds the scaling factors of the inequalities of an evaluated trajectory. */
 void retrax_find_limits(retrax_phase *phase, const double *trajectory);
 
-/* barrier.c: the natural sizes of the inequalities, and the first slacks of an evaluated trajectory. */
+/* barrier.c: the scaling factors of the inequalities, and the first slacks of an evaluated trajectory. */
 void retrax_start_slacks(const retrax_search *search, retrax_phase *phase, double *trajectory);
 
 /* barrier.c: lowers the barrier while its problem is solved, raises penalties that are too small, and makes
@@ -194,10 +194,10 @@ bool retrax_is_infeasible(const retrax_search *search);
 /* barrier.c: whether there are inequalities that are not elastic and can be. */
 bool retrax_is_hard(const retrax_search *search);
 
-/* initialise.c: natural sizes, first slacks and first multipliers of the guess, and the first step. */
+/* initialise.c: scaling factors, first slacks and first multipliers of the guess, and the first step. */
 void retrax_initialise(retrax_search *search);
 
-/* initialise.c: the natural sizes of the guess, as where inequalities do not pull yet, and its first slacks. */
+/* initialise.c: the scaling factors of the guess, as where inequalities do not pull yet, and its first slacks. */
 void retrax_begin(retrax_search *search);
 
 /* initialise.c: takes what is given and the unknowns of the guess. */
@@ -214,7 +214,7 @@ void retrax_find_limit_curvatures(retrax_search *search);
  * one, 0 where there is none, the largest of all steps; and the same in phase->room, but infinite where a side is open. */
 void retrax_find_control_ranges(retrax_phase *phase, const double *trajectory, double *ways_found);
 
-/* initialise.c: writes the natural sizes of an evaluated trajectory to phase->fresh; least: [n] what the coordinates of
+/* initialise.c: writes the scaling factors of an evaluated trajectory to phase->fresh; least: [n] what the coordinates of
  * its nodes have to move by at least, or NULL. */
 void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double *trajectory, const double *least);
 
@@ -257,14 +257,14 @@ void retrax_move_iterate(const retrax_search *search, double part, double *itera
 /* multiphase.c: evaluates what couples the ends of an iterate, which have been evaluated, with their costs. */
 void retrax_evaluate_coupling(const retrax_search *search, double *iterate);
 
-/* multiphase.c: the largest curvature of the cost of an iterate in natural sizes, which sets the scale of slopes where
+/* multiphase.c: the largest curvature of the cost of an iterate in units of the scaling, which sets the scale of slopes where
  * their parts vanish. */
 double retrax_largest_curvature(const retrax_search *search, const double *iterate);
 
 /* multiphase.c: writes the residuals of all trajectories together, each of which was measured. */
 void retrax_join_residuals(const retrax_search *search, double *iterate);
 
-/* multiphase.c: writes the natural sizes of all trajectories of an evaluated iterate, and of the equations between their
+/* multiphase.c: writes the scaling factors of all trajectories of an evaluated iterate, and of the equations between their
  * ends. */
 void retrax_find_coupled_scales(retrax_search *search, double *iterate);
 

@@ -2,8 +2,8 @@
  * Warm start: first slacks and multipliers near to those that a guess knows.
  *
  * Newton's step from them tells which inequalities will hold, and which will pull: where it makes a slack or a multiplier
- * negative, the barrier has to begin as high as the square of a share of that, in natural sizes, else as low as it was for
- * the step. A low barrier holds what it begins with, a higher one lets go of it: the one that has to begin lowest counts.
+ * negative, the barrier has to begin as high as the square of a share of that, in units of the scaling, else as low as it
+ * was for the step. A low barrier holds what it begins with, a higher one lets go of it: the one that has to begin lowest counts.
  */
 #include "search.h"
 
@@ -38,7 +38,7 @@ static void write_near(const retrax_search *search, const retrax_phase *phase, c
     }
 }
 
-/* By how much a slack or a multiplier is below zero after the whole Newton step, in its natural size. */
+/* By how much a slack or a multiplier is below zero after the whole Newton step, in units of its scaling. */
 static double lacking(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     double lacks = 0.0;

@@ -21,7 +21,7 @@ class LimitScaleStruct(Structure):
 
 
 class LimitScale(NamedTuple):
-    """Natural sizes of the inequalities; ``retrax_core.h`` explains them."""
+    """Scaling factors of the inequalities; ``retrax_core.h`` explains them."""
 
     rate: float
     limits: np.ndarray  # (c,)
@@ -57,11 +57,11 @@ def core() -> Any:
 def measure(at: Trajectory, scale: Scale, limits: LimitScale, least_part: float) -> None:
     """Measure how far a trajectory is from its conditions, and survey its inequalities.
 
-    ``scale``, ``limits``: natural sizes; ``least_part``: the cost that sets the scale of slopes where their parts
+    ``scale``, ``limits``: scaling factors; ``least_part``: the cost that sets the scale of slopes where their parts
     vanish, 0 where their curvature does.
     """
-    unknowns = address_of(scale.unknowns, FLOAT, scale.unknowns.shape, "natural sizes")
-    place = address_of(limits.limits, FLOAT, limits.limits.shape, "natural sizes of inequalities")
+    unknowns = address_of(scale.unknowns, FLOAT, scale.unknowns.shape, "scaling factors")
+    place = address_of(limits.limits, FLOAT, limits.limits.shape, "scaling factors of inequalities")
     of_limits = byref(LimitScaleStruct(limits.rate, place))
     here = byref(at._layout), at._address
     core().retrax_survey_inequalities(*here, of_limits)

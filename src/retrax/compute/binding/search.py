@@ -205,7 +205,7 @@ class Search:
         return SearchResult(at, first, scale, limits, found.rate, residuals, *coupled, facts)
 
     def _coupled(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Natural sizes, values and derivatives of the equations between the ends."""
+        """Scaling factors, values and derivatives of the equations between the ends."""
         r, coordinates = self._phases.equations, 2 * sum([of.sizes.state_size for of in self._of])
         if not found.equations:
             return np.zeros(0), np.zeros(0), np.zeros((0, coordinates))
