@@ -15,7 +15,7 @@
 #define GROWN 1e6
 /* Times the residual: a step that leads to less is Newton's own. */
 #define GAINED 0.1
-/* A shift has to shorten a step to this share; a step is cut no further than to the other. */
+/* A regularisation has to shorten a step to this share; a step is cut no further than to the other. */
 #define SHORTER 0.5
 #define SLOW 1e-6
 /* Trials after which scaling factors are measured again. */
@@ -122,25 +122,26 @@ static void settle(retrax_search *search) {
     search->done = (search->isolated && exact) || stuck;
 }
 
-/* Whether no shift shortens the step, as where the constraints ask for it. */
+/* Whether no regularisation shortens the step, as where the constraints ask for it. */
 static bool is_vain(retrax_search *search, double length) {
     if (!(retrax_step_length(search) > SHORTER * length)) {
         return false;
     }
-    retrax_newton_step(search, RETRAX_LEAST_SHIFT);
+    retrax_newton_step(search, RETRAX_LEAST_NORM_REGULARISATION);
     return retrax_step_length(search) > SHORTER * length;
 }
 
-/* Cuts the step before further, which was refused, where no shift shortens it; else the next step has the shift that it
- * was computed with, whatever the inertia [test_a_trajectory_that_grows_without_end_is_no_success]. */
+/* Cuts the step before further, which was refused, where no regularisation shortens it; else the next step has the
+ * regularisation that it was computed with, whatever the inertia
+ * [test_a_trajectory_that_grows_without_end_is_no_success]. */
 static void cut_further(retrax_search *search, const retrax_direction *before, double fraction, double length) {
-    const double shift = search->direction.shift;
+    const double regularisation = search->direction.regularisation;
     if (is_vain(search, length)) {
-        retrax_newton_step(search, before->shift);
+        retrax_newton_step(search, before->regularisation);
         search->direction.descends = before->descends;
         search->fraction = fraction / 2.0;
     } else {
-        retrax_regularised_step(search, shift, true, false);
+        retrax_regularised_step(search, regularisation, true, false);
     }
 }
 
@@ -150,7 +151,7 @@ static void next_step(retrax_search *search, double residual) {
     const bool arrived = RESIDUAL(search->at, FINAL) <= tolerance;
     const bool keep = arrived || (search->accepted && now <= sqrt(tolerance));
     const bool gains = search->accepted && now <= GAINED * residual && !search->limited;
-    retrax_regularised_step(search, arrived ? 0.0 : search->direction.shift, keep, gains);
+    retrax_regularised_step(search, arrived ? 0.0 : search->direction.regularisation, keep, gains);
 }
 
 /* One iteration: try the step, judge the trial, update the barrier, compute the next step. */
@@ -173,7 +174,7 @@ static void iterate(retrax_search *search) {
         retrax_measure(search, search->at);
         reset_funnel(search);
         search->fraction = tried;
-        search->direction.shift = before.shift;
+        search->direction.regularisation = before.regularisation;
     }
     search->trials++;
     const bool changed = retrax_update_barrier(search);
@@ -201,7 +202,7 @@ static retrax_search_status status_of(const retrax_search *search) {
     if (search->done) {
         return search->claimed ? RETRAX_CONVERGED : RETRAX_SINGULAR;
     }
-    if ((!step->finite || step->shift >= RETRAX_LARGEST_SHIFT) && !retrax_is_hard(search)) {
+    if ((!step->finite || step->regularisation >= RETRAX_LARGEST_REGULARISATION) && !retrax_is_hard(search)) {
         return RETRAX_SINGULAR;
     }
     if (retrax_is_infeasible(search)) {
@@ -246,7 +247,7 @@ bool retrax_report(const retrax_search *search) {
         .cost = at[search->totals],
         .defect = RESIDUAL(at, DEFECT),
         .stationarity = RESIDUAL(at, STATIONARITY),
-        .shift = step->shift,
+        .regularisation = step->regularisation,
         .fraction = search->fraction * step->reach,
         .descends = step->descends,
         .violation = retrax_larger(RESIDUAL(at, VIOLATION), RESIDUAL(at, EXCESS)),

@@ -25,7 +25,7 @@
 #define LAST 0.1
 /* Above this barrier, relative, excesses are left whatever their penalty. */
 #define TELLS 0.1
-/* A step of a smaller fraction jams at the inequalities; with a larger shift it is stiff. */
+/* A step of a smaller fraction jams at the inequalities; with a larger regularisation it is stiff. */
 #define JAMMED 1e-3
 #define STIFF 1e2
 /* A slack that would be less than this share of it stays as its step made it. */
@@ -219,7 +219,7 @@ static double lowered(const retrax_search *search, const retrax_phase *phase, do
 /* Whether steps jam at inequalities that are not elastic. */
 static bool is_stuck(const retrax_search *search) {
     const retrax_direction *const step = &search->direction;
-    const bool jams = step->shift >= STIFF || search->fraction * step->reach <= JAMMED || !step->finite;
+    const bool jams = step->regularisation >= STIFF || search->fraction * step->reach <= JAMMED || !step->finite;
     return jams && RESIDUAL(search->at, LARGEST) > sqrt(search->options.tolerance) && retrax_is_hard(search);
 }
 
@@ -256,7 +256,7 @@ bool retrax_update_barrier(retrax_search *search) {
                 soften(search, phase, search->at + phase->place);
             }
         }
-        search->direction.shift = 0.0;
+        search->direction.regularisation = 0.0;
     } else if (cheap) {
         EACH_PHASE(phase) { raise_penalties(phase->layout, search->at + phase->place); }
         if (retrax_is_coupled(search)) {

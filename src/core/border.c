@@ -268,14 +268,14 @@ static border_sizes eliminate_border(retrax_search *search, retrax_inertia *iner
     return sizes;
 }
 
-void retrax_eliminate_coupled(retrax_search *search, double shift) {
+void retrax_eliminate_coupled(retrax_search *search, double regularisation) {
     retrax_border *const border = &search->coupling.border;
     retrax_direction *const found = &search->direction;
     retrax_index count = 0;
     retrax_inertia inertia = {0, INFINITY};
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
-        retrax_add_inertia(&inertia, retrax_respond(search, phase, shift));
+        retrax_add_inertia(&inertia, retrax_respond(search, phase, regularisation));
         count += layout->count[RETRAX_ARRAY_DEFECTS];
     }
     const border_sizes sizes = eliminate_border(search, &inertia);
@@ -287,8 +287,8 @@ void retrax_eliminate_coupled(retrax_search *search, double shift) {
         summarise(phase->layout, trajectory, phase, &curvature, &size);
     }
     found->finite = found->finite && retrax_is_finite(border->solution + sizes.ends + sizes.forces, sizes.equations);
-    found->shift = shift;
-    found->curvature = curvature / search->phases->scale.cost + shift * size;
+    found->regularisation = regularisation;
+    found->curvature = curvature / search->phases->scale.cost + regularisation * size;
     found->size = size;
     found->convex = inertia.negative == count + sizes.forces + sizes.equations;
     found->strict = found->convex && retrax_is_clear(inertia.smallest, count);

@@ -64,8 +64,8 @@ static bool is_convex(const retrax_phase *phase, const double *trajectory) {
     return true;
 }
 
-/* Limits the stiffness of the inequalities of a trajectory, which was evaluated: by longer slacks, and none of one that is
- * next to not stiff. */
+/* Limits the stiffness of the inequalities of a trajectory, which was evaluated: by longer slacks, and none of one that
+ * is next to not stiff. */
 static void soften(const retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
@@ -95,7 +95,7 @@ static bool is_strict(retrax_search *search) {
     return strict;
 }
 
-/* Whether the linear system of the iterate has the inertia of a minimum without a shift. */
+/* Whether the linear system of the iterate has the inertia of a minimum without a regularisation. */
 static bool has_right_inertia(retrax_search *search) {
     const retrax_direction step = search->direction;
     retrax_newton_step(search, 0.0);
@@ -111,5 +111,5 @@ void retrax_conclude(retrax_search *search) {
     EACH_PHASE(phase) { search->convex = search->convex && is_convex(phase, search->at + phase->place); }
     search->right_inertia = !extremal && search->trials > search->options.max_iterations && has_right_inertia(search);
     search->strict = extremal && search->isolated &&
-                     (search->limited ? is_strict(search) : step->strict && step->shift == 0.0);
+                     (search->limited ? is_strict(search) : step->strict && step->regularisation == 0.0);
 }

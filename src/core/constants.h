@@ -12,8 +12,8 @@
 #define RETRAX_SHARE 1e-3
 /* Share of its value by which an entry, or an inequality, is measured where it changes by less: values are rounded. */
 #define RETRAX_VALUE_SHARE 1e-2
-/* The shift of the Hessian with which a step is the least that the constraints ask for, whatever it costs. */
-#define RETRAX_LEAST_SHIFT 1e6
+/* The regularisation of the Hessian with which a step is the least that the constraints ask for, whatever it costs. */
+#define RETRAX_LEAST_NORM_REGULARISATION 1e6
 /* The shortest fraction of a step, a power of two. */
 #define RETRAX_SHORTEST 0.0625
 /* The usual first penalty of an excess, in units of the scaling. */

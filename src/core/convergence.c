@@ -37,7 +37,8 @@ static void survey_nodes(const retrax_layout *layout, double *trajectory) {
     }
 }
 
-/* Surveys the slopes of the Lagrangian by the unknowns of the steps, the parts that cancel in them, and the curvatures. */
+/* Surveys the slopes of the Lagrangian by the unknowns of the steps, the parts that cancel in them, and the
+ * curvatures. */
 static void survey_steps(const retrax_layout *layout, double *trajectory) {
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
@@ -254,8 +255,8 @@ static double own_curvature(const retrax_layout *layout, const double *trajector
     return found;
 }
 
-/* What the Lagrangian of a step is made of: its cost, the parts of its derivative by unknowns that move by what they span,
- * and, where these vanish, its curvature. */
+/* What the Lagrangian of a step is made of: its cost, the parts of its derivative by unknowns that move by what they
+ * span, and, where these vanish, its curvature. */
 static double content_of(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     double found = 0.0;
@@ -271,8 +272,8 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
     return found;
 }
 
-/* Whether a trajectory is judged by what it spans: else no scaling factor is what controls reach, or the cost sets the scale,
- * as the curvature has no bound. */
+/* Whether a trajectory is judged by what it spans: else no scaling factor is what controls reach, or the cost sets the
+ * scale, as the curvature has no bound. */
 static bool is_judged_by_spans(const retrax_problem *problem) {
     return problem->control_size > 0 && !retrax_is_limited(problem);
 }

@@ -1,15 +1,15 @@
 /*
  * Degenerate guesses: those from which Newton's method cannot set out.
  *
- * At rest a system without drift is controllable in no direction but those of its controls: the constraints of the guess are
- * dependent, and Newton's step has no bound, or leaves what they ask for. Nor is it known which way round ends come
+ * At rest a system without drift is controllable in no direction but those of its controls: the constraints of the guess
+ * are dependent, and Newton's step has no bound, or leaves what they ask for. Nor is it known which way round ends come
  * together that are opposite to each other. Of coupled ends it is not asked.
  *
- * A trajectory beside such a guess has its controls moved by waves, and its states to where these lead to first order, until
- * half of what the controls move has moved by half its spread along the trajectory. Of a system such as Heisenberg's group,
- * on the way to a point above the start, something that is spread hardly moves so: there the step is as long as changes what
- * is lacking by as much. Where nothing that is spread moves or bends, as of a car at rest beside the place to park, the
- * controls move by half their size, and the trajectory is perturbed from there.
+ * A trajectory beside such a guess has its controls moved by waves, and its states to where these lead to first order,
+ * until half of what the controls move has moved by half its spread along the trajectory. Of a system such as
+ * Heisenberg's group, on the way to a point above the start, something that is spread hardly moves so: there the step is
+ * as long as changes what is lacking by as much. Where nothing that is spread moves or bends, as of a car at rest beside
+ * the place to park, the controls move by half their size, and the trajectory is perturbed from there.
  */
 #include "search.h"
 
@@ -155,9 +155,9 @@ bool retrax_is_degenerate(retrax_search *search) {
     if (!is_far(search)) {
         return false;
     }
-    retrax_newton_step(search, RETRAX_LEAST_SHIFT);
+    retrax_newton_step(search, RETRAX_LEAST_NORM_REGULARISATION);
     const bool found = is_far(search);
-    retrax_newton_step(search, step.shift);
+    retrax_newton_step(search, step.regularisation);
     search->direction.descends = step.descends;
     return found;
 }

@@ -1,11 +1,11 @@
 /*
- * Funnel: which trials are accepted, and with which shift the search goes on.
+ * Funnel: which trials are accepted, and with which regularisation the search goes on.
  *
- * The funnel is a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret, A unified funnel restoration SQP
- * algorithm, 2025]. Where the step promises less cost by more than a share of the squared infeasibility, a trial is accepted
- * if the cost decreases as Armijo asks, but for rounding; else if it comes well into the funnel. The cost is that of the
- * Lagrangian with the multipliers of the trial. Accepted too is what brings the residual below nine tenths of the best so
- * far while nothing alone lacks more than the funnel.
+ * The funnel is a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret, A unified funnel restoration
+ * SQP algorithm, 2025]. Where the step promises less cost by more than a share of the squared infeasibility, a trial is
+ * accepted if the cost decreases as Armijo asks, but for rounding; else if it comes well into the funnel. The cost is
+ * that of the Lagrangian with the multipliers of the trial. Accepted too is what brings the residual below nine tenths of
+ * the best so far while nothing alone lacks more than the funnel.
  */
 #include "search.h"
 
@@ -26,22 +26,23 @@
 #define FAST 1e-2
 /* Decrease of the cost, relative, that is lost in what the cost is a sum of. */
 #define ROUNDED (10.0 * DBL_EPSILON)
-/* Shifts: factors up and down, the fraction of a step from which on a smaller one is tried, the first and the smallest. */
+/* Regularisations: factors up and down, the fraction of a step from which on a smaller one is tried, the first and the
+ * smallest. */
 #define RAISE 10.0
 #define LOWER 4.0
 #define FOLLOWED 0.75
-#define FIRST_SHIFT 1e-4
-#define SMALLEST_SHIFT 1e-8
+#define FIRST_REGULARISATION 1e-4
+#define SMALLEST_REGULARISATION 1e-8
 
 /* Less after a whole step, more after one that was cut to a quarter or less, and where none was short enough. */
-static double next_shift(double shift, double made, bool good, bool is_short) {
+static double next_regularisation(double regularisation, double made, bool good, bool is_short) {
     if (!good) {
-        return is_short ? fmax(RAISE * shift, FIRST_SHIFT) : shift;
+        return is_short ? fmax(RAISE * regularisation, FIRST_REGULARISATION) : regularisation;
     }
     if (made >= FOLLOWED) {
-        return shift < SMALLEST_SHIFT ? 0.0 : shift / LOWER;
+        return regularisation < SMALLEST_REGULARISATION ? 0.0 : regularisation / LOWER;
     }
-    return made <= 0.25 ? fmax(shift, FIRST_SHIFT) * fmin(0.5 / made, RAISE) : shift;
+    return made <= 0.25 ? fmax(regularisation, FIRST_REGULARISATION) * fmin(0.5 / made, RAISE) : regularisation;
 }
 
 retrax_merit retrax_merit_of(const retrax_search *search, const double *iterate) {
@@ -76,7 +77,7 @@ bool retrax_judge_trial(retrax_search *search, bool first, bool *again) {
     }
     good = good && isfinite(residual) && isfinite(search->trial[search->totals]);
     const bool is_short = !good && part / 2.0 < RETRAX_SHORTEST;
-    search->direction.shift = next_shift(step->shift, part * step->cap, good, is_short);
+    search->direction.regularisation = next_regularisation(step->regularisation, part * step->cap, good, is_short);
     if (good) {
         search->funnel = better ? width : fmax(search->funnel, now.infeasibility);
         search->best = fmin(search->best, residual);

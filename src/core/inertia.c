@@ -1,11 +1,12 @@
 /*
- * Inertia: the Newton step, and the shift of the Hessian with which it descends.
+ * Inertia: the Newton step, and the regularisation of the Hessian with which it descends.
  *
- * Where the Hessian is not positive definite on the null space of the constraints, its diagonal is raised until the inertia
- * says that it is: else the way to a minimum leads past saddles. Where constraints depend on each other no inertia is right.
- * From a large shift on positive curvature along the step is enough [Chiang, Zavala, An inertia-free filter line-search
- * algorithm, Comput. Optim. Appl. 64, 2016]; so it is where the steps of a trajectory are farther apart than it is long,
- * since the multipliers of such equations, and the curvature that these weigh, tell nothing of a minimum.
+ * Where the Hessian is not positive definite on the null space of the constraints, its diagonal is raised until the
+ * inertia says that it is: else the way to a minimum leads past saddles. Where constraints depend on each other no
+ * inertia is right. From a large regularisation on positive curvature along the step is enough [Chiang, Zavala, An
+ * inertia-free filter line-search algorithm, Comput. Optim. Appl. 64, 2016]; so it is where the steps of a trajectory are
+ * farther apart than it is long, since the multipliers of such equations, and the curvature that these weigh, tell
+ * nothing of a minimum.
  */
 #include "search.h"
 
@@ -13,10 +14,10 @@
 
 /* Relative curvature along a step, of which less does not descend. */
 #define CURVATURE 1e-9
-/* Factor from one shift to the next, and the first one. */
+/* Factor from one regularisation to the next, and the first one. */
 #define RAISE 10.0
-#define FIRST_SHIFT 1e-4
-/* A shift that makes the Hessian convex on the null space of the constraints, if these are independent. */
+#define FIRST_REGULARISATION 1e-4
+/* A regularisation that makes the Hessian convex on the null space of the constraints, if these are independent. */
 #define CONVEX 1e2
 /* Times the spread of a trajectory: gaps from which on its pieces do not belong together. */
 #define APART 1.0
@@ -28,8 +29,8 @@
 #define CLEAR 4.05381695970951e-10
 #define MANY 1e3
 
-/* Writes the typical curvatures of the coordinates in units of the scaling. With a barrier the curvature has no bound, and
- * coupled trajectories have one measure. */
+/* Writes the typical curvatures of the coordinates in units of the scaling. With a barrier the curvature has no bound,
+ * and coupled trajectories have one measure. */
 static void write_curvatures(const retrax_search *search, retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;
     const double *const trajectory = search->at + phase->place, *const sizes = phase->scale.unknowns;
@@ -85,7 +86,7 @@ bool retrax_is_clear(double smallest, retrax_index equations) {
     return smallest > CLEAR * fmax(1.0, (double)equations / MANY);
 }
 
-retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double shift) {
+retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double regularisation) {
     const retrax_layout *const layout = phase->layout;
     const double *const trajectory = search->at + phase->place;
     const retrax_index N = layout->problem->steps, n = layout->problem->state_size;
@@ -104,18 +105,18 @@ retrax_block_system retrax_newton_system(const retrax_search *search, const retr
         .stage_scale = phase->scale.unknowns,
         .node_scale = phase->scale.unknowns,
         .cost_scale = phase->scale.cost,
-        .regularisation = shift,
+        .regularisation = regularisation,
         .regularised = phase->curvatures,
     };
 }
 
 /* Solves the linear system of an iterate of one trajectory. */
-static void eliminate_one(retrax_search *search, double shift) {
+static void eliminate_one(retrax_search *search, double regularisation) {
     const retrax_phase *const phase = search->phases;
     const retrax_layout *const layout = phase->layout;
     double *const trajectory = search->at;
     const retrax_index equations = layout->count[RETRAX_ARRAY_DEFECTS];
-    const retrax_block_system system = retrax_newton_system(search, phase, shift);
+    const retrax_block_system system = retrax_newton_system(search, phase, regularisation);
     unsigned char finite;
     retrax_block_solution solution = {.step = ARRAY(STEPS),
                                       .multipliers = ARRAY(MULTIPLIER_STEPS),
@@ -126,7 +127,7 @@ static void eliminate_one(retrax_search *search, double shift) {
     const bool clear = retrax_is_clear(solution.inertia.smallest, equations);
     const bool hidden = solution.inertia.smallest <= CLEAR * fmax(1.0, (double)equations / MANY);
     retrax_direction *const found = &search->direction;
-    found->shift = shift;
+    found->regularisation = regularisation;
     found->curvature = solution.curvature;
     found->size = solution.size;
     found->finite = finite != 0;
@@ -149,14 +150,14 @@ static double complete_step(const retrax_search *search, retrax_phase *phase) {
     return fmin(phase->cap, ARRAY(LIMIT_STEP)[RETRAX_STEP_PRIMAL]);
 }
 
-void retrax_eliminate(retrax_search *search, double shift) {
+void retrax_eliminate(retrax_search *search, double regularisation) {
     EACH_PHASE(phase) { write_curvatures(search, phase); }
-    (retrax_is_coupled(search) ? retrax_eliminate_coupled : eliminate_one)(search, shift);
+    (retrax_is_coupled(search) ? retrax_eliminate_coupled : eliminate_one)(search, regularisation);
 }
 
-void retrax_newton_step(retrax_search *search, double shift) {
+void retrax_newton_step(retrax_search *search, double regularisation) {
     retrax_direction *const found = &search->direction;
-    retrax_eliminate(search, shift);
+    retrax_eliminate(search, regularisation);
     found->cap = found->reach = 1.0;
     EACH_PHASE(phase) {
         found->reach = fmin(found->reach, complete_step(search, phase));
@@ -180,19 +181,19 @@ double retrax_step_length(const retrax_search *search) {
     return found;
 }
 
-/* Whether the step has positive curvature, and the inertia of a convex problem, or a shift that is large. */
+/* Whether the step has positive curvature, and the inertia of a convex problem, or a regularisation that is large. */
 static bool descends(const retrax_search *search, bool loose) {
     const retrax_direction *const step = &search->direction;
-    const bool enough = loose || step->shift >= CONVEX || RESIDUAL(search->at, DEFECT) > APART;
+    const bool enough = loose || step->regularisation >= CONVEX || RESIDUAL(search->at, DEFECT) > APART;
     return step->curvature >= CURVATURE * step->size && (step->convex || enough);
 }
 
-void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose) {
+void retrax_regularised_step(retrax_search *search, double regularisation, bool keep, bool loose) {
     retrax_direction *const step = &search->direction;
-    retrax_newton_step(search, shift);
+    retrax_newton_step(search, regularisation);
     step->descends = descends(search, loose);
-    while (!(step->descends || keep) && step->shift < RETRAX_LARGEST_SHIFT) {
-        retrax_newton_step(search, fmax(RAISE * step->shift, FIRST_SHIFT));
+    while (!(step->descends || keep) && step->regularisation < RETRAX_LARGEST_REGULARISATION) {
+        retrax_newton_step(search, fmax(RAISE * step->regularisation, FIRST_REGULARISATION));
         step->descends = descends(search, loose);
     }
 }

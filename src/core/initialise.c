@@ -8,8 +8,8 @@
 
 /* Share of the largest curvature in the controls, by their ways to the bounds, of which less is rounding. */
 #define FLAT 1e-8
-/* Shift of the first multipliers: a move by the size of a coordinate costs as much as the size of the cost. */
-#define FIRST_SHIFT 1.0
+/* Regularisation of the first multipliers: a move by the size of a coordinate costs as much as the size of the cost. */
+#define FIRST_REGULARISATION 1.0
 /* Share of the size of a block below which a negative eigenvalue of it is rounding. */
 #define NEGATIVE 1e-9
 
@@ -161,7 +161,7 @@ static bool is_without_way(const retrax_search *search) {
  * constraints leave free, as in every problem of least time, how the constraints bend is what bounds a step, and that
  * the multipliers weigh [test_least_time_with_a_heading_needs_no_bounds_of_the_horizon]. */
 static void find_first_multipliers(retrax_search *search) {
-    retrax_newton_step(search, FIRST_SHIFT);
+    retrax_newton_step(search, FIRST_REGULARISATION);
     if (!search->direction.finite) {
         return;
     }
@@ -253,7 +253,7 @@ void retrax_initialise(retrax_search *search) {
     EACH_PHASE(phase) { flat_controls = flat_controls || has_flat_controls(phase->layout, search->at + phase->place); }
     /* The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal. */
     retrax_regularised_step(search, 0.0, linear, linear);
-    const bool flat = !search->direction.descends || search->direction.shift > 0.0 ||
+    const bool flat = !search->direction.descends || search->direction.regularisation > 0.0 ||
                       (linear && !search->direction.strict && flat_controls);
     if (flat && is_without_way(search)) {
         find_first_multipliers(search);

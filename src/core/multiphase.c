@@ -189,8 +189,8 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
     return found;
 }
 
-/* What an equation changes by where both ends of each phase move by sizes of their coordinates: ALONG, the scaling factors
- * of the iterate, or the ways that controls make in free coordinates. */
+/* What an equation changes by where both ends of each phase move by sizes of their coordinates: ALONG, the scaling
+ * factors of the iterate, or the ways that controls make in free coordinates. */
 typedef enum { BY_ALONG, BY_FRESH, BY_WAYS } measure;
 
 static double change_of(const retrax_search *search, const double *iterate, retrax_index equation, measure by) {

@@ -58,7 +58,7 @@ retrax_feasibility retrax_search_restore(retrax_search *search, retrax_index max
             break;
         }
         if (moved) {
-            retrax_newton_step(search, RETRAX_LEAST_SHIFT);
+            retrax_newton_step(search, RETRAX_LEAST_NORM_REGULARISATION);
         }
         moved = try_step(search);
         crawls = !moved || RESIDUAL(search->trial, INFEASIBILITY) > GAINED * before;

@@ -412,9 +412,9 @@ typedef struct {
     retrax_function functions[RETRAX_FUNCTIONS];
 } retrax_problem;
 
-/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0, p = s n,
- * w costs of a node, and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie
- * on a manifold that is not flat, else 0. */
+/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0, p = s n, w
+ * costs of a node, and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1
+ * where controls lie on a manifold that is not flat, else 0. */
 #define RETRAX_ARRAYS(X)                                                                                              \
     /* given */                                                                                                       \
     X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                                    \
@@ -481,7 +481,8 @@ RETRAX_API const char *retrax_array_name(int array);
 RETRAX_API retrax_index retrax_function_inputs(const retrax_problem *problem, retrax_function_name name);
 RETRAX_API retrax_index retrax_function_outputs(const retrax_problem *problem, retrax_function_name name);
 
-/* Returns the bytes of memory that a layout needs; 0 if a size is out of bounds or the arrays exceed the address space. */
+/* Returns the bytes of memory that a layout needs; 0 if a size is out of bounds or the arrays exceed the address
+ * space. */
 RETRAX_API size_t retrax_layout_memory(const retrax_problem *problem);
 
 /* Lays out the trajectories of a problem; memory: as retrax_layout_memory says, aligned to 64 bytes. The problem and
@@ -519,10 +520,11 @@ RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double
 /* ------------------------------------------------------------------------------------------------------
  * 7. Inequalities
  *
- * At each point of a step, and at its ends, inequalities g <= 0 are made g + s = t with a slack s > 0 and, where an inequality is elastic, an
- * excess t > 0 at the penalty rho t; t = 0 where the penalty is infinite. With the barrier mu and the weight w of a point
- * the cost gets w (rho t - mu log s - mu log t). The multiplier nu and zeta = rho - nu satisfy nu s = mu, zeta t = mu.
- * Slacks, excesses and multipliers are eliminated at each point: with 1 / D = s / nu + t / zeta
+ * At each point of a step, and at its ends, inequalities g <= 0 are made g + s = t with a slack s > 0 and, where an
+ * inequality is elastic, an excess t > 0 at the penalty rho t; t = 0 where the penalty is infinite. With the barrier mu
+ * and the weight w of a point the cost gets w (rho t - mu log s - mu log t). The multiplier nu and zeta = rho - nu
+ * satisfy nu s = mu, zeta t = mu. Slacks, excesses and multipliers are eliminated at each point: with 1 / D = s / nu + t
+ * / zeta
  *
  *     dnu = D (g + mu / nu - mu / zeta + J d),
  *
@@ -705,7 +707,7 @@ typedef struct {
     retrax_index number;  /* trials so far, but for the guess */
     double cost;
     double defect, stationarity;
-    double shift;         /* of the Hessian, relative to its diagonal */
+    double regularisation;         /* of the Hessian, relative to its diagonal */
     double fraction;      /* of the step that is tried next */
     bool descends;        /* whether that step has positive curvature */
     double violation;     /* of the inequalities, relative */
@@ -769,12 +771,12 @@ typedef struct {
     bool strict;                /* whether it is a strict minimum: Newton's next step was small, and the Hessian of the
                                  * Lagrangian is positive definite on the null space of the constraints */
     bool convex;                /* whether its cost is strictly convex in the controls, at each point by itself */
-    bool solvable;              /* whether the last step is finite, with a shift that is not too large */
+    bool solvable;              /* whether the last step is finite, with a regularisation that is not too large */
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
     bool falls;                 /* whether it is no extremal and the cost falls as if it had no lower bound */
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
     bool right_inertia;         /* where it is limited and no extremal: whether the linear system of the iterate has,
-                                 * without a shift, the inertia of a minimum; else false */
+                                 * without a regularisation, the inertia of a minimum; else false */
 } retrax_search_result;
 
 /* Returns what the last run has found, with the arrays of a phase. */

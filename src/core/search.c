@@ -158,7 +158,7 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
         .claimed = extremal,
         .strict = search->strict,
         .convex = search->convex,
-        .solvable = step->finite && step->shift < RETRAX_LARGEST_SHIFT,
+        .solvable = step->finite && step->regularisation < RETRAX_LARGEST_REGULARISATION,
         .infeasible = retrax_is_infeasible(search),
         .falls = !extremal && retrax_cost_falls(search),
         .stopped = search->stopped,

@@ -7,12 +7,12 @@
 #include "layout.h"
 #include "multiphase.h"
 
-/* The largest shift of a Hessian: with a larger one a step says nothing. */
-#define RETRAX_LARGEST_SHIFT 1e10
+/* The largest regularisation of a Hessian: with a larger one a step says nothing. */
+#define RETRAX_LARGEST_REGULARISATION 1e10
 
 /* A Newton step, and what its elimination tells of the linear system. */
 typedef struct {
-    double shift;       /* of the Hessian, which makes the step descend */
+    double regularisation;       /* of the Hessian, which makes the step descend */
     double curvature;   /* along the step, in units of the cost */
     double size;        /* of the step in the same units */
     bool finite;        /* whether there is a step */
@@ -39,7 +39,7 @@ typedef struct {
     retrax_scale fresh;          /* those of the iterate, where they are measured again */
     retrax_limit_scale limits;
     double *limit_sizes;         /* [c] */
-    double *curvatures;          /* [z] typical ones, by which Hessians are shifted */
+    double *curvatures;          /* [z] typical ones, by which Hessians are regularised */
     double *largest;             /* [z] the largest step of each unknown */
     double *sizes, *values;      /* [z] for the scaling factors */
     double *room;                /* [s m] */
@@ -105,18 +105,18 @@ static inline bool retrax_is_coupled(const retrax_search *search) { return searc
  * largest: [z] steps of the unknowns; steady: [E + U] workspace. */
 double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, bool *steady);
 
-/* inertia.c: computes the Newton step at the iterate with a shift of the Hessian. */
-void retrax_newton_step(retrax_search *search, double shift);
+/* inertia.c: computes the Newton step at the iterate with a regularisation of the Hessian. */
+void retrax_newton_step(retrax_search *search, double regularisation);
 
-/* inertia.c: solves the linear system of the iterate with a shift of the Hessian, of which that is a part. */
-void retrax_eliminate(retrax_search *search, double shift);
+/* inertia.c: solves the linear system of the iterate with a regularisation of the Hessian, of which that is a part. */
+void retrax_eliminate(retrax_search *search, double regularisation);
 
-/* inertia.c: the linear system of a trajectory of the iterate with a shift of the Hessian. */
-retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double shift);
+/* inertia.c: the linear system of a trajectory of the iterate with a regularisation of the Hessian. */
+retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double regularisation);
 
-/* inertia.c: computes the step with the smallest tried shift, from `shift` on, that makes it descend. keep: the shift
- * is used as it is; loose: positive curvature along the step is enough. */
-void retrax_regularised_step(retrax_search *search, double shift, bool keep, bool loose);
+/* inertia.c: computes the step with the smallest tried regularisation, from `regularisation` on, that makes it descend.
+ * keep: the regularisation is used as it is; loose: positive curvature along the step is enough. */
+void retrax_regularised_step(retrax_search *search, double regularisation, bool keep, bool loose);
 
 /* inertia.c: whether the smallest pivot of a system with so many equations of nodes is more than rounding. */
 bool retrax_is_clear(double smallest, retrax_index equations);
@@ -124,8 +124,8 @@ bool retrax_is_clear(double smallest, retrax_index equations);
 /* inertia.c: the largest entry of the step in units of the scaling. */
 double retrax_step_length(const retrax_search *search);
 
-/* funnel.c: whether the trial is accepted; then the search goes on with its funnel, shift and best residual. again:
- * whether the step has to be computed again. first: no trial was judged before. */
+/* funnel.c: whether the trial is accepted; then the search goes on with its funnel, regularisation and best residual.
+ * again: whether the step has to be computed again. first: no trial was judged before. */
 bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
 
 /* funnel.c: the merit of an iterate that was measured. */
@@ -152,11 +152,12 @@ bool retrax_is_extremal(const retrax_search *search);
 void retrax_conclude(retrax_search *search);
 
 /* convergence.c: raises the stationarity of an iterate, of which each trajectory was measured, to that relative to what
- * its unknowns span: scaling factors are what controls reach, and an unstable system reaches farther than any solution. */
+ * its unknowns span: scaling factors are what controls reach, and an unstable system reaches farther than any
+ * solution. */
 void retrax_measure_by_spans(const retrax_search *search, double *iterate);
 
-/* convergence.c: what an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size of a
- * control. */
+/* convergence.c: what an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size
+ * of a control. */
 double retrax_span_of(const retrax_layout *layout, const double *trajectory, retrax_index i);
 
 /* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
@@ -211,7 +212,8 @@ void retrax_forget_multipliers(const retrax_search *search, double *iterate);
 void retrax_find_limit_curvatures(retrax_search *search);
 
 /* control_range.c: writes half of the way of each control of a step from one inequality to the other, or that to the only
- * one, 0 where there is none, the largest of all steps; and the same in phase->room, but infinite where a side is open. */
+ * one, 0 where there is none, the largest of all steps; and the same in phase->room, but infinite where a side is
+ * open. */
 void retrax_find_control_ranges(retrax_phase *phase, const double *trajectory, double *ways_found);
 
 /* initialise.c: writes the scaling factors of an evaluated trajectory to phase->fresh; least: [n] what the coordinates of
@@ -257,25 +259,26 @@ void retrax_move_iterate(const retrax_search *search, double part, double *itera
 /* multiphase.c: evaluates what couples the ends of an iterate, which have been evaluated, with their costs. */
 void retrax_evaluate_coupling(const retrax_search *search, double *iterate);
 
-/* multiphase.c: the largest curvature of the cost of an iterate in units of the scaling, which sets the scale of slopes where
- * their parts vanish. */
+/* multiphase.c: the largest curvature of the cost of an iterate in units of the scaling, which sets the scale of slopes
+ * where their parts vanish. */
 double retrax_largest_curvature(const retrax_search *search, const double *iterate);
 
 /* multiphase.c: writes the residuals of all trajectories together, each of which was measured. */
 void retrax_join_residuals(const retrax_search *search, double *iterate);
 
-/* multiphase.c: writes the scaling factors of all trajectories of an evaluated iterate, and of the equations between their
- * ends. */
+/* multiphase.c: writes the scaling factors of all trajectories of an evaluated iterate, and of the equations between
+ * their ends. */
 void retrax_find_coupled_scales(retrax_search *search, double *iterate);
 
 /* multiphase.c: writes the multipliers of the coupling after a fraction of the step from search->at. */
 void retrax_move_coupling(const retrax_search *search, double part, double *iterate);
 
-/* response.c: finds how a trajectory of the iterate follows its ends with a shift of the Hessian; returns the inertia. */
-retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift);
+/* response.c: finds how a trajectory of the iterate follows its ends with a regularisation of the Hessian; returns the
+ * inertia. */
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double regularisation);
 
-/* border.c: computes the Newton step of coupled trajectories with a shift of the Hessian. */
-void retrax_eliminate_coupled(retrax_search *search, double shift);
+/* border.c: computes the Newton step of coupled trajectories with a regularisation of the Hessian. */
+void retrax_eliminate_coupled(retrax_search *search, double regularisation);
 
 /* border.c: adds what the coupling changes to what a step promises. */
 void retrax_add_coupled_promise(retrax_search *search);

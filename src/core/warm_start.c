@@ -3,7 +3,8 @@
  *
  * Newton's step from them tells which inequalities will hold, and which will pull: where it makes a slack or a multiplier
  * negative, the barrier has to begin as high as the square of a share of that, in units of the scaling, else as low as it
- * was for the step. A low barrier holds what it begins with, a higher one lets go of it: the one that has to begin lowest counts.
+ * was for the step. A low barrier holds what it begins with, a higher one lets go of it: the one that has to begin lowest
+ * counts.
  */
 #include "search.h"
 

@@ -30,7 +30,7 @@ class Watch:
         """Show an iteration of a member to the callback; whether the search is to end."""
         if self.stopped or self.callback is None:
             return self.stopped
-        names = "cost", "defect", "stationarity", "shift", "fraction", "descends", "violation", "barrier"
+        names = "cost", "defect", "stationarity", "regularisation", "fraction", "descends", "violation", "barrier"
         seen = (np.array([getattr(iteration, name)]) for name in names)
         return stops(self.callback(Iteration(iteration.number, np.array([k]), *seen)))
 

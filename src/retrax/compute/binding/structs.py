@@ -220,7 +220,7 @@ class IterationStruct(Structure):
         ("cost", c_double),
         ("defect", c_double),
         ("stationarity", c_double),
-        ("shift", c_double),
+        ("regularisation", c_double),
         ("fraction", c_double),
         ("descends", c_bool),
         ("violation", c_double),
