@@ -83,7 +83,7 @@ void retrax_move_iterate(const retrax_search *search, double part, double *itera
 }
 
 void retrax_move_trial(const retrax_search *search) {
-    const double part = search->fraction * search->direction.reach;
+    const double part = search->backtrack * search->direction.alpha_max;
     retrax_move_iterate(search, part, search->trial);
     EACH_PHASE(phase) {
         retrax_move_inequalities(phase->layout, search->at + phase->place, part, phase->dual, search->trial + phase->place);
@@ -95,7 +95,7 @@ static void reset_funnel(retrax_search *search) {
     search->merit = retrax_merit_of(search, search->at);
     search->funnel = fmax(search->merit.infeasibility, search->options.width);
     search->best = RESIDUAL(search->at, LARGEST);
-    search->fraction = 1.0;
+    search->backtrack = 1.0;
 }
 
 /* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
@@ -139,7 +139,7 @@ static void cut_further(retrax_search *search, const retrax_direction *before, d
     if (is_vain(search, length)) {
         retrax_newton_step(search, before->regularisation);
         search->direction.descends = before->descends;
-        search->fraction = fraction / 2.0;
+        search->backtrack = fraction / 2.0;
     } else {
         retrax_regularised_step(search, regularisation, true, false);
     }
@@ -157,7 +157,7 @@ static void next_step(retrax_search *search, double residual) {
 /* One iteration: try the step, judge the trial, update the barrier, compute the next step. */
 static void iterate(retrax_search *search) {
     const retrax_direction before = search->direction;
-    const double residual = RESIDUAL(search->at, LARGEST), fraction = search->fraction;
+    const double residual = RESIDUAL(search->at, LARGEST), fraction = search->backtrack;
     const double length = retrax_step_length(search);
     const bool was_isolated = search->isolated;
     bool again;
@@ -168,12 +168,12 @@ static void iterate(retrax_search *search) {
         retrax_swap(search);
     }
     const bool refused = again && !search->accepted && !was_isolated;
-    const bool wider = refused && retrax_widen_scale(search, fraction * before.reach, length);
+    const bool wider = refused && retrax_widen_scale(search, fraction * before.alpha_max, length);
     if (wider) {
-        const double tried = search->fraction;
+        const double tried = search->backtrack;
         retrax_measure(search, search->at);
         reset_funnel(search);
-        search->fraction = tried;
+        search->backtrack = tried;
         search->direction.regularisation = before.regularisation;
     }
     search->trials++;
@@ -248,7 +248,7 @@ bool retrax_report(const retrax_search *search) {
         .defect = RESIDUAL(at, DEFECT),
         .stationarity = RESIDUAL(at, STATIONARITY),
         .regularisation = step->regularisation,
-        .fraction = search->fraction * step->reach,
+        .fraction = search->backtrack * step->alpha_max,
         .descends = step->descends,
         .violation = retrax_larger(RESIDUAL(at, VIOLATION), RESIDUAL(at, EXCESS)),
         .barrier = largest_barrier(search),

@@ -219,7 +219,7 @@ static double lowered(const retrax_search *search, const retrax_phase *phase, do
 /* Whether steps jam at inequalities that are not elastic. */
 static bool is_stuck(const retrax_search *search) {
     const retrax_direction *const step = &search->direction;
-    const bool jams = step->regularisation >= STIFF || search->fraction * step->reach <= JAMMED || !step->finite;
+    const bool jams = step->regularisation >= STIFF || search->backtrack * step->alpha_max <= JAMMED || !step->finite;
     return jams && RESIDUAL(search->at, LARGEST) > sqrt(search->options.tolerance) && retrax_is_hard(search);
 }
 

@@ -270,7 +270,7 @@ static border_sizes eliminate_border(retrax_search *search, retrax_inertia *iner
 
 void retrax_eliminate_coupled(retrax_search *search, double regularisation) {
     retrax_border *const border = &search->coupling.border;
-    retrax_direction *const found = &search->direction;
+    retrax_direction *const step = &search->direction;
     retrax_index count = 0;
     retrax_inertia inertia = {0, INFINITY};
     EACH_PHASE(phase) {
@@ -280,27 +280,27 @@ void retrax_eliminate_coupled(retrax_search *search, double regularisation) {
     }
     const border_sizes sizes = eliminate_border(search, &inertia);
     double curvature = write_moves(search, &sizes), size = 0.0;
-    found->finite = true;
+    step->finite = true;
     EACH_PHASE(phase) {
         double *const trajectory = search->at + phase->place;
-        found->finite = write_step(border, phase, trajectory) && found->finite;
+        step->finite = write_step(border, phase, trajectory) && step->finite;
         summarise(phase->layout, trajectory, phase, &curvature, &size);
     }
-    found->finite = found->finite && retrax_is_finite(border->solution + sizes.ends + sizes.forces, sizes.equations);
-    found->regularisation = regularisation;
-    found->curvature = curvature / search->phases->scale.cost + regularisation * size;
-    found->size = size;
-    found->convex = inertia.negative == count + sizes.forces + sizes.equations;
-    found->strict = found->convex && retrax_is_clear(inertia.smallest, count);
+    step->finite = step->finite && retrax_is_finite(border->solution + sizes.ends + sizes.forces, sizes.equations);
+    step->regularisation = regularisation;
+    step->curvature = curvature / search->phases->scale.cost + regularisation * size;
+    step->size = size;
+    step->convex = inertia.negative == count + sizes.forces + sizes.equations;
+    step->strict = step->convex && retrax_is_clear(inertia.smallest, count);
 }
 
-void retrax_add_coupled_promise(retrax_search *search) {
+void retrax_add_coupled_change(retrax_search *search) {
     const double *const at = search->at, *const moves = at + search->coupling.first[RETRAX_COUPLED_MOVES];
     const double *const multipliers = at + search->coupling.first[RETRAX_COUPLED_COORDINATES];
     const double *const steps = at + search->coupling.first[RETRAX_COUPLED_COORDINATE_STEPS];
     const double *const values = at + search->coupling.first[RETRAX_COUPLED_VALUES];
     const retrax_index Z = search->coupling.count[RETRAX_COUPLED_MOVES];
-    const double unit = search->direction.reach / search->phases->scale.cost;
+    const double unit = search->direction.alpha_max / search->phases->scale.cost;
     double pulled = 0.0, changed = 0.0;
     for (retrax_index r = 0; r < search->coupling.count[RETRAX_COUPLED_VALUES]; r++) {
         const double *const row = at + search->coupling.first[RETRAX_COUPLED_JACOBIAN] + r * Z;
@@ -309,6 +309,6 @@ void retrax_add_coupled_promise(retrax_search *search) {
         }
         changed += steps[r] * values[r];
     }
-    search->direction.promised -= unit * pulled; /* the costs of the ends have the multipliers times the equations */
-    search->direction.turned += unit * changed;
+    search->direction.predicted_change -= unit * pulled; /* the costs of the ends have the multipliers times the equations */
+    search->direction.constraint_change += unit * changed;
 }

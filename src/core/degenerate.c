@@ -44,7 +44,7 @@ typedef struct {
 /* Whether two entries belong to one piece of a state: an array, but for entries that have a coordinate of their own. */
 static bool are_together(const retrax_search *search, retrax_index e, retrax_index f) {
     const retrax_index *const arrays = search->phases->layout->problem->arrays;
-    const bool *const alone = search->phases->steady;
+    const bool *const alone = search->phases->constant_norm;
     return e == f || (!alone[e] && !alone[f] && arrays[e] == arrays[f]);
 }
 
@@ -54,7 +54,7 @@ static void find_pieces(const retrax_search *search) {
     const double *const trajectory = search->at;
     const retrax_index E = layout->problem->state_numbers;
     for (retrax_index e = 0; e < E; e++) {
-        search->phases->steady[e] = retrax_is_alone(ARRAY(SUPPORT), layout->problem->state_size, E, e);
+        search->phases->constant_norm[e] = retrax_is_alone(ARRAY(SUPPORT), layout->problem->state_size, E, e);
     }
 }
 
@@ -244,8 +244,8 @@ static void move_by(retrax_search *search, double size) {
     }
     memset(ARRAY(MULTIPLIER_STEPS), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_MULTIPLIER_STEPS]);
     retrax_expand_step(layout, trajectory, search->workspace);
-    /* The cap marks steady columns where the pieces were found, which are found again when they are needed. */
-    const double cap = retrax_step_cap(layout, trajectory, search->phases->values, search->phases->steady);
+    /* The cap marks columns of constant norm where the pieces were found, which are found again when they are needed. */
+    const double cap = retrax_step_cap(layout, trajectory, search->phases->values, search->phases->constant_norm);
     retrax_copy_unknowns(layout, trajectory, search->trial);
     retrax_move_trajectory(layout, trajectory, cap, search->trial);
 }

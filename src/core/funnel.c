@@ -59,14 +59,14 @@ static bool improves(const retrax_search *search, const retrax_merit *now, doubl
         return now->cost + now->held <= most && now->infeasibility <= search->funnel;
     }
     *width = search->funnel + FIRMLY * (now->infeasibility - search->funnel);
-    return now->infeasibility <= (1.0 - NARROWER * part * search->direction.reach) * search->funnel;
+    return now->infeasibility <= (1.0 - NARROWER * part * search->direction.alpha_max) * search->funnel;
 }
 
 bool retrax_judge_trial(retrax_search *search, bool first, bool *again) {
     const retrax_direction *const step = &search->direction;
-    const double part = search->fraction, tolerance = search->options.tolerance, residual = RESIDUAL(search->trial, LARGEST);
-    const double turned = search->merit.held + part * step->turned;
-    const double promised = -part * (step->promised - step->reach * turned);
+    const double part = search->backtrack, tolerance = search->options.tolerance, residual = RESIDUAL(search->trial, LARGEST);
+    const double turned = search->merit.held + part * step->constraint_change;
+    const double promised = -part * (step->predicted_change - step->alpha_max * turned);
     const retrax_merit now = retrax_merit_of(search, search->trial);
     double width;
     const bool better = improves(search, &now, turned, promised, part, &width), probe = first && !step->descends;
@@ -77,13 +77,13 @@ bool retrax_judge_trial(retrax_search *search, bool first, bool *again) {
     }
     good = good && isfinite(residual) && isfinite(search->trial[search->totals]);
     const bool is_short = !good && part / 2.0 < RETRAX_SHORTEST;
-    search->direction.regularisation = next_regularisation(step->regularisation, part * step->cap, good, is_short);
+    search->direction.regularisation = next_regularisation(step->regularisation, part * step->step_cap, good, is_short);
     if (good) {
         search->funnel = better ? width : fmax(search->funnel, now.infeasibility);
         search->best = fmin(search->best, residual);
         search->merit = now;
     }
     *again = good || is_short || probe;
-    search->fraction = *again ? 1.0 : part / 2.0;
+    search->backtrack = *again ? 1.0 : part / 2.0;
     return good;
 }

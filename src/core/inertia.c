@@ -55,14 +55,14 @@ static double product(const double *a, const double *b, retrax_index count) {
 }
 
 /* Adds the first-order changes of the cost, and of the multipliers times what is lacking, by all that may be made. */
-static void add_promise(retrax_search *search, const retrax_phase *phase) {
+static void add_predicted_change(retrax_search *search, const retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;
     const double *const trajectory = search->at + phase->place;
     const retrax_index *const count = layout->count, z = count[RETRAX_ARRAY_PARTS];
-    retrax_direction *const found = &search->direction;
+    retrax_direction *const step = &search->direction;
     double ahead = product(ARRAY(GRADIENTS), ARRAY(STEPS), count[RETRAX_ARRAY_STEPS]), dual = 0.0;
-    double turned = product(ARRAY(MULTIPLIER_STEPS), ARRAY(DEFECTS), count[RETRAX_ARRAY_DEFECTS]);
-    turned += product(ARRAY(POINT_MULTIPLIER_STEPS), ARRAY(POINT_DEFECTS), count[RETRAX_ARRAY_POINT_DEFECTS]);
+    double term = product(ARRAY(MULTIPLIER_STEPS), ARRAY(DEFECTS), count[RETRAX_ARRAY_DEFECTS]);
+    term += product(ARRAY(POINT_MULTIPLIER_STEPS), ARRAY(POINT_DEFECTS), count[RETRAX_ARRAY_POINT_DEFECTS]);
     const retrax_index p = layout->problem->points * layout->problem->state_size;
     for (retrax_index i = 0; i < count[RETRAX_ARRAY_VELOCITY_STEPS]; i++) { /* what mends the defects of the points */
         const double within = product(ARRAY(VELOCITY_MAPS) + i * (z + 1), ARRAY(STEPS) + i / p * z, z);
@@ -78,8 +78,8 @@ static void add_promise(retrax_search *search, const retrax_phase *phase) {
         ahead += ARRAY(LIMIT_STEP)[RETRAX_STEP_AHEAD];
         dual = phase->dual * ARRAY(LIMIT_STEP)[RETRAX_STEP_HELD];
     }
-    found->promised += found->reach * ahead / phase->scale.cost;
-    found->turned += (found->reach * turned + dual) / phase->scale.cost;
+    step->predicted_change += step->alpha_max * ahead / phase->scale.cost;
+    step->constraint_change += (step->alpha_max * term + dual) / phase->scale.cost;
 }
 
 bool retrax_is_clear(double smallest, retrax_index equations) {
@@ -126,13 +126,13 @@ static void eliminate_one(retrax_search *search, double regularisation) {
     const bool right = solution.inertia.negative == equations;
     const bool clear = retrax_is_clear(solution.inertia.smallest, equations);
     const bool hidden = solution.inertia.smallest <= CLEAR * fmax(1.0, (double)equations / MANY);
-    retrax_direction *const found = &search->direction;
-    found->regularisation = regularisation;
-    found->curvature = solution.curvature;
-    found->size = solution.size;
-    found->finite = finite != 0;
-    found->strict = right && clear;
-    found->convex = right || (!retrax_is_limited(layout->problem) && hidden);
+    retrax_direction *const step = &search->direction;
+    step->regularisation = regularisation;
+    step->curvature = solution.curvature;
+    step->size = solution.size;
+    step->finite = finite != 0;
+    step->strict = right && clear;
+    step->convex = right || (!retrax_is_limited(layout->problem) && hidden);
 }
 
 /* Computes what belongs to the Newton step of a trajectory; returns the fraction of it that may be made. */
@@ -141,13 +141,13 @@ static double complete_step(const retrax_search *search, retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;
     retrax_expand_step(layout, trajectory, search->workspace);
     phase->dual = 1.0;
-    phase->cap = retrax_step_cap(layout, trajectory, phase->largest, phase->steady);
+    phase->step_cap = retrax_step_cap(layout, trajectory, phase->largest, phase->constant_norm);
     if (!retrax_is_limited(layout->problem)) {
-        return phase->cap;
+        return phase->step_cap;
     }
     retrax_step_inequalities(layout, trajectory, BOUNDARY);
     phase->dual = ARRAY(LIMIT_STEP)[RETRAX_STEP_DUAL];
-    return fmin(phase->cap, ARRAY(LIMIT_STEP)[RETRAX_STEP_PRIMAL]);
+    return fmin(phase->step_cap, ARRAY(LIMIT_STEP)[RETRAX_STEP_PRIMAL]);
 }
 
 void retrax_eliminate(retrax_search *search, double regularisation) {
@@ -156,17 +156,17 @@ void retrax_eliminate(retrax_search *search, double regularisation) {
 }
 
 void retrax_newton_step(retrax_search *search, double regularisation) {
-    retrax_direction *const found = &search->direction;
+    retrax_direction *const step = &search->direction;
     retrax_eliminate(search, regularisation);
-    found->cap = found->reach = 1.0;
+    step->step_cap = step->alpha_max = 1.0;
     EACH_PHASE(phase) {
-        found->reach = fmin(found->reach, complete_step(search, phase));
-        found->cap = fmin(found->cap, phase->cap);
+        step->alpha_max = fmin(step->alpha_max, complete_step(search, phase));
+        step->step_cap = fmin(step->step_cap, phase->step_cap);
     }
-    found->promised = found->turned = 0.0;
-    EACH_PHASE(phase) { add_promise(search, phase); }
+    step->predicted_change = step->constraint_change = 0.0;
+    EACH_PHASE(phase) { add_predicted_change(search, phase); }
     if (retrax_is_coupled(search)) {
-        retrax_add_coupled_promise(search);
+        retrax_add_coupled_change(search);
     }
 }
 

@@ -25,7 +25,7 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
     to->control_work = retrax_take(block, points + 1, m, sizeof(double));
     to->limit_curvatures = retrax_take(block, retrax_curved_limits(problem) * points, m, sizeof(double));
     to->square = retrax_take(block, z, z, sizeof(double));
-    to->steady = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
+    to->constant_norm = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
     if (coupled) {
         retrax_take_response(layout, block, &to->response);
     }

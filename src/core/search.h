@@ -19,10 +19,11 @@ typedef struct {
     bool strict;        /* whether the Hessian is positive definite on the null space of the constraints, beyond rounding */
     bool convex;        /* whether the inertia is that of such a one, or without inequalities is hidden by rounding */
     bool descends;      /* whether the step has positive curvature */
-    double cap;         /* the fraction of the step that points of constant size follow */
-    double reach;       /* the fraction that may be made: within the cap and the inequalities */
-    double promised;    /* change of the cost to first order by all that may be made, in its unit */
-    double turned;      /* the same of the multipliers times what is lacking */
+    double step_cap;    /* the largest part of the step along which no point of constant norm moves by more than its diameter */
+    double alpha_max;   /* the largest part of the step that a trial point may make: within the step cap and the fraction to
+                         * the boundary */
+    double predicted_change;  /* of the cost with its barrier to first order, along alpha_max of the step, in its unit */
+    double constraint_change; /* of the constraint term, multipliers times defects, by the step of the multipliers alone */
 } retrax_direction;
 
 /* What is measured of a trajectory that trials are compared by. */
@@ -48,8 +49,8 @@ typedef struct {
     double *control_work;        /* [N s + 1][m] */
     double *limit_curvatures;    /* [c - bounds][N s][m] of the Lagrangian by the controls, per unit of a multiplier */
     double *square;              /* [z][z] */
-    bool *steady;                /* [E + U] */
-    double cap;                  /* the fraction of the step that points of constant size follow */
+    bool *constant_norm;         /* [E + U] of the entries: whether their column has the same norm along the trajectory */
+    double step_cap;             /* that of this trajectory, of which the direction has the smallest */
     double dual;                 /* the fraction of the steps of the multipliers of its inequalities that stays inside */
     bool knows;                  /* whether the guess knows multipliers of its inequalities */
     retrax_response response;    /* where ends are coupled */
@@ -74,7 +75,7 @@ struct retrax_search {
     double first_cost;           /* scaling factor of the cost at the guess */
     retrax_direction direction;
     retrax_merit merit;
-    double fraction;   /* of the step that is tried */
+    double backtrack;  /* part of alpha_max that the trial point makes: 1, and half of it after a rejected trial point */
     double funnel;     /* the infeasibility that no iterate exceeds any more */
     double best;       /* residual so far */
     double correction; /* what the linearised conditions still asked for where the residuals met the tolerance */
@@ -103,7 +104,7 @@ static inline bool retrax_is_coupled(const retrax_search *search) { return searc
 
 /* step_cap.c: returns the fraction of the step in which points that keep their size move by no more than a diameter.
  * largest: [z] steps of the unknowns; steady: [E + U] workspace. */
-double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, bool *steady);
+double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, bool *constant_norm);
 
 /* inertia.c: computes the Newton step at the iterate with a regularisation of the Hessian. */
 void retrax_newton_step(retrax_search *search, double regularisation);
@@ -281,7 +282,7 @@ retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, 
 void retrax_eliminate_coupled(retrax_search *search, double regularisation);
 
 /* border.c: adds what the coupling changes to what a step promises. */
-void retrax_add_coupled_promise(retrax_search *search);
+void retrax_add_coupled_change(retrax_search *search);
 
 /* algorithm.c: lets iterate and trial change places. */
 void retrax_swap(retrax_search *search);
