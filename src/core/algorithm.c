@@ -92,9 +92,9 @@ void retrax_move_trial(const retrax_search *search) {
 
 /* Begins anew with the funnel and the best residual, as where the barrier has changed. */
 static void reset_funnel(retrax_search *search) {
-    search->merit = retrax_merit_of(search, search->at);
-    search->funnel = fmax(search->merit.infeasibility, search->options.width);
-    search->best = RESIDUAL(search->at, LARGEST);
+    search->measures = retrax_measures_of(search, search->at);
+    search->funnel = fmax(search->measures.infeasibility, search->options.width);
+    search->best = RESIDUAL(search->at, BARRIER_ERROR);
     search->backtrack = 1.0;
 }
 
@@ -104,7 +104,7 @@ static void reset_funnel(retrax_search *search) {
  * one of a family of extremals, or it has grown along the null vector until rounding hides that there is none. */
 static void settle(retrax_search *search) {
     double wanted = 0.0, grown = 0.0;
-    if (!(RESIDUAL(search->at, FINAL) <= search->options.tolerance)) {
+    if (!(RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance)) {
         return;
     }
     EACH_PHASE(phase) {
@@ -118,7 +118,7 @@ static void settle(retrax_search *search) {
     search->isolated = wanted <= sqrt(search->options.tolerance);
     search->claimed = search->isolated || (stuck && grown <= GROWN);
     search->correction = wanted;
-    const bool exact = was_isolated || RESIDUAL(search->at, LARGEST) <= EXACT;
+    const bool exact = was_isolated || RESIDUAL(search->at, BARRIER_ERROR) <= EXACT;
     search->done = (search->isolated && exact) || stuck;
 }
 
@@ -147,8 +147,8 @@ static void cut_further(retrax_search *search, const retrax_direction *before, d
 
 /* Computes the next step, from the iterate as it is now; residual: of the iterate before. */
 static void next_step(retrax_search *search, double residual) {
-    const double now = RESIDUAL(search->at, LARGEST), tolerance = search->options.tolerance;
-    const bool arrived = RESIDUAL(search->at, FINAL) <= tolerance;
+    const double now = RESIDUAL(search->at, BARRIER_ERROR), tolerance = search->options.tolerance;
+    const bool arrived = RESIDUAL(search->at, KKT_ERROR) <= tolerance;
     const bool keep = arrived || (search->accepted && now <= sqrt(tolerance));
     const bool gains = search->accepted && now <= GAINED * residual && !search->limited;
     retrax_regularised_step(search, arrived ? 0.0 : search->direction.regularisation, keep, gains);
@@ -157,7 +157,7 @@ static void next_step(retrax_search *search, double residual) {
 /* One iteration: try the step, judge the trial, update the barrier, compute the next step. */
 static void iterate(retrax_search *search) {
     const retrax_direction before = search->direction;
-    const double residual = RESIDUAL(search->at, LARGEST), fraction = search->backtrack;
+    const double residual = RESIDUAL(search->at, BARRIER_ERROR), fraction = search->backtrack;
     const double length = retrax_step_length(search);
     const bool was_isolated = search->isolated;
     bool again;
@@ -181,7 +181,7 @@ static void iterate(retrax_search *search) {
     if (changed) {
         reset_funnel(search);
     }
-    search->done = was_isolated && search->accepted && RESIDUAL(search->at, FINAL) <= search->options.tolerance;
+    search->done = was_isolated && search->accepted && RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance;
     if (search->done || !(again || changed)) {
         return;
     }
@@ -223,7 +223,7 @@ static void stand(retrax_search *search) {
 static void renew(retrax_search *search) {
     if (retrax_renew_scale(search)) {
         retrax_measure(search, search->at);
-        const bool near = RESIDUAL(search->at, LARGEST) <= sqrt(search->options.tolerance);
+        const bool near = RESIDUAL(search->at, BARRIER_ERROR) <= sqrt(search->options.tolerance);
         retrax_regularised_step(search, 0.0, near, near);
         stand(search);
     }

@@ -201,7 +201,7 @@ static double lowered(const retrax_search *search, const retrax_phase *phase, do
     for (;;) {
         const double off = retrax_larger(retrax_larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]), 0.0);
         const double own = barrier / rate, enough = fmax(SOLVED * own, search->options.tolerance);
-        if (!(RESIDUAL(search->at, STEADY) <= enough && off <= SOLVED * barrier)) {
+        if (!(RESIDUAL(search->at, ERROR_WITHOUT_COMPLEMENTARITY) <= enough && off <= SOLVED * barrier)) {
             return barrier;
         }
         *cheap = survey[RETRAX_LIMIT_CHEAP] > 0.0 && own <= TELLS;
@@ -220,7 +220,7 @@ static double lowered(const retrax_search *search, const retrax_phase *phase, do
 static bool is_stuck(const retrax_search *search) {
     const retrax_direction *const step = &search->direction;
     const bool jams = step->regularisation >= STIFF || search->backtrack * step->alpha_max <= JAMMED || !step->finite;
-    return jams && RESIDUAL(search->at, LARGEST) > sqrt(search->options.tolerance) && retrax_is_hard(search);
+    return jams && RESIDUAL(search->at, BARRIER_ERROR) > sqrt(search->options.tolerance) && retrax_is_hard(search);
 }
 
 /* Lowers the barriers of all phases; cheap: whether penalties of any are too small. Returns whether one is lower. */
@@ -310,5 +310,5 @@ static bool is_infeasible(const retrax_search *search, const retrax_phase *phase
 bool retrax_is_infeasible(const retrax_search *search) {
     bool found = false;
     EACH_PHASE(phase) { found = found || is_infeasible(search, phase); }
-    return found && RESIDUAL(search->at, STEADY) <= search->options.tolerance;
+    return found && RESIDUAL(search->at, ERROR_WITHOUT_COMPLEMENTARITY) <= search->options.tolerance;
 }

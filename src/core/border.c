@@ -19,7 +19,7 @@
 
 /* What the multipliers of equations are held by, rows being scaled to one size: where equations depend on each other and
  * agree, those that rounding leaves free stay small. */
-#define HELD 1e-15
+#define MULTIPLIER_REGULARISATION 1e-15
 /* Rounds of scaling rows and columns to one size. */
 #define ROUNDS 3
 
@@ -165,7 +165,7 @@ static retrax_inertia solve_border(const retrax_search *search, retrax_border *b
     scale_border(border, total);
     symmetrise(border, total);
     for (retrax_index i = total - search->coupling.count[RETRAX_COUPLED_VALUES]; i < total; i++) {
-        row_of(border, i)[i] -= HELD;
+        row_of(border, i)[i] -= MULTIPLIER_REGULARISATION;
     }
     bool finite = true;
     for (retrax_index i = 0; i < total; i++) {

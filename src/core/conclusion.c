@@ -46,7 +46,7 @@ static bool do_ends_meet(const retrax_search *search) {
 }
 
 bool retrax_is_extremal(const retrax_search *search) {
-    const bool claimed = search->claimed && RESIDUAL(search->at, FINAL) <= search->options.tolerance;
+    const bool claimed = search->claimed && RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance;
     return claimed && (retrax_is_coupled(search) || do_ends_meet(search));
 }
 

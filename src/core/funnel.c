@@ -45,18 +45,18 @@ static double next_regularisation(double regularisation, double made, bool good,
     return made <= 0.25 ? fmax(regularisation, FIRST_REGULARISATION) * fmin(0.5 / made, RAISE) : regularisation;
 }
 
-retrax_merit retrax_merit_of(const retrax_search *search, const double *iterate) {
-    return (retrax_merit){RESIDUAL(iterate, INFEASIBILITY), RESIDUAL(iterate, MERIT), RESIDUAL(iterate, HELD)};
+retrax_measures retrax_measures_of(const retrax_search *search, const double *iterate) {
+    return (retrax_measures){RESIDUAL(iterate, INFEASIBILITY), RESIDUAL(iterate, BARRIER_OBJECTIVE), RESIDUAL(iterate, CONSTRAINT_TERM)};
 }
 
 /* Whether a trial improves, and the width of the funnel then. */
-static bool improves(const retrax_search *search, const retrax_merit *now, double turned, double promised, double part,
+static bool improves(const retrax_search *search, const retrax_measures *now, double turned, double promised, double part,
                      double *width) {
-    const double before = search->merit.infeasibility, cost = search->merit.cost;
+    const double before = search->measures.infeasibility, cost = search->measures.objective;
     if (promised >= SWITCH * before * before) {
         const double most = cost + turned - ARMIJO * promised + ROUNDED * (fabs(cost) + fabs(turned));
         *width = search->funnel + GENTLY * (now->infeasibility - search->funnel);
-        return now->cost + now->held <= most && now->infeasibility <= search->funnel;
+        return now->objective + now->constraint_term <= most && now->infeasibility <= search->funnel;
     }
     *width = search->funnel + FIRMLY * (now->infeasibility - search->funnel);
     return now->infeasibility <= (1.0 - NARROWER * part * search->direction.alpha_max) * search->funnel;
@@ -64,13 +64,13 @@ static bool improves(const retrax_search *search, const retrax_merit *now, doubl
 
 bool retrax_judge_trial(retrax_search *search, bool first, bool *again) {
     const retrax_direction *const step = &search->direction;
-    const double part = search->backtrack, tolerance = search->options.tolerance, residual = RESIDUAL(search->trial, LARGEST);
-    const double turned = search->merit.held + part * step->constraint_change;
+    const double part = search->backtrack, tolerance = search->options.tolerance, residual = RESIDUAL(search->trial, BARRIER_ERROR);
+    const double turned = search->measures.constraint_term + part * step->constraint_change;
     const double promised = -part * (step->predicted_change - step->alpha_max * turned);
-    const retrax_merit now = retrax_merit_of(search, search->trial);
+    const retrax_measures now = retrax_measures_of(search, search->trial);
     double width;
     const bool better = improves(search, &now, turned, promised, part, &width), probe = first && !step->descends;
-    const bool inside = RESIDUAL(search->trial, SHORTFALL) <= fmax(search->funnel, tolerance);
+    const bool inside = RESIDUAL(search->trial, MAX_SCALED_DEFECT) <= fmax(search->funnel, tolerance);
     bool good = better || (inside && residual <= fmax(RECORD * search->best, tolerance));
     if (probe) {
         good = residual <= FAST * search->best;
@@ -81,7 +81,7 @@ bool retrax_judge_trial(retrax_search *search, bool first, bool *again) {
     if (good) {
         search->funnel = better ? width : fmax(search->funnel, now.infeasibility);
         search->best = fmin(search->best, residual);
-        search->merit = now;
+        search->measures = now;
     }
     *again = good || is_short || probe;
     search->backtrack = *again ? 1.0 : part / 2.0;

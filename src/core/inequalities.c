@@ -121,24 +121,24 @@ static double size_of(const inequalities *own, limit_row row, double limit) {
 
 /* Adds an elastic inequality to the survey. */
 static void survey_excess(const inequalities *own, retrax_index i, double limit, const retrax_limit_scale *scale,
-                          double *found) {
+                          double *survey) {
     const double unit = scale->rate / limit, penalty = own->penalties[i];
-    found[RETRAX_LIMIT_DEAR] = retrax_larger(found[RETRAX_LIMIT_DEAR], penalty / (RETRAX_FIRST_PENALTY * unit));
+    survey[RETRAX_LIMIT_DEAR] = retrax_larger(survey[RETRAX_LIMIT_DEAR], penalty / (RETRAX_FIRST_PENALTY * unit));
     if (own->multipliers[i] <= NEAR_PENALTY * penalty) {
         return;
     }
     if (penalty < LAST_PENALTY * unit) {
-        found[RETRAX_LIMIT_CHEAP] = 1.0;
+        survey[RETRAX_LIMIT_CHEAP] = 1.0;
     } else {
-        found[RETRAX_LIMIT_LEFT] = retrax_larger(found[RETRAX_LIMIT_LEFT], own->excesses[i] / limit);
+        survey[RETRAX_LIMIT_LEFT] = retrax_larger(survey[RETRAX_LIMIT_LEFT], own->excesses[i] / limit);
     }
 }
 
 void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory, const retrax_limit_scale *scale) {
     const inequalities own = inequalities_of(layout, trajectory);
-    double *const found = ARRAY(LIMIT_SURVEY);
+    double *const survey = ARRAY(LIMIT_SURVEY);
     for (retrax_index k = 0; k < layout->count[RETRAX_ARRAY_LIMIT_SURVEY]; k++) {
-        found[k] = k == RETRAX_LIMIT_LEAST ? INFINITY : 0.0;
+        survey[k] = k == RETRAX_LIMIT_LEAST ? INFINITY : 0.0;
     }
     for (retrax_index j = 0; j < own.each + own.at_ends; j++) {
         const limit_row row = row_of(&own, j);
@@ -149,20 +149,20 @@ void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
                 continue;
             }
             double cost = -own.barrier * log(own.slacks[i] / limit);
-            found[RETRAX_LIMIT_VIOLATION] = retrax_larger(found[RETRAX_LIMIT_VIOLATION], fabs(lacking) / size);
-            found[RETRAX_LIMIT_EXCESS] = retrax_larger(found[RETRAX_LIMIT_EXCESS], own.excesses[i] / size);
-            found[RETRAX_LIMIT_PRODUCT] = retrax_larger(found[RETRAX_LIMIT_PRODUCT], product);
-            found[RETRAX_LIMIT_LEAST] = -retrax_larger(-found[RETRAX_LIMIT_LEAST], -product);
+            survey[RETRAX_LIMIT_VIOLATION] = retrax_larger(survey[RETRAX_LIMIT_VIOLATION], fabs(lacking) / size);
+            survey[RETRAX_LIMIT_EXCESS] = retrax_larger(survey[RETRAX_LIMIT_EXCESS], own.excesses[i] / size);
+            survey[RETRAX_LIMIT_PRODUCT] = retrax_larger(survey[RETRAX_LIMIT_PRODUCT], product);
+            survey[RETRAX_LIMIT_LEAST] = -retrax_larger(-survey[RETRAX_LIMIT_LEAST], -product);
             if (is_elastic(&own, i)) {
                 const double other = own.excesses[i] * rest(&own, i);
-                found[RETRAX_LIMIT_PRODUCT] = retrax_larger(found[RETRAX_LIMIT_PRODUCT], other);
-                found[RETRAX_LIMIT_LEAST] = -retrax_larger(-found[RETRAX_LIMIT_LEAST], -other);
+                survey[RETRAX_LIMIT_PRODUCT] = retrax_larger(survey[RETRAX_LIMIT_PRODUCT], other);
+                survey[RETRAX_LIMIT_LEAST] = -retrax_larger(-survey[RETRAX_LIMIT_LEAST], -other);
                 cost += own.penalties[i] * own.excesses[i] - own.barrier * log(own.excesses[i] / limit);
-                survey_excess(&own, i, limit, scale, found);
+                survey_excess(&own, i, limit, scale, survey);
             }
-            found[RETRAX_LIMIT_MISSING] += w * fabs(lacking) / limit;
-            found[RETRAX_LIMIT_POTENTIAL] += w * cost;
-            found[RETRAX_LIMIT_HELD] += w * own.multipliers[i] * lacking;
+            survey[RETRAX_LIMIT_MISSING] += w * fabs(lacking) / limit;
+            survey[RETRAX_LIMIT_POTENTIAL] += w * cost;
+            survey[RETRAX_LIMIT_CONSTRAINT_TERM] += w * own.multipliers[i] * lacking;
         }
     }
 }
@@ -195,7 +195,7 @@ static void write_point_steps(const retrax_layout *layout, double *trajectory) {
 
 void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, double share) {
     const inequalities own = inequalities_of(layout, trajectory);
-    double primal = 1.0, dual = 1.0, ahead = 0.0, held = 0.0;
+    double primal = 1.0, dual = 1.0, ahead = 0.0, constraint_term = 0.0;
     const double *const steps[] = {retrax_collocates(layout->problem) ? ARRAY(POINT_STEPS) : ARRAY(STEPS),
                                    ARRAY(END_STEPS)};
     if (retrax_collocates(layout->problem)) {
@@ -224,17 +224,17 @@ void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, d
             primal = shortened(primal, s, ds, share);
             dual = shortened(dual, nu, dnu, share);
             ahead += w * slope;
-            held += w * dnu * missing(&own, i);
+            constraint_term += w * dnu * missing(&own, i);
         }
         ARRAY(SLACK_STEPS)[i] = ds;
         ARRAY(LIMIT_MULTIPLIER_STEPS)[i] = dnu;
         ARRAY(EXCESS_STEPS)[i] = dt;
     }
-    double *const found = ARRAY(LIMIT_STEP);
-    found[RETRAX_STEP_PRIMAL] = primal;
-    found[RETRAX_STEP_DUAL] = dual;
-    found[RETRAX_STEP_AHEAD] = ahead;
-    found[RETRAX_STEP_HELD] = held;
+    double *const lengths = ARRAY(LIMIT_STEP);
+    lengths[RETRAX_STEP_PRIMAL] = primal;
+    lengths[RETRAX_STEP_DUAL] = dual;
+    lengths[RETRAX_STEP_AHEAD] = ahead;
+    lengths[RETRAX_STEP_CONSTRAINT_TERM] = constraint_term;
 }
 
 void retrax_move_inequalities(const retrax_layout *layout, const double *from, double primal, double dual,

@@ -76,7 +76,7 @@ static void add_predicted_change(retrax_search *search, const retrax_phase *phas
     }
     if (retrax_is_limited(layout->problem)) {
         ahead += ARRAY(LIMIT_STEP)[RETRAX_STEP_AHEAD];
-        dual = phase->dual * ARRAY(LIMIT_STEP)[RETRAX_STEP_HELD];
+        dual = phase->dual * ARRAY(LIMIT_STEP)[RETRAX_STEP_CONSTRAINT_TERM];
     }
     step->predicted_change += step->alpha_max * ahead / phase->scale.cost;
     step->constraint_change += (step->alpha_max * term + dual) / phase->scale.cost;

@@ -546,7 +546,7 @@ enum {
     RETRAX_LIMIT_LEAST,     /* the least of them; infinite without inequalities */
     RETRAX_LIMIT_MISSING,   /* sum of w |g + s - t| / limit */
     RETRAX_LIMIT_POTENTIAL, /* sum of w (rho t - mu log(s / limit) - mu log(t / limit)) */
-    RETRAX_LIMIT_HELD,      /* sum of w nu (g + s - t) */
+    RETRAX_LIMIT_CONSTRAINT_TERM, /* sum of w nu (g + s - t) */
     RETRAX_LIMIT_DEAR,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */
     RETRAX_LIMIT_CHEAP,     /* 1 where a multiplier comes near to its penalty and that may still grow */
     RETRAX_LIMIT_LEFT,      /* the largest excess whose multiplier comes near to the last penalty, relative to limit */
@@ -558,7 +558,7 @@ enum {
     RETRAX_STEP_PRIMAL, /* fraction of the steps of slacks and excesses that stays inside */
     RETRAX_STEP_DUAL,   /* the same of the steps of the multipliers */
     RETRAX_STEP_AHEAD,  /* derivative of the potential along the whole step */
-    RETRAX_STEP_HELD,   /* sum of w dnu (g + s - t) */
+    RETRAX_STEP_CONSTRAINT_TERM, /* sum of w dnu (g + s - t) */
     RETRAX_STEP_ENTRIES /* their number */
 };
 
@@ -604,13 +604,13 @@ enum {
     RETRAX_EXCESS,          /* of t = 0 */
     RETRAX_COMPLEMENTARITY, /* of nu s = 0 */
     RETRAX_CENTRING,        /* of nu s = mu */
-    RETRAX_STEADY,          /* the largest that the barrier does not move: defect, stationarity, violation */
-    RETRAX_FINAL,           /* the largest of the problem itself */
-    RETRAX_LARGEST,         /* the largest of the problem with its barrier */
-    RETRAX_INFEASIBILITY,   /* sum of what all nodes, points and inequalities lack, in units of steps */
-    RETRAX_MERIT,           /* cost with its barrier, in its unit */
-    RETRAX_HELD,            /* sum of the multipliers times what is lacking, in the unit of the cost */
-    RETRAX_SHORTFALL,       /* the most that a node or point lacks in a coordinate, in units of steps */
+    RETRAX_ERROR_WITHOUT_COMPLEMENTARITY, /* the largest of defect, stationarity and violation, which a lower barrier keeps */
+    RETRAX_KKT_ERROR,       /* E_0: the largest of that, excess and complementarity; the error of the problem itself */
+    RETRAX_BARRIER_ERROR,   /* E_mu: the largest of that and centring; the error of the problem with its barrier */
+    RETRAX_INFEASIBILITY,   /* sum of the defects of all nodes and points and of the violations, in units of the scaling */
+    RETRAX_BARRIER_OBJECTIVE, /* cost with its barrier, in its unit */
+    RETRAX_CONSTRAINT_TERM, /* sum of the multipliers times the defects and violations, in the unit of the cost */
+    RETRAX_MAX_SCALED_DEFECT, /* the largest defect of a node or point in a coordinate, in units of the scaling */
     RETRAX_RESIDUALS        /* their number */
 };
 

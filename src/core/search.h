@@ -28,8 +28,8 @@ typedef struct {
 
 /* What is measured of a trajectory that trials are compared by. */
 typedef struct {
-    double infeasibility, cost, held;
-} retrax_merit;
+    double infeasibility, objective, constraint_term;
+} retrax_measures;
 
 /* What a search knows of one of its trajectories; arrays stand in the memory of the search. */
 typedef struct {
@@ -74,7 +74,7 @@ struct retrax_search {
     double *costs;               /* [max_iterations + 3] of the iterates after 1, 2, ... trials */
     double first_cost;           /* scaling factor of the cost at the guess */
     retrax_direction direction;
-    retrax_merit merit;
+    retrax_measures measures;
     double backtrack;  /* part of alpha_max that the trial point makes: 1, and half of it after a rejected trial point */
     double funnel;     /* the infeasibility that no iterate exceeds any more */
     double best;       /* residual so far */
@@ -130,7 +130,7 @@ double retrax_step_length(const retrax_search *search);
 bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
 
 /* funnel.c: the merit of an iterate that was measured. */
-retrax_merit retrax_merit_of(const retrax_search *search, const double *iterate);
+retrax_measures retrax_measures_of(const retrax_search *search, const double *iterate);
 
 /* degenerate.c: whether Newton's method cannot set out from the guess. */
 bool retrax_is_degenerate(retrax_search *search);
