@@ -30,8 +30,8 @@ static void survey_nodes(const retrax_layout *layout, double *trajectory) {
         }
         for (retrax_index a = 0; a < n; a++) {
             const double defect = ARRAY(DEFECTS)[k * n + a];
-            ARRAY(MISSING)[a] += fabs(defect);
-            ARRAY(LACKING)[a] = retrax_larger(ARRAY(LACKING)[a], fabs(defect));
+            ARRAY(SUMMED_DEFECTS)[a] += fabs(defect);
+            ARRAY(MAX_DEFECTS)[a] = retrax_larger(ARRAY(MAX_DEFECTS)[a], fabs(defect));
             ARRAY(TOTALS)[1] += ARRAY(MULTIPLIERS)[k * n + a] * defect;
         }
     }
@@ -110,7 +110,7 @@ static void survey_points(const retrax_layout *layout, double *trajectory) {
 }
 
 void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory) {
-    static const retrax_array sums[] = {RETRAX_ARRAY_SUPPORT,        RETRAX_ARRAY_MISSING,    RETRAX_ARRAY_LACKING,
+    static const retrax_array sums[] = {RETRAX_ARRAY_SUPPORT,        RETRAX_ARRAY_SUMMED_DEFECTS,    RETRAX_ARRAY_MAX_DEFECTS,
                                         RETRAX_ARRAY_PARTS,          RETRAX_ARRAY_LARGEST_SLOPES,
                                         RETRAX_ARRAY_CURVATURES,     RETRAX_ARRAY_POINT_SURVEY, RETRAX_ARRAY_TOTALS};
     for (size_t i = 0; i < sizeof(sums) / sizeof(sums[0]); i++) {
@@ -314,7 +314,7 @@ static void measure_inequalities(const retrax_layout *layout, double *trajectory
     residuals[RETRAX_EXCESS] = survey[RETRAX_LIMIT_EXCESS];
     residuals[RETRAX_COMPLEMENTARITY] = survey[RETRAX_LIMIT_PRODUCT] / limits->rate;
     residuals[RETRAX_CENTRING] = retrax_larger(0.0, off) / limits->rate;
-    residuals[RETRAX_INFEASIBILITY] += survey[RETRAX_LIMIT_MISSING] * steps / retrax_duration(layout, trajectory);
+    residuals[RETRAX_INFEASIBILITY] += survey[RETRAX_LIMIT_SUMMED_DEFECT] * steps / retrax_duration(layout, trajectory);
     residuals[RETRAX_BARRIER_OBJECTIVE] += survey[RETRAX_LIMIT_POTENTIAL];
     residuals[RETRAX_CONSTRAINT_TERM] += survey[RETRAX_LIMIT_CONSTRAINT_TERM];
 }
@@ -332,11 +332,11 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
     }
     for (retrax_index a = 0; a < n; a++) {
         const double unit = scale->unknowns[a];
-        const double most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
+        const double most = retrax_larger(ARRAY(MAX_DEFECTS)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
         const double size = retrax_or_one(retrax_larger(unit * points[RETRAX_POINTS_PARTS * n + a], RETRAX_SHARE * parts));
         defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / retrax_or_one(ARRAY(ALONG)[a]));
         stationarity = retrax_larger(stationarity, unit * points[RETRAX_POINTS_SLOPE * n + a] / size);
-        residuals[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / unit;
+        residuals[RETRAX_INFEASIBILITY] += (ARRAY(SUMMED_DEFECTS)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / unit;
         residuals[RETRAX_MAX_SCALED_DEFECT] = retrax_larger(residuals[RETRAX_MAX_SCALED_DEFECT], most / unit);
     }
     residuals[RETRAX_DEFECT] = defect;

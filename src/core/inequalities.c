@@ -54,7 +54,7 @@ static double barrier_slope(const inequalities *own, retrax_index i) {
 }
 
 /* What g + s - t lacks of zero. */
-static double missing(const inequalities *own, retrax_index i) {
+static double limit_defect(const inequalities *own, retrax_index i) {
     return own->values[i] + own->slacks[i] - own->excesses[i];
 }
 
@@ -144,12 +144,12 @@ void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
         const limit_row row = row_of(&own, j);
         const double limit = scale->limits[j], size = size_of(&own, row, limit);
         for (retrax_index i = row.first; i < row.last; i += row.stride) {
-            const double w = own.weights[i], lacking = missing(&own, i), product = own.slacks[i] * own.multipliers[i];
+            const double w = own.weights[i], defect = limit_defect(&own, i), product = own.slacks[i] * own.multipliers[i];
             if (!(w > 0.0)) {
                 continue;
             }
             double cost = -own.barrier * log(own.slacks[i] / limit);
-            survey[RETRAX_LIMIT_VIOLATION] = retrax_larger(survey[RETRAX_LIMIT_VIOLATION], fabs(lacking) / size);
+            survey[RETRAX_LIMIT_VIOLATION] = retrax_larger(survey[RETRAX_LIMIT_VIOLATION], fabs(defect) / size);
             survey[RETRAX_LIMIT_EXCESS] = retrax_larger(survey[RETRAX_LIMIT_EXCESS], own.excesses[i] / size);
             survey[RETRAX_LIMIT_PRODUCT] = retrax_larger(survey[RETRAX_LIMIT_PRODUCT], product);
             survey[RETRAX_LIMIT_LEAST] = -retrax_larger(-survey[RETRAX_LIMIT_LEAST], -product);
@@ -160,9 +160,9 @@ void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
                 cost += own.penalties[i] * own.excesses[i] - own.barrier * log(own.excesses[i] / limit);
                 survey_excess(&own, i, limit, scale, survey);
             }
-            survey[RETRAX_LIMIT_MISSING] += w * fabs(lacking) / limit;
+            survey[RETRAX_LIMIT_SUMMED_DEFECT] += w * fabs(defect) / limit;
             survey[RETRAX_LIMIT_POTENTIAL] += w * cost;
-            survey[RETRAX_LIMIT_CONSTRAINT_TERM] += w * own.multipliers[i] * lacking;
+            survey[RETRAX_LIMIT_CONSTRAINT_TERM] += w * own.multipliers[i] * defect;
         }
     }
 }
@@ -224,7 +224,7 @@ void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, d
             primal = shortened(primal, s, ds, share);
             dual = shortened(dual, nu, dnu, share);
             ahead += w * slope;
-            constraint_term += w * dnu * missing(&own, i);
+            constraint_term += w * dnu * limit_defect(&own, i);
         }
         ARRAY(SLACK_STEPS)[i] = ds;
         ARRAY(LIMIT_MULTIPLIER_STEPS)[i] = dnu;

@@ -14,8 +14,8 @@
 #define FEWEST 20
 
 /* What nodes and points lack in coordinate a, summed over the trajectory. */
-static double lacking(const retrax_layout *layout, const double *trajectory, retrax_index a) {
-    return ARRAY(MISSING)[a] + ARRAY(POINT_SURVEY)[RETRAX_POINTS_TOTAL * layout->problem->state_size + a];
+static double summed_defect(const retrax_layout *layout, const double *trajectory, retrax_index a) {
+    return ARRAY(SUMMED_DEFECTS)[a] + ARRAY(POINT_SURVEY)[RETRAX_POINTS_TOTAL * layout->problem->state_size + a];
 }
 
 /* [test_a_rate_that_only_products_change_is_no_obstacle] */
@@ -24,7 +24,7 @@ bool retrax_widen_scale(retrax_search *search, double part, double length) {
     const double moved = part * length;
     bool wider = false;
     for (retrax_index a = 0; a < phase->layout->problem->state_size && !retrax_is_coupled(search); a++) {
-        const double left = lacking(phase->layout, search->trial, a) - (1.0 - part) * lacking(phase->layout, search->at, a);
+        const double left = summed_defect(phase->layout, search->trial, a) - (1.0 - part) * summed_defect(phase->layout, search->at, a);
         const double second = left / (moved * moved);
         if (isfinite(second) && second > WIDER * phase->scale.unknowns[a]) {
             phase->scale.unknowns[a] = second;

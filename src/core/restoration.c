@@ -70,7 +70,7 @@ retrax_feasibility retrax_search_restore(retrax_search *search, retrax_index max
         search->stopped = retrax_report(search);
         search->backtrack = moved ? fmin(LONGER * search->backtrack, 1.0) : SHORTER * search->backtrack;
     }
-    const double lacking = retrax_larger(RESIDUAL(search->at, INFEASIBILITY), RESIDUAL(search->at, EXCESS));
+    const double violation = retrax_larger(RESIDUAL(search->at, INFEASIBILITY), RESIDUAL(search->at, EXCESS));
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
-    return (retrax_feasibility){search->trials - 1, near, lacking <= tolerance, search->stopped};
+    return (retrax_feasibility){search->trials - 1, near, violation <= tolerance, search->stopped};
 }

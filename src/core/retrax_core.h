@@ -449,7 +449,7 @@ typedef struct {
     X(COSTS, N) X(END_COORDINATES, 2 * N * n) X(LIMITS, l)                                                            \
     X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z) + N * d * 2 * n)                                                      \
     /* what is largest along the trajectory, and how far it is from its conditions: see 8 */                          \
-    X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(MISSING, n) X(LACKING, n) X(PARTS, z) X(LARGEST_SLOPES, z)          \
+    X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(SUMMED_DEFECTS, n) X(MAX_DEFECTS, n) X(PARTS, z) X(LARGEST_SLOPES, z)          \
     X(CURVATURES, z) X(POINT_SURVEY, RETRAX_POINTS_ROWS * n) X(TOTALS, 2) X(LIMIT_SURVEY, RETRAX_LIMIT_ROWS)          \
     X(ALONG, n) X(ENTRIES, E) X(RESIDUALS, RETRAX_RESIDUALS)                                                          \
     /* Newton step from here, and room for the parts of it that a move makes */                                       \
@@ -544,7 +544,7 @@ enum {
     RETRAX_LIMIT_EXCESS,    /* the largest excess, relative to that */
     RETRAX_LIMIT_PRODUCT,   /* the largest of nu s and zeta t */
     RETRAX_LIMIT_LEAST,     /* the least of them; infinite without inequalities */
-    RETRAX_LIMIT_MISSING,   /* sum of w |g + s - t| / limit */
+    RETRAX_LIMIT_SUMMED_DEFECT,   /* sum of w |g + s - t| / limit */
     RETRAX_LIMIT_POTENTIAL, /* sum of w (rho t - mu log(s / limit) - mu log(t / limit)) */
     RETRAX_LIMIT_CONSTRAINT_TERM, /* sum of w nu (g + s - t) */
     RETRAX_LIMIT_DEAR,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */

@@ -40,19 +40,19 @@ static void write_near(const retrax_search *search, const retrax_phase *phase, c
 }
 
 /* By how much a slack or a multiplier is below zero after the whole Newton step, in units of its scaling. */
-static double lacking(const retrax_phase *phase, const double *trajectory) {
+static double negative_part(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
-    double lacks = 0.0;
+    double negative = 0.0;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double unit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
         const double slack = ARRAY(SLACKS)[i] + ARRAY(SLACK_STEPS)[i];
         const double multiplier = ARRAY(LIMIT_MULTIPLIERS)[i] + ARRAY(LIMIT_MULTIPLIER_STEPS)[i];
         if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0) {
-            lacks = retrax_larger(lacks, -slack / unit);
-            lacks = retrax_larger(lacks, -multiplier * unit / phase->limits.rate);
+            negative = retrax_larger(negative, -slack / unit);
+            negative = retrax_larger(negative, -multiplier * unit / phase->limits.rate);
         }
     }
-    return lacks;
+    return negative;
 }
 
 /* Writes slacks and multipliers of the iterate after the whole Newton step to the trial. */
@@ -97,12 +97,12 @@ bool retrax_warm_start(retrax_search *search) {
         write_all_near(search, false, levels[i]);
         retrax_evaluate(search, search->at);
         retrax_newton_step(search, 0.0);
-        double lacks = 0.0;
+        double negative = 0.0;
         EACH_PHASE(phase) {
-            lacks = phase->knows ? retrax_larger(lacks, lacking(phase, search->at + phase->place)) : lacks;
+            negative = phase->knows ? retrax_larger(negative, negative_part(phase, search->at + phase->place)) : negative;
         }
-        const double needed = fmax(FOLLOWED * FOLLOWED * lacks * lacks, levels[i]);
-        if (search->direction.finite && isfinite(lacks) && needed < least) {
+        const double needed = fmax(FOLLOWED * FOLLOWED * negative * negative, levels[i]);
+        if (search->direction.finite && isfinite(negative) && needed < least) {
             follow(search);
             least = needed;
         }

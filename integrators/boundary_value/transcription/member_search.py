@@ -129,7 +129,7 @@ class MemberSearch:
         found = results[0]
         if found.facts.stopped:
             self.watch.stop()
-        missing = [own.trajectory["LACKING"] / own.scale.nodes for own in results]
+        missing = [own.trajectory["MAX_DEFECTS"] / own.scale.nodes for own in results]
         if self.problem.coupling is not None:
             missing.append(np.abs(found.values) / found.equations)
         first = None
