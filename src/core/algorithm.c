@@ -38,7 +38,7 @@ void retrax_evaluate_functions(const retrax_search *search, double *iterate) {
 void retrax_assemble(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) {
         double *const trajectory = iterate + phase->place;
-        if (retrax_is_limited(phase->layout->problem)) {
+        if (retrax_has_inequalities(phase->layout->problem)) {
             retrax_add_inequalities(phase->layout, trajectory);
         }
         retrax_assemble_system(phase->layout, trajectory, search->workspace, search->set);
@@ -56,12 +56,12 @@ void retrax_measure(retrax_search *search, double *iterate) {
     const bool coupled = retrax_is_coupled(search);
     const double curvature = coupled ? retrax_largest_curvature(search, iterate) : 0.0;
     EACH_PHASE(phase) {
-        const bool limited = retrax_is_limited(phase->layout->problem);
-        if (limited) {
+        const bool has_inequalities = retrax_has_inequalities(phase->layout->problem);
+        if (has_inequalities) {
             retrax_survey_inequalities(phase->layout, iterate + phase->place, &phase->limits);
         }
         retrax_measure_residuals(phase->layout, iterate + phase->place, &phase->scale,
-                                 limited ? phase->scale.cost : curvature, limited ? &phase->limits : NULL);
+                                 has_inequalities ? phase->scale.cost : curvature, has_inequalities ? &phase->limits : NULL);
     }
     retrax_measure_by_spans(search, iterate);
     if (coupled) {
@@ -150,7 +150,7 @@ static void next_step(retrax_search *search, double residual) {
     const double now = RESIDUAL(search->at, BARRIER_ERROR), tolerance = search->options.tolerance;
     const bool arrived = RESIDUAL(search->at, KKT_ERROR) <= tolerance;
     const bool keep = arrived || (search->accepted && now <= sqrt(tolerance));
-    const bool gains = search->accepted && now <= GAINED * residual && !search->limited;
+    const bool gains = search->accepted && now <= GAINED * residual && !search->has_inequalities;
     retrax_regularised_step(search, arrived ? 0.0 : search->direction.regularisation, keep, gains);
 }
 
@@ -163,7 +163,7 @@ static void iterate(retrax_search *search) {
     bool again;
     retrax_move_trial(search);
     retrax_assess(search, search->trial);
-    search->accepted = retrax_judge_trial(search, search->trials == 1 && !search->limited, &again);
+    search->accepted = retrax_judge_trial(search, search->trials == 1 && !search->has_inequalities, &again);
     if (search->accepted) {
         retrax_swap(search);
     }
@@ -234,7 +234,7 @@ static double largest_barrier(const retrax_search *search) {
     double found = 0.0;
     EACH_PHASE(phase) {
         const double barrier = search->at[phase->place + phase->layout->first[RETRAX_ARRAY_BARRIER]];
-        found = fmax(found, retrax_is_limited(phase->layout->problem) ? barrier / phase->limits.rate : 0.0);
+        found = fmax(found, retrax_has_inequalities(phase->layout->problem) ? barrier / phase->limits.rate : 0.0);
     }
     return found;
 }

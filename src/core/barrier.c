@@ -70,14 +70,14 @@ static void write_limits(retrax_phase *phase, const double *trajectory) {
             value = of.limit == j ? retrax_larger(value, fabs(ARRAY(LIMITS)[i])) : value;
         }
         size = size > RETRAX_VALUE_SHARE * value ? size : value;
-        phase->limit_sizes[j] = size > 0.0 && isfinite(size) ? size : 1.0;
+        phase->constraint_scales[j] = size > 0.0 && isfinite(size) ? size : 1.0;
     }
 }
 
 double retrax_limit_inside(const retrax_phase *phase, const double *trajectory, retrax_index i) {
     const retrax_layout *const layout = phase->layout;
-    const double value = ARRAY(LIMITS)[i], limit = phase->limit_sizes[limit_of(phase, i)];
-    return retrax_is_kept(phase, i) ? fmin(value, -DBL_EPSILON * limit) : value;
+    const double value = ARRAY(LIMITS)[i], constraint_scale = phase->constraint_scales[limit_of(phase, i)];
+    return retrax_is_kept(phase, i) ? fmin(value, -DBL_EPSILON * constraint_scale) : value;
 }
 
 /* Writes the slack, multiplier and excess of an inequality on the central path: g + s = t, nu s = zeta t = mu. */
@@ -104,7 +104,7 @@ static void write_central(const retrax_phase *phase, double *trajectory, retrax_
 
 /* The usual first penalty of an inequality; infinite where no iterate leaves it. */
 static double first_penalty(const retrax_search *search, const retrax_phase *phase, retrax_index i) {
-    const double unit = phase->limits.rate / phase->limit_sizes[limit_of(phase, i)];
+    const double unit = phase->limits.rate / phase->constraint_scales[limit_of(phase, i)];
     return retrax_is_kept(phase, i) ? INFINITY : RETRAX_FIRST_PENALTY * unit * search->firm;
 }
 
@@ -129,8 +129,8 @@ void retrax_start_slacks(const retrax_search *search, retrax_phase *phase, doubl
     retrax_find_limits(phase, trajectory);
     *ARRAY(BARRIER) = FIRST_BARRIER * phase->limits.rate * sqrt(search->firm);
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double limit = phase->limit_sizes[limit_of(phase, i)];
-        const bool holds = retrax_limit_inside(phase, trajectory, i) < -INSIDE * limit;
+        const double constraint_scale = phase->constraint_scales[limit_of(phase, i)];
+        const bool holds = retrax_limit_inside(phase, trajectory, i) < -INSIDE * constraint_scale;
         write_central(phase, trajectory, i, holds ? INFINITY : first_penalty(search, phase, i));
     }
 }
@@ -185,7 +185,7 @@ static double dearness(const retrax_search *search) {
     EACH_PHASE(phase) {
         const double *const trajectory = search->at + phase->place;
         const retrax_layout *const layout = phase->layout;
-        found = retrax_is_limited(layout->problem) ? fmax(found, ARRAY(LIMIT_SURVEY)[RETRAX_LIMIT_DEAR]) : found;
+        found = retrax_has_inequalities(layout->problem) ? fmax(found, ARRAY(LIMIT_SURVEY)[RETRAX_LIMIT_DEAR]) : found;
     }
     return found;
 }
@@ -229,7 +229,7 @@ static bool lower_barriers(retrax_search *search, bool *cheap) {
     bool lower = false;
     *cheap = false;
     EACH_PHASE(phase) {
-        if (retrax_is_limited(phase->layout->problem)) {
+        if (retrax_has_inequalities(phase->layout->problem)) {
             bool own;
             const double barrier = lowered(search, phase, dear, &own);
             double *const before = search->at + phase->place + phase->layout->first[RETRAX_ARRAY_BARRIER];
@@ -242,7 +242,7 @@ static bool lower_barriers(retrax_search *search, bool *cheap) {
 }
 
 bool retrax_update_barrier(retrax_search *search) {
-    if (!search->limited) {
+    if (!search->has_inequalities) {
         return false;
     }
     const bool stuck = is_stuck(search);
@@ -252,7 +252,7 @@ bool retrax_update_barrier(retrax_search *search) {
         retrax_return_to_guess(search);
         retrax_assess(search, search->at);
         EACH_PHASE(phase) {
-            if (retrax_is_limited(phase->layout->problem)) {
+            if (retrax_has_inequalities(phase->layout->problem)) {
                 soften(search, phase, search->at + phase->place);
             }
         }
@@ -295,7 +295,7 @@ bool retrax_reset_slacks(const retrax_search *search, double *iterate) {
 /* Whether inequalities of a phase contradict each other, or the ends. */
 static bool is_infeasible(const retrax_search *search, const retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;
-    if (!retrax_is_limited(layout->problem)) {
+    if (!retrax_has_inequalities(layout->problem)) {
         return false;
     }
     const double *const trajectory = search->at + phase->place, *const survey = ARRAY(LIMIT_SURVEY);

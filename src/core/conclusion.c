@@ -69,8 +69,8 @@ static bool is_convex(const retrax_phase *phase, const double *trajectory) {
 static void soften(const retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double limit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
-        const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->scale.cost / (limit * limit);
+        const double constraint_scale = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
+        const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->scale.cost / (constraint_scale * constraint_scale);
         if (weight * retrax_stiffness(layout, trajectory, i) > unit / IDLE) {
             ARRAY(SLACKS)[i] = fmax(ARRAY(SLACKS)[i], weight * ARRAY(LIMIT_MULTIPLIERS)[i] / (STIFFEST * unit));
         } else {
@@ -111,5 +111,5 @@ void retrax_conclude(retrax_search *search) {
     EACH_PHASE(phase) { search->convex = search->convex && is_convex(phase, search->at + phase->place); }
     search->right_inertia = !extremal && search->trials > search->options.max_iterations && has_right_inertia(search);
     search->strict = extremal && search->isolated &&
-                     (search->limited ? is_strict(search) : step->strict && step->regularisation == 0.0);
+                     (search->has_inequalities ? is_strict(search) : step->strict && step->regularisation == 0.0);
 }

@@ -275,7 +275,7 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
 /* Whether a trajectory is judged by what it spans: else no scaling factor is what controls reach, or the cost sets the
  * scale, as the curvature has no bound. */
 static bool is_judged_by_spans(const retrax_problem *problem) {
-    return problem->control_size > 0 && !retrax_is_limited(problem);
+    return problem->control_size > 0 && !retrax_has_inequalities(problem);
 }
 
 void retrax_measure_by_spans(const retrax_search *search, double *iterate) {

@@ -109,8 +109,8 @@ static limit_row row_of(const inequalities *own, retrax_index limit) {
 }
 
 /* The size that an inequality is measured by. */
-static double size_of(const inequalities *own, limit_row row, double limit) {
-    double found = limit;
+static double size_of(const inequalities *own, limit_row row, double constraint_scale) {
+    double found = constraint_scale;
     for (retrax_index i = row.first; i < row.last; i += row.stride) {
         if (own->weights[i] > 0.0) {
             found = retrax_larger(found, RETRAX_VALUE_SHARE * fabs(own->values[i]));
@@ -120,9 +120,9 @@ static double size_of(const inequalities *own, limit_row row, double limit) {
 }
 
 /* Adds an elastic inequality to the survey. */
-static void survey_excess(const inequalities *own, retrax_index i, double limit, const retrax_limit_scale *scale,
+static void survey_excess(const inequalities *own, retrax_index i, double constraint_scale, const retrax_limit_scale *scale,
                           double *survey) {
-    const double unit = scale->rate / limit, penalty = own->penalties[i];
+    const double unit = scale->rate / constraint_scale, penalty = own->penalties[i];
     survey[RETRAX_LIMIT_DEAR] = retrax_larger(survey[RETRAX_LIMIT_DEAR], penalty / (RETRAX_FIRST_PENALTY * unit));
     if (own->multipliers[i] <= NEAR_PENALTY * penalty) {
         return;
@@ -130,7 +130,7 @@ static void survey_excess(const inequalities *own, retrax_index i, double limit,
     if (penalty < LAST_PENALTY * unit) {
         survey[RETRAX_LIMIT_CHEAP] = 1.0;
     } else {
-        survey[RETRAX_LIMIT_LEFT] = retrax_larger(survey[RETRAX_LIMIT_LEFT], own->excesses[i] / limit);
+        survey[RETRAX_LIMIT_LEFT] = retrax_larger(survey[RETRAX_LIMIT_LEFT], own->excesses[i] / constraint_scale);
     }
 }
 
@@ -142,13 +142,13 @@ void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
     }
     for (retrax_index j = 0; j < own.each + own.at_ends; j++) {
         const limit_row row = row_of(&own, j);
-        const double limit = scale->limits[j], size = size_of(&own, row, limit);
+        const double constraint_scale = scale->limits[j], size = size_of(&own, row, constraint_scale);
         for (retrax_index i = row.first; i < row.last; i += row.stride) {
             const double w = own.weights[i], defect = limit_defect(&own, i), product = own.slacks[i] * own.multipliers[i];
             if (!(w > 0.0)) {
                 continue;
             }
-            double cost = -own.barrier * log(own.slacks[i] / limit);
+            double cost = -own.barrier * log(own.slacks[i] / constraint_scale);
             survey[RETRAX_LIMIT_VIOLATION] = retrax_larger(survey[RETRAX_LIMIT_VIOLATION], fabs(defect) / size);
             survey[RETRAX_LIMIT_EXCESS] = retrax_larger(survey[RETRAX_LIMIT_EXCESS], own.excesses[i] / size);
             survey[RETRAX_LIMIT_PRODUCT] = retrax_larger(survey[RETRAX_LIMIT_PRODUCT], product);
@@ -157,10 +157,10 @@ void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory,
                 const double other = own.excesses[i] * rest(&own, i);
                 survey[RETRAX_LIMIT_PRODUCT] = retrax_larger(survey[RETRAX_LIMIT_PRODUCT], other);
                 survey[RETRAX_LIMIT_LEAST] = -retrax_larger(-survey[RETRAX_LIMIT_LEAST], -other);
-                cost += own.penalties[i] * own.excesses[i] - own.barrier * log(own.excesses[i] / limit);
-                survey_excess(&own, i, limit, scale, survey);
+                cost += own.penalties[i] * own.excesses[i] - own.barrier * log(own.excesses[i] / constraint_scale);
+                survey_excess(&own, i, constraint_scale, scale, survey);
             }
-            survey[RETRAX_LIMIT_SUMMED_DEFECT] += w * fabs(defect) / limit;
+            survey[RETRAX_LIMIT_SUMMED_DEFECT] += w * fabs(defect) / constraint_scale;
             survey[RETRAX_LIMIT_POTENTIAL] += w * cost;
             survey[RETRAX_LIMIT_CONSTRAINT_TERM] += w * own.multipliers[i] * defect;
         }

@@ -35,7 +35,7 @@ static void write_curvatures(const retrax_search *search, retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;
     const double *const trajectory = search->at + phase->place, *const sizes = phase->scale.unknowns;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
-    const bool same = retrax_is_limited(layout->problem) || retrax_is_coupled(search);
+    const bool same = retrax_has_inequalities(layout->problem) || retrax_is_coupled(search);
     double most = 0.0;
     for (retrax_index i = 0; i < z; i++) {
         phase->curvatures[i] = same ? 1.0 : ARRAY(CURVATURES)[i] * sizes[i] * sizes[i] / phase->scale.cost;
@@ -74,7 +74,7 @@ static void add_predicted_change(retrax_search *search, const retrax_phase *phas
             ahead += product(cost.slope, cost.mended, layout->problem->state_size);
         }
     }
-    if (retrax_is_limited(layout->problem)) {
+    if (retrax_has_inequalities(layout->problem)) {
         ahead += ARRAY(LIMIT_STEP)[RETRAX_STEP_AHEAD];
         dual = phase->dual * ARRAY(LIMIT_STEP)[RETRAX_STEP_CONSTRAINT_TERM];
     }
@@ -132,7 +132,7 @@ static void eliminate_one(retrax_search *search, double regularisation) {
     step->size = solution.size;
     step->finite = finite != 0;
     step->strict = right && clear;
-    step->convex = right || (!retrax_is_limited(layout->problem) && hidden);
+    step->convex = right || (!retrax_has_inequalities(layout->problem) && hidden);
 }
 
 /* Computes what belongs to the Newton step of a trajectory; returns the fraction of it that may be made. */
@@ -142,7 +142,7 @@ static double complete_step(const retrax_search *search, retrax_phase *phase) {
     retrax_expand_step(layout, trajectory, search->workspace);
     phase->dual = 1.0;
     phase->step_cap = retrax_step_cap(layout, trajectory, phase->largest, phase->constant_norm);
-    if (!retrax_is_limited(layout->problem)) {
+    if (!retrax_has_inequalities(layout->problem)) {
         return phase->step_cap;
     }
     retrax_step_inequalities(layout, trajectory, BOUNDARY);

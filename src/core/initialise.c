@@ -85,7 +85,7 @@ void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double 
         phase->sizes[n + i] = retrax_control_size(layout, trajectory, i);
         phase->room[i] = INFINITY;
     }
-    if (retrax_is_limited(problem)) {
+    if (retrax_has_inequalities(problem)) {
         double *const ways = phase->values + n, largest = 0.0;
         retrax_find_control_ranges(phase, trajectory, ways);
         for (retrax_index i = 0; i < controls; i++) {
@@ -186,7 +186,7 @@ static void measure_guess(retrax_search *search) {
     EACH_PHASE(phase) {
         retrax_copy(phase->scale.unknowns, phase->fresh.unknowns, phase->layout->count[RETRAX_ARRAY_PARTS]);
         phase->scale.cost = phase->fresh.cost;
-        if (retrax_is_limited(phase->layout->problem)) {
+        if (retrax_has_inequalities(phase->layout->problem)) {
             retrax_find_limits(phase, search->at + phase->place);
         }
     }
@@ -212,7 +212,7 @@ void retrax_forget_multipliers(const retrax_search *search, double *iterate) {
 /* Sets first slacks of the phases that know none. */
 static void start_slacks(retrax_search *search) {
     EACH_PHASE(phase) {
-        if (retrax_is_limited(phase->layout->problem) && !phase->knows) {
+        if (retrax_has_inequalities(phase->layout->problem) && !phase->knows) {
             retrax_start_slacks(search, phase, search->at + phase->place);
         }
     }
@@ -232,7 +232,7 @@ void retrax_begin(retrax_search *search) {
     retrax_return_to_guess(search); /* both have the same data */
     retrax_swap(search);
     measure_guess(search);
-    if (!search->limited) {
+    if (!search->has_inequalities) {
         return;
     }
     start_slacks(search);
@@ -246,7 +246,7 @@ void retrax_begin(retrax_search *search) {
 }
 
 void retrax_initialise(retrax_search *search) {
-    const bool linear = !search->limited;
+    const bool linear = !search->has_inequalities;
     bool flat_controls = false;
     retrax_begin(search);
     retrax_measure(search, search->at);

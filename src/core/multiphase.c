@@ -180,7 +180,7 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
             const double size = own * retrax_larger(own, RETRAX_VALUE_SHARE * value_of(layout, trajectory, i % n));
             found = retrax_larger(found, fabs(curvature[(first + i) * Z + first + i]) * size);
         }
-        for (retrax_index i = 0; i < z && !retrax_is_limited(layout->problem); i++) { /* with a barrier it has no bound */
+        for (retrax_index i = 0; i < z && !retrax_has_inequalities(layout->problem); i++) { /* with a barrier it has no bound */
             const double unit = phase->scale.unknowns[i];
             found = retrax_larger(found, ARRAY(CURVATURES)[i] * unit * unit);
         }

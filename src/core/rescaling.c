@@ -93,7 +93,7 @@ bool retrax_renew_scale(retrax_search *search) {
         return false;
     }
     double *at = search->at;
-    if (search->limited) { /* as where inequalities do not pull */
+    if (search->has_inequalities) { /* as where inequalities do not pull */
         retrax_find_limit_curvatures(search);
         at = search->trial;
         retrax_copy_iterate(search, search->at, at);
@@ -106,7 +106,7 @@ bool retrax_renew_scale(retrax_search *search) {
     }
     EACH_PHASE(phase) {
         take_fresh(search, phase);
-        if (retrax_is_limited(phase->layout->problem)) {
+        if (retrax_has_inequalities(phase->layout->problem)) {
             retrax_find_limits(phase, at + phase->place);
         }
     }

@@ -766,7 +766,7 @@ typedef struct {
     const double *values;       /* [r] of these equations */
     const double *jacobian;     /* [r][Z] their derivatives by coordinates of all ends */
     retrax_index iterations;
-    bool limited;               /* whether it has made as many iterations as it may */
+    bool iteration_limit_reached; /* whether it has made as many iterations as it may */
     bool claimed;               /* whether the iterate is an extremal */
     bool strict;                /* whether it is a strict minimum: Newton's next step was small, and the Hessian of the
                                  * Lagrangian is positive definite on the null space of the constraints */
@@ -775,7 +775,7 @@ typedef struct {
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
     bool falls;                 /* whether it is no extremal and the cost falls as if it had no lower bound */
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
-    bool right_inertia;         /* where it is limited and no extremal: whether the linear system of the iterate has,
+    bool right_inertia;         /* where the iteration limit ended it at no extremal: whether the linear system of the iterate has,
                                  * without a regularisation, the inertia of a minimum; else false */
 } retrax_search_result;
 

@@ -14,7 +14,7 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
     const retrax_index c = problem->inequalities + problem->node_inequalities, z = layout->count[RETRAX_ARRAY_PARTS];
     to->scale.unknowns = retrax_take(block, z, 1, sizeof(double));
     to->fresh.unknowns = retrax_take(block, z, 1, sizeof(double));
-    to->limit_sizes = retrax_take(block, c, 1, sizeof(double));
+    to->constraint_scales = retrax_take(block, c, 1, sizeof(double));
     to->curvatures = retrax_take(block, z, 1, sizeof(double));
     to->largest = retrax_take(block, z, 1, sizeof(double));
     to->sizes = retrax_take(block, z, 1, sizeof(double));
@@ -117,10 +117,10 @@ retrax_search *retrax_search_make(const retrax_multiphase *problem, const retrax
     search->options = *options;
     search->set = set;
     search->firm = options->firm;
-    search->limited = false;
+    search->has_inequalities = false;
     EACH_PHASE(phase) {
-        search->limited = search->limited || retrax_is_limited(phase->layout->problem);
-        phase->limits = (retrax_limit_scale){0.0, phase->limit_sizes};
+        search->has_inequalities = search->has_inequalities || retrax_has_inequalities(phase->layout->problem);
+        phase->limits = (retrax_limit_scale){0.0, phase->constraint_scales};
     }
     const bool coupled = retrax_is_coupled(search);
     const retrax_index *const first = search->phases->layout->first;
@@ -147,14 +147,14 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
         .trajectory = search->at + own->place,
         .first = search->first + own->guess_place,
         .scale = own->scale,
-        .limits = own->limit_sizes,
+        .limits = own->constraint_scales,
         .rate = own->limits.rate,
         .residuals = search->at + search->residuals,
         .equations = coupled ? search->coupling.sizes : NULL,
         .values = coupled ? search->at + first[RETRAX_COUPLED_VALUES] : NULL,
         .jacobian = coupled ? search->at + first[RETRAX_COUPLED_JACOBIAN] : NULL,
         .iterations = search->trials - 1,
-        .limited = search->trials > search->options.max_iterations,
+        .iteration_limit_reached = search->trials > search->options.max_iterations,
         .claimed = extremal,
         .strict = search->strict,
         .convex = search->convex,

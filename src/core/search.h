@@ -39,7 +39,7 @@ typedef struct {
     retrax_scale scale;          /* scaling factors of steps, which success is judged by */
     retrax_scale fresh;          /* those of the iterate, where they are measured again */
     retrax_limit_scale limits;
-    double *limit_sizes;         /* [c] */
+    double *constraint_scales;         /* [c] */
     double *curvatures;          /* [z] typical ones, by which Hessians are regularised */
     double *largest;             /* [z] the largest step of each unknown */
     double *sizes, *values;      /* [z] for the scaling factors */
@@ -63,7 +63,7 @@ struct retrax_search {
     retrax_coupling coupling;    /* of the ends, where they are coupled */
     retrax_options options;
     retrax_instruction_set set;
-    bool limited;                /* whether there are inequalities */
+    bool has_inequalities;       /* whether there are inequalities */
     retrax_index numbers;        /* of an iterate */
     retrax_index residuals;      /* place in an iterate of RESIDUALS of all trajectories together */
     retrax_index totals;         /* and of TOTALS */

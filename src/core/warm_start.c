@@ -25,7 +25,7 @@ static void write_near(const retrax_search *search, const retrax_phase *phase, c
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const bool kept = retrax_is_kept(phase, i);
         const double multiplier = known[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS] + i];
-        const double unit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
+        const double unit = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
         const double k = kept ? 0.0 : unit * unit / (phase->limits.rate * search->firm);
         const double apart = kept ? -retrax_limit_inside(phase, trajectory, i)
                                   : known[layout->first[RETRAX_ARRAY_SLACKS] + i] - k * multiplier;
@@ -44,7 +44,7 @@ static double negative_part(const retrax_phase *phase, const double *trajectory)
     const retrax_layout *const layout = phase->layout;
     double negative = 0.0;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double unit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
+        const double unit = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
         const double slack = ARRAY(SLACKS)[i] + ARRAY(SLACK_STEPS)[i];
         const double multiplier = ARRAY(LIMIT_MULTIPLIERS)[i] + ARRAY(LIMIT_MULTIPLIER_STEPS)[i];
         if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0) {

@@ -147,7 +147,7 @@ def _says_nothing(found: SearchRecord) -> bool:
 
 def _is_near(found: SearchRecord) -> bool:
     """Whether the iteration limit came near to an extremal."""
-    return not found.facts.claimed and found.facts.limited and bool(found.residuals[LARGEST] <= NEAR)
+    return not found.facts.claimed and found.facts.iteration_limit_reached and bool(found.residuals[LARGEST] <= NEAR)
 
 
 def _is_open(found: SearchRecord) -> bool:

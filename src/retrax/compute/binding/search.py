@@ -39,7 +39,7 @@ class SearchFacts(NamedTuple):
     """Facts on the end of a search, of all phases together; ``retrax_core.h`` explains the fields."""
 
     iterations: int
-    limited: bool
+    iteration_limit_reached: bool
     claimed: bool
     strict: bool
     convex: bool

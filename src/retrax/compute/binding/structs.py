@@ -263,7 +263,7 @@ class SearchResultStruct(Structure):
         ("iterations", c_ssize_t),
         *(
             (fact, c_bool)
-            for fact in ("limited", "claimed", "strict", "convex", "solvable", "infeasible", "falls", "stopped")
+            for fact in ("iteration_limit_reached", "claimed", "strict", "convex", "solvable", "infeasible", "falls", "stopped")
         ),
         ("right_inertia", c_bool),
     )
