@@ -7,18 +7,19 @@
 #include <math.h>
 #include <string.h>
 
-/* Share by which a wanted step has to shrink from one solved iterate to the next: else the linear system is singular. */
+/* Share by which the next Newton step has to shrink from one solved iterate to the next: else the linear system is
+ * singular. */
 #define SHRINKS 0.1
 /* Residual that is rounding. */
 #define EXACT (64.0 * DBL_EPSILON)
 /* Times its scaling factors: a trajectory that has grown so far follows the null vector of a singular system. */
 #define GROWN 1e6
-/* Times the residual: a step that leads to less is Newton's own. */
+/* Times the error: a step that leads to less is a full Newton step. */
 #define GAINED 0.1
 /* A regularisation has to shorten a step to this share; a step is cut no further than to the other. */
 #define SHORTER 0.5
 #define SLOW 1e-6
-/* Trials after which scaling factors are measured again. */
+/* Trial points after which the scaling is measured again. */
 #define ROUND 40
 
 void retrax_swap(retrax_search *search) {
@@ -60,8 +61,9 @@ void retrax_measure(retrax_search *search, double *iterate) {
         if (has_inequalities) {
             retrax_survey_inequalities(phase->layout, iterate + phase->place, &phase->limits);
         }
-        retrax_measure_residuals(phase->layout, iterate + phase->place, &phase->scale,
-                                 has_inequalities ? phase->scale.cost : curvature, has_inequalities ? &phase->limits : NULL);
+        const double least_part = has_inequalities ? phase->scale.cost : curvature;
+        retrax_measure_residuals(phase->layout, iterate + phase->place, &phase->scale, least_part,
+                                 has_inequalities ? &phase->limits : NULL);
     }
     retrax_measure_by_spans(search, iterate);
     if (coupled) {
@@ -74,23 +76,23 @@ void retrax_assess(retrax_search *search, double *iterate) {
     retrax_measure(search, iterate);
 }
 
-void retrax_move_iterate(const retrax_search *search, double part, double *iterate) {
+void retrax_move_iterate(const retrax_search *search, double alpha, double *iterate) {
     retrax_copy_iterate(search, search->at, iterate);
-    EACH_PHASE(phase) { retrax_move_trajectory(phase->layout, search->at + phase->place, part, iterate + phase->place); }
+    EACH_PHASE(phase) { retrax_move_trajectory(phase->layout, search->at + phase->place, alpha, iterate + phase->place); }
     if (retrax_is_coupled(search)) {
-        retrax_move_coupling(search, part, iterate);
+        retrax_move_coupling(search, alpha, iterate);
     }
 }
 
 void retrax_move_trial(const retrax_search *search) {
-    const double part = search->backtrack * search->direction.alpha_max;
-    retrax_move_iterate(search, part, search->trial);
+    const double alpha = search->backtrack * search->direction.alpha_max;
+    retrax_move_iterate(search, alpha, search->trial);
     EACH_PHASE(phase) {
-        retrax_move_inequalities(phase->layout, search->at + phase->place, part, phase->dual, search->trial + phase->place);
+        retrax_move_inequalities(phase->layout, search->at + phase->place, alpha, phase->dual, search->trial + phase->place);
     }
 }
 
-/* Begins anew with the funnel and the best residual, as where the barrier has changed. */
+/* Restarts the funnel and the best error, as where the barrier has changed. */
 static void reset_funnel(retrax_search *search) {
     search->measures = retrax_measures_of(search, search->at);
     search->funnel = fmax(search->measures.infeasibility, search->options.width);
@@ -98,84 +100,107 @@ static void reset_funnel(retrax_search *search) {
     search->backtrack = 1.0;
 }
 
-/* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
+/* Tests convergence where the error of the iterate meets the tolerance, by the next Newton step.
  *
- * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is
+ * Newton steps shrink where the errors vanish, unless the system is singular to rounding. Then the trajectory is
  * one of a family of extremals, or it has grown along the null vector until rounding hides that there is none. */
-static void settle(retrax_search *search) {
-    double wanted = 0.0, grown = 0.0;
+static void test_convergence(retrax_search *search) {
+    double next = 0.0, size = 0.0; /* the largest scaled entries of the next Newton step, and of the spans of the iterate */
     if (!(RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance)) {
         return;
     }
     EACH_PHASE(phase) {
         for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
-            const double unit = phase->scale.unknowns[i], span = retrax_span_of(phase->layout, search->at + phase->place, i);
-            wanted = retrax_larger(wanted, phase->largest[i] / fmax(span, RETRAX_SHARE * unit));
-            grown = retrax_larger(grown, span / unit);
+            const double unit = phase->scale.unknowns[i];
+            const double span = retrax_span_of(phase->layout, search->at + phase->place, i);
+            next = retrax_larger(next, phase->largest[i] / fmax(span, RETRAX_SHARE * unit));
+            size = retrax_larger(size, span / unit);
         }
     }
-    const bool was_isolated = search->isolated, stuck = wanted > SHRINKS * search->correction;
-    search->isolated = wanted <= sqrt(search->options.tolerance);
-    search->claimed = search->isolated || (stuck && grown <= GROWN);
-    search->correction = wanted;
+    const bool was_isolated = search->isolated, stuck = next > SHRINKS * search->correction;
+    search->isolated = next <= sqrt(search->options.tolerance);
+    search->claimed = search->isolated || (stuck && size <= GROWN);
+    search->correction = next;
     const bool exact = was_isolated || RESIDUAL(search->at, BARRIER_ERROR) <= EXACT;
     search->done = (search->isolated && exact) || stuck;
 }
 
-/* Whether no regularisation shortens the step, as where the constraints ask for it. */
-static bool is_vain(retrax_search *search, double length) {
+/* Whether a regularisation shortens the step, which is `length` long without more of it; where the constraints ask for
+ * the step none does. Side effect: where it does not shorten enough by itself, the step becomes that of the least
+ * norm. */
+static bool regularisation_shortens_step(retrax_search *search, double length) {
     if (!(retrax_step_length(search) > SHORTER * length)) {
-        return false;
+        return true;
     }
     retrax_newton_step(search, RETRAX_LEAST_NORM_REGULARISATION);
-    return retrax_step_length(search) > SHORTER * length;
+    return !(retrax_step_length(search) > SHORTER * length);
 }
 
-/* Cuts the step before further, which was refused, where no regularisation shortens it; else the next step has the
+/* Cuts the step before further, which was rejected, where no regularisation shortens it; else the next step has the
  * regularisation that it was computed with, whatever the inertia
  * [test_a_trajectory_that_grows_without_end_is_no_success]. */
-static void cut_further(retrax_search *search, const retrax_direction *before, double fraction, double length) {
+static void cut_further(retrax_search *search, const retrax_direction *before, double backtrack, double length) {
     const double regularisation = search->direction.regularisation;
-    if (is_vain(search, length)) {
+    if (regularisation_shortens_step(search, length)) {
+        retrax_regularised_step(search, regularisation, true, false);
+    } else {
         retrax_newton_step(search, before->regularisation);
         search->direction.descends = before->descends;
-        search->backtrack = fraction / 2.0;
-    } else {
-        retrax_regularised_step(search, regularisation, true, false);
+        search->backtrack = backtrack / 2.0;
     }
 }
 
-/* Computes the next step, from the iterate as it is now; residual: of the iterate before. */
-static void next_step(retrax_search *search, double residual) {
+/* Computes the next direction, from the iterate as it is now; error: of the iterate before. */
+static void compute_direction(retrax_search *search, double error) {
     const double now = RESIDUAL(search->at, BARRIER_ERROR), tolerance = search->options.tolerance;
-    const bool arrived = RESIDUAL(search->at, KKT_ERROR) <= tolerance;
-    const bool keep = arrived || (search->accepted && now <= sqrt(tolerance));
-    const bool gains = search->accepted && now <= GAINED * residual && !search->has_inequalities;
-    retrax_regularised_step(search, arrived ? 0.0 : search->direction.regularisation, keep, gains);
+    const bool within = RESIDUAL(search->at, KKT_ERROR) <= tolerance;
+    const bool accept_any_inertia = within || (search->accepted && now <= sqrt(tolerance));
+    const bool curvature_test_only = search->accepted && now <= GAINED * error && !search->has_inequalities;
+    retrax_regularised_step(search, within ? 0.0 : search->direction.regularisation, accept_any_inertia,
+                            curvature_test_only);
 }
 
-/* One iteration: try the step, judge the trial, update the barrier, compute the next step. */
-static void iterate(retrax_search *search) {
-    const retrax_direction before = search->direction;
-    const double residual = RESIDUAL(search->at, BARRIER_ERROR), fraction = search->backtrack;
-    const double length = retrax_step_length(search);
-    const bool was_isolated = search->isolated;
-    bool again;
+/* Evaluates the trial point and judges it; an accepted one is the iterate. Returns whether a new step is computed
+ * next. */
+static bool search_line(retrax_search *search) {
     retrax_move_trial(search);
     retrax_assess(search, search->trial);
-    search->accepted = retrax_judge_trial(search, search->trials == 1 && !search->has_inequalities, &again);
+    const retrax_judgement judgement = retrax_judge_trial(search, search->trials == 1 && !search->has_inequalities);
+    search->accepted = judgement.accepted;
+    search->direction.regularisation = judgement.regularisation;
+    search->backtrack = judgement.backtrack;
+    search->funnel = judgement.funnel;
+    search->best = judgement.best;
+    search->measures = judgement.measures;
     if (search->accepted) {
         retrax_swap(search);
     }
-    const bool refused = again && !search->accepted && !was_isolated;
-    const bool wider = refused && retrax_widen_scale(search, fraction * before.alpha_max, length);
-    if (wider) {
-        const double tried = search->backtrack;
-        retrax_measure(search, search->at);
-        reset_funnel(search);
-        search->backtrack = tried;
-        search->direction.regularisation = before.regularisation;
+    return judgement.recompute_step;
+}
+
+/* Widens the scaling after a rejected trial point where that is too small; before: the direction to it, with its length.
+ * Returns whether it does. */
+static bool widen_scale(retrax_search *search, const retrax_direction *before, double backtrack, double length) {
+    if (!retrax_widen_scale(search, backtrack * before->alpha_max, length)) {
+        return false;
     }
+    const double next = search->backtrack;
+    retrax_measure(search, search->at);
+    reset_funnel(search);
+    search->backtrack = next;
+    search->direction.regularisation = before->regularisation;
+    return true;
+}
+
+/* One pass of the loop: a trial point of a backtracking line search. At most four halvings follow without a new linear
+ * system, then one with a larger regularisation; after an accepted trial point the barrier and the direction are new. */
+static void try_step(retrax_search *search) {
+    const retrax_direction before = search->direction;
+    const double error = RESIDUAL(search->at, BARRIER_ERROR), backtrack = search->backtrack;
+    const double length = retrax_step_length(search);
+    const bool was_isolated = search->isolated, again = search_line(search);
+    const bool rejected = again && !search->accepted && !was_isolated;
+    const bool wider = rejected && widen_scale(search, &before, backtrack, length);
     search->trials++;
     const bool changed = retrax_update_barrier(search);
     if (changed) {
@@ -185,12 +210,12 @@ static void iterate(retrax_search *search) {
     if (search->done || !(again || changed)) {
         return;
     }
-    next_step(search, residual);
+    compute_direction(search, error);
     const bool cut = !search->accepted && !changed && !wider;
-    if (cut && before.descends && fraction > SLOW && fraction / 2.0 < RETRAX_SHORTEST) {
-        cut_further(search, &before, fraction, length);
+    if (cut && before.descends && backtrack > SLOW && backtrack / 2.0 < RETRAX_SHORTEST) {
+        cut_further(search, &before, backtrack, length);
     }
-    settle(search);
+    test_convergence(search);
 }
 
 /* Whether there is nothing to go on with, and why. */
@@ -202,7 +227,7 @@ static retrax_search_status status_of(const retrax_search *search) {
     if (search->done) {
         return search->claimed ? RETRAX_CONVERGED : RETRAX_SINGULAR;
     }
-    if ((!step->finite || step->regularisation >= RETRAX_LARGEST_REGULARISATION) && !retrax_is_hard(search)) {
+    if ((!step->finite || step->regularisation >= RETRAX_LARGEST_REGULARISATION) && !retrax_is_not_yet_elastic(search)) {
         return RETRAX_SINGULAR;
     }
     if (retrax_is_infeasible(search)) {
@@ -211,21 +236,21 @@ static retrax_search_status status_of(const retrax_search *search) {
     return search->trials > search->options.max_iterations ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
 }
 
-/* Stands at the iterate with a step that is not tried yet. */
-static void stand(retrax_search *search) {
+/* Restarts the globalisation at the iterate, with a step that is not tried yet. */
+static void restart_globalisation(retrax_search *search) {
     search->correction = INFINITY;
     search->isolated = search->claimed = search->done = search->accepted = false;
     reset_funnel(search);
-    settle(search);
+    test_convergence(search);
 }
 
-/* Goes on in the scaling factors of the iterate where those in use are far larger. */
-static void renew(retrax_search *search) {
+/* Continues with the scaling of the iterate where the scaling in use is far larger. */
+static void rescale(retrax_search *search) {
     if (retrax_renew_scale(search)) {
         retrax_measure(search, search->at);
         const bool near = RESIDUAL(search->at, BARRIER_ERROR) <= sqrt(search->options.tolerance);
         retrax_regularised_step(search, 0.0, near, near);
-        stand(search);
+        restart_globalisation(search);
     }
 }
 
@@ -260,12 +285,12 @@ retrax_search_status retrax_search_run(retrax_search *search) {
     retrax_search_status status;
     retrax_initialise(search);
     search->trials = 1;
-    stand(search);
+    restart_globalisation(search);
     for (;;) {
         search->costs[search->trials] = search->at[search->totals];
         status = status_of(search);
         if (status != RETRAX_DEGENERATE && (status != RETRAX_GOING_ON || search->trials % ROUND == 0)) {
-            renew(search);
+            rescale(search);
             status = status_of(search);
         }
         search->stopped = status != RETRAX_DEGENERATE && retrax_report(search);
@@ -273,6 +298,6 @@ retrax_search_status retrax_search_run(retrax_search *search) {
             retrax_conclude(search);
             return status == RETRAX_GOING_ON ? RETRAX_STOPPED : status;
         }
-        iterate(search);
+        try_step(search);
     }
 }

@@ -290,8 +290,8 @@ void retrax_eliminate_coupled(retrax_search *search, double regularisation) {
     step->regularisation = regularisation;
     step->curvature = curvature / search->phases->scale.cost + regularisation * size;
     step->size = size;
-    step->convex = inertia.negative == count + sizes.forces + sizes.equations;
-    step->strict = step->convex && retrax_is_clear(inertia.smallest, count);
+    step->inertia_correct = inertia.negative == count + sizes.forces + sizes.equations;
+    step->strict = step->inertia_correct && retrax_is_clear(inertia.smallest, count);
 }
 
 void retrax_add_coupled_change(retrax_search *search) {

@@ -51,7 +51,7 @@ bool retrax_is_extremal(const retrax_search *search) {
 }
 
 /* Whether the Hessians by the controls of all points are positive definite, with the share of the inequalities. */
-static bool is_convex(const retrax_phase *phase, const double *trajectory) {
+static bool legendre_holds(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
     const double *const hessians = retrax_collocates(problem) ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS);
@@ -66,7 +66,7 @@ static bool is_convex(const retrax_phase *phase, const double *trajectory) {
 
 /* Limits the stiffness of the inequalities of a trajectory, which was evaluated: by longer slacks, and none of one that
  * is next to not stiff. */
-static void soften(const retrax_phase *phase, double *trajectory) {
+static void limit_stiffness(const retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double constraint_scale = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
@@ -86,7 +86,7 @@ static bool is_strict(retrax_search *search) {
     retrax_copy_iterate(search, search->at, search->trial);
     retrax_swap(search);
     retrax_evaluate_functions(search, search->at);
-    EACH_PHASE(phase) { soften(phase, search->at + phase->place); }
+    EACH_PHASE(phase) { limit_stiffness(phase, search->at + phase->place); }
     retrax_assemble(search, search->at);
     retrax_eliminate(search, 0.0);
     const bool strict = search->direction.strict;
@@ -96,10 +96,10 @@ static bool is_strict(retrax_search *search) {
 }
 
 /* Whether the linear system of the iterate has the inertia of a minimum without a regularisation. */
-static bool has_right_inertia(retrax_search *search) {
+static bool is_inertia_correct(retrax_search *search) {
     const retrax_direction step = search->direction;
     retrax_newton_step(search, 0.0);
-    const bool found = search->direction.convex;
+    const bool found = search->direction.inertia_correct;
     search->direction = step;
     return found;
 }
@@ -107,9 +107,9 @@ static bool has_right_inertia(retrax_search *search) {
 void retrax_conclude(retrax_search *search) {
     const retrax_direction *const step = &search->direction;
     const bool extremal = retrax_is_extremal(search);
-    search->convex = extremal;
-    EACH_PHASE(phase) { search->convex = search->convex && is_convex(phase, search->at + phase->place); }
-    search->right_inertia = !extremal && search->trials > search->options.max_iterations && has_right_inertia(search);
+    search->legendre_holds = extremal;
+    EACH_PHASE(phase) { search->legendre_holds = search->legendre_holds && legendre_holds(phase, search->at + phase->place); }
+    search->inertia_correct = !extremal && search->trials > search->options.max_iterations && is_inertia_correct(search);
     search->strict = extremal && search->isolated &&
                      (search->has_inequalities ? is_strict(search) : step->strict && step->regularisation == 0.0);
 }

@@ -373,6 +373,6 @@ bool retrax_search_perturb(retrax_search *search, const double *draws) {
         retrax_evaluate(search, search->at);
         still = perturb(search, draws, round == ROUNDS, &held);
     }
-    search->options.looks = false;
+    search->options.detect_degenerate = false;
     return found || violated;
 }

@@ -46,44 +46,47 @@ static double next_regularisation(double regularisation, double made, bool good,
 }
 
 retrax_measures retrax_measures_of(const retrax_search *search, const double *iterate) {
-    return (retrax_measures){RESIDUAL(iterate, INFEASIBILITY), RESIDUAL(iterate, BARRIER_OBJECTIVE), RESIDUAL(iterate, CONSTRAINT_TERM)};
+    return (retrax_measures){RESIDUAL(iterate, INFEASIBILITY), RESIDUAL(iterate, BARRIER_OBJECTIVE),
+                             RESIDUAL(iterate, CONSTRAINT_TERM)};
 }
 
-/* Whether a trial improves, and the width of the funnel then. */
-static bool improves(const retrax_search *search, const retrax_measures *now, double turned, double promised, double part,
+/* Whether a trial point improves, and the width of the funnel then. term: the constraint term with the multipliers of the
+ * trial point to first order; reduction: the predicted one of the objective. */
+static bool improves(const retrax_search *search, const retrax_measures *now, double term, double reduction,
                      double *width) {
-    const double before = search->measures.infeasibility, cost = search->measures.objective;
-    if (promised >= SWITCH * before * before) {
-        const double most = cost + turned - ARMIJO * promised + ROUNDED * (fabs(cost) + fabs(turned));
+    const double before = search->measures.infeasibility, objective = search->measures.objective;
+    if (reduction >= SWITCH * before * before) {
+        const double most = objective + term - ARMIJO * reduction + ROUNDED * (fabs(objective) + fabs(term));
         *width = search->funnel + GENTLY * (now->infeasibility - search->funnel);
         return now->objective + now->constraint_term <= most && now->infeasibility <= search->funnel;
     }
     *width = search->funnel + FIRMLY * (now->infeasibility - search->funnel);
-    return now->infeasibility <= (1.0 - NARROWER * part * search->direction.alpha_max) * search->funnel;
+    return now->infeasibility <= (1.0 - NARROWER * search->backtrack * search->direction.alpha_max) * search->funnel;
 }
 
-bool retrax_judge_trial(retrax_search *search, bool first, bool *again) {
+retrax_judgement retrax_judge_trial(const retrax_search *search, bool first) {
     const retrax_direction *const step = &search->direction;
-    const double part = search->backtrack, tolerance = search->options.tolerance, residual = RESIDUAL(search->trial, BARRIER_ERROR);
-    const double turned = search->measures.constraint_term + part * step->constraint_change;
-    const double promised = -part * (step->predicted_change - step->alpha_max * turned);
+    const double backtrack = search->backtrack, tolerance = search->options.tolerance;
+    const double error = RESIDUAL(search->trial, BARRIER_ERROR);
+    const double term = search->measures.constraint_term + backtrack * step->constraint_change;
+    const double reduction = -backtrack * (step->predicted_change - step->alpha_max * term);
     const retrax_measures now = retrax_measures_of(search, search->trial);
     double width;
-    const bool better = improves(search, &now, turned, promised, part, &width), probe = first && !step->descends;
+    const bool better = improves(search, &now, term, reduction, &width), probe = first && !step->descends;
     const bool inside = RESIDUAL(search->trial, MAX_SCALED_DEFECT) <= fmax(search->funnel, tolerance);
-    bool good = better || (inside && residual <= fmax(RECORD * search->best, tolerance));
+    bool good = better || (inside && error <= fmax(RECORD * search->best, tolerance));
     if (probe) {
-        good = residual <= FAST * search->best;
+        good = error <= FAST * search->best;
     }
-    good = good && isfinite(residual) && isfinite(search->trial[search->totals]);
-    const bool is_short = !good && part / 2.0 < RETRAX_SHORTEST;
-    search->direction.regularisation = next_regularisation(step->regularisation, part * step->step_cap, good, is_short);
-    if (good) {
-        search->funnel = better ? width : fmax(search->funnel, now.infeasibility);
-        search->best = fmin(search->best, residual);
-        search->measures = now;
-    }
-    *again = good || is_short || probe;
-    search->backtrack = *again ? 1.0 : part / 2.0;
-    return good;
+    good = good && isfinite(error) && isfinite(search->trial[search->totals]);
+    const bool is_short = !good && backtrack / 2.0 < RETRAX_SHORTEST, again = good || is_short || probe;
+    return (retrax_judgement){
+        .accepted = good,
+        .recompute_step = again,
+        .regularisation = next_regularisation(step->regularisation, backtrack * step->step_cap, good, is_short),
+        .backtrack = again ? 1.0 : backtrack / 2.0,
+        .funnel = !good ? search->funnel : (better ? width : fmax(search->funnel, now.infeasibility)),
+        .best = good ? fmin(search->best, error) : search->best,
+        .measures = good ? now : search->measures,
+    };
 }

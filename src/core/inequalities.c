@@ -6,7 +6,7 @@
 #include <math.h>
 
 /* Factor of mu / s within which multipliers stay. */
-#define KEPT 1e10
+#define KAPPA_SIGMA 1e10
 /* Share of its penalty at which a multiplier says that the penalty is too small. */
 #define NEAR_PENALTY 0.5
 /* The largest penalty, relative to the unit of the multipliers. */
@@ -123,12 +123,12 @@ static double size_of(const inequalities *own, limit_row row, double constraint_
 static void survey_excess(const inequalities *own, retrax_index i, double constraint_scale, const retrax_limit_scale *scale,
                           double *survey) {
     const double unit = scale->rate / constraint_scale, penalty = own->penalties[i];
-    survey[RETRAX_LIMIT_DEAR] = retrax_larger(survey[RETRAX_LIMIT_DEAR], penalty / (RETRAX_FIRST_PENALTY * unit));
+    survey[RETRAX_LIMIT_PENALTY_GROWTH] = retrax_larger(survey[RETRAX_LIMIT_PENALTY_GROWTH], penalty / (RETRAX_FIRST_PENALTY * unit));
     if (own->multipliers[i] <= NEAR_PENALTY * penalty) {
         return;
     }
     if (penalty < LAST_PENALTY * unit) {
-        survey[RETRAX_LIMIT_CHEAP] = 1.0;
+        survey[RETRAX_LIMIT_PENALTY_TOO_SMALL] = 1.0;
     } else {
         survey[RETRAX_LIMIT_LEFT] = retrax_larger(survey[RETRAX_LIMIT_LEFT], own->excesses[i] / constraint_scale);
     }
@@ -248,7 +248,7 @@ void retrax_move_inequalities(const retrax_layout *layout, const double *from, d
                     dual * from[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIER_STEPS] + i];
         if (!is_elastic(&own, i)) {
             const double centre = own.barrier / own.slacks[i];
-            nu = nu > 0.0 ? fmin(fmax(nu, centre / KEPT), KEPT * centre) : 0.0;
+            nu = nu > 0.0 ? fmin(fmax(nu, centre / KAPPA_SIGMA), KAPPA_SIGMA * centre) : 0.0;
         }
         own.multipliers[i] = nu;
     }

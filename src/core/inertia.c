@@ -18,7 +18,7 @@
 #define RAISE 10.0
 #define FIRST_REGULARISATION 1e-4
 /* A regularisation that makes the Hessian convex on the null space of the constraints, if these are independent. */
-#define CONVEX 1e2
+#define SUFFICIENT 1e2
 /* Times the spread of a trajectory: gaps from which on its pieces do not belong together. */
 #define APART 1.0
 /* Share of the largest curvature of a coordinate in units of the scaling that others are regularised by at least. */
@@ -132,7 +132,7 @@ static void eliminate_one(retrax_search *search, double regularisation) {
     step->size = solution.size;
     step->finite = finite != 0;
     step->strict = right && clear;
-    step->convex = right || (!retrax_has_inequalities(layout->problem) && hidden);
+    step->inertia_correct = right || (!retrax_has_inequalities(layout->problem) && hidden);
 }
 
 /* Computes what belongs to the Newton step of a trajectory; returns the fraction of it that may be made. */
@@ -182,18 +182,18 @@ double retrax_step_length(const retrax_search *search) {
 }
 
 /* Whether the step has positive curvature, and the inertia of a convex problem, or a regularisation that is large. */
-static bool descends(const retrax_search *search, bool loose) {
+static bool descends(const retrax_search *search, bool curvature_test_only) {
     const retrax_direction *const step = &search->direction;
-    const bool enough = loose || step->regularisation >= CONVEX || RESIDUAL(search->at, DEFECT) > APART;
-    return step->curvature >= CURVATURE * step->size && (step->convex || enough);
+    const bool enough = curvature_test_only || step->regularisation >= SUFFICIENT || RESIDUAL(search->at, DEFECT) > APART;
+    return step->curvature >= CURVATURE * step->size && (step->inertia_correct || enough);
 }
 
-void retrax_regularised_step(retrax_search *search, double regularisation, bool keep, bool loose) {
+void retrax_regularised_step(retrax_search *search, double regularisation, bool accept_any_inertia, bool curvature_test_only) {
     retrax_direction *const step = &search->direction;
     retrax_newton_step(search, regularisation);
-    step->descends = descends(search, loose);
-    while (!(step->descends || keep) && step->regularisation < RETRAX_LARGEST_REGULARISATION) {
+    step->descends = descends(search, curvature_test_only);
+    while (!(step->descends || accept_any_inertia) && step->regularisation < RETRAX_LARGEST_REGULARISATION) {
         retrax_newton_step(search, fmax(RAISE * step->regularisation, FIRST_REGULARISATION));
-        step->descends = descends(search, loose);
+        step->descends = descends(search, curvature_test_only);
     }
 }

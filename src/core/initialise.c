@@ -116,7 +116,7 @@ void retrax_find_scales(retrax_search *search, double *iterate) {
 /* ------------------------------------------------------------------------------------------------ first multipliers */
 
 /* Whether no block of the Hessian has a negative eigenvalue beyond rounding; matrix: [z][z] workspace. */
-static bool is_convex(const retrax_layout *layout, const double *trajectory, double *matrix) {
+static bool are_blocks_positive(const retrax_layout *layout, const double *trajectory, double *matrix) {
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
         const double *const hessian = ARRAY(HESSIANS) + k * z * z;
@@ -149,7 +149,7 @@ static bool is_without_way(const retrax_search *search) {
         const retrax_layout *const layout = phase->layout;
         const double *const trajectory = search->at + phase->place;
         found = found && retrax_is_zero(ARRAY(COSTATES), layout->count[RETRAX_ARRAY_COSTATES]) &&
-                is_convex(layout, trajectory, phase->square);
+                are_blocks_positive(layout, trajectory, phase->square);
     }
     return found;
 }
@@ -260,5 +260,5 @@ void retrax_initialise(retrax_search *search) {
         retrax_regularised_step(search, 0.0, linear, linear);
     }
     copy_guess(search, false);
-    search->degenerate = search->options.looks && retrax_is_degenerate(search);
+    search->degenerate = search->options.detect_degenerate && retrax_is_degenerate(search);
 }

@@ -34,7 +34,7 @@ bool retrax_widen_scale(retrax_search *search, double part, double length) {
     return wider;
 }
 
-bool retrax_cost_falls(const retrax_search *search) {
+bool retrax_cost_diverges(const retrax_search *search) {
     const double *const costs = search->costs;
     const retrax_index last = search->trials, middle = last / 2 > 1 ? last / 2 : 1;
     const double early = costs[1] - costs[middle], late = costs[middle] - costs[last];
@@ -89,7 +89,7 @@ static void take_fresh(const retrax_search *search, retrax_phase *phase) {
 
 /* [test_members_of_a_batch_have_units_of_their_own] */
 bool retrax_renew_scale(retrax_search *search) {
-    if (!search->claimed && retrax_cost_falls(search)) { /* a cost that falls without end has no size */
+    if (!search->claimed && retrax_cost_diverges(search)) { /* a cost that falls without end has no size */
         return false;
     }
     double *at = search->at;

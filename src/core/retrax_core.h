@@ -406,7 +406,7 @@ typedef struct {
     bool curved_controls;         /* whether the controls lie on a manifold that is not flat */
     const retrax_index *control_columns; /* [U] as `columns` and `arrays`, of the controls; NULL where these are flat */
     const retrax_index *control_arrays;
-    const double *kept;           /* [c + d]: 1 for a bound of what is free, which no iterate leaves, else 0 */
+    const double *never_elastic;  /* [c + d]: 1 for a bound of what is free, which no iterate leaves, else 0 */
     retrax_index bounds;          /* inequalities, the first ones, that are straight in the controls */
     bool coupled;                 /* whether START_COST and END_COST are written by what couples the ends; see 10 */
     retrax_function functions[RETRAX_FUNCTIONS];
@@ -547,8 +547,8 @@ enum {
     RETRAX_LIMIT_SUMMED_DEFECT,   /* sum of w |g + s - t| / limit */
     RETRAX_LIMIT_POTENTIAL, /* sum of w (rho t - mu log(s / limit) - mu log(t / limit)) */
     RETRAX_LIMIT_CONSTRAINT_TERM, /* sum of w nu (g + s - t) */
-    RETRAX_LIMIT_DEAR,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */
-    RETRAX_LIMIT_CHEAP,     /* 1 where a multiplier comes near to its penalty and that may still grow */
+    RETRAX_LIMIT_PENALTY_GROWTH,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */
+    RETRAX_LIMIT_PENALTY_TOO_SMALL,     /* 1 where a multiplier comes near to its penalty and that may still grow */
     RETRAX_LIMIT_LEFT,      /* the largest excess whose multiplier comes near to the last penalty, relative to limit */
     RETRAX_LIMIT_ROWS       /* their number */
 };
@@ -719,8 +719,8 @@ typedef struct {
     double tolerance;            /* of the residuals, relative */
     retrax_index max_iterations; /* at least 1 */
     double width;                /* infeasibility that the funnel lets pass at first; 1 is usual */
-    double firm;                 /* times the usual first penalty of excesses; 1 is usual */
-    bool looks;                  /* whether a guess may be called degenerate; else the search sets out from any */
+    double penalty_scale;        /* times the usual first penalty of excesses; 1 is usual */
+    bool detect_degenerate;      /* whether a guess may be called degenerate; else the search sets out from any */
     bool (*report)(void *context, const retrax_iteration *iteration); /* asks to stop by true; NULL: nothing is told */
     void *context;
 } retrax_options;
@@ -770,12 +770,12 @@ typedef struct {
     bool claimed;               /* whether the iterate is an extremal */
     bool strict;                /* whether it is a strict minimum: Newton's next step was small, and the Hessian of the
                                  * Lagrangian is positive definite on the null space of the constraints */
-    bool convex;                /* whether its cost is strictly convex in the controls, at each point by itself */
+    bool legendre_holds;        /* whether its cost is strictly convex in the controls, at each point by itself */
     bool solvable;              /* whether the last step is finite, with a regularisation that is not too large */
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
-    bool falls;                 /* whether it is no extremal and the cost falls as if it had no lower bound */
+    bool diverging;              /* whether it is no extremal and the cost falls as if it had no lower bound */
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
-    bool right_inertia;         /* where the iteration limit ended it at no extremal: whether the linear system of the iterate has,
+    bool inertia_correct;       /* where the iteration limit ended it at no extremal: whether the linear system of the iterate has,
                                  * without a regularisation, the inertia of a minimum; else false */
 } retrax_search_result;
 

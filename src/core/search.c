@@ -116,7 +116,7 @@ retrax_search *retrax_search_make(const retrax_multiphase *problem, const retrax
     search->problem = problem;
     search->options = *options;
     search->set = set;
-    search->firm = options->firm;
+    search->penalty_scale = options->penalty_scale;
     search->has_inequalities = false;
     EACH_PHASE(phase) {
         search->has_inequalities = search->has_inequalities || retrax_has_inequalities(phase->layout->problem);
@@ -157,11 +157,11 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
         .iteration_limit_reached = search->trials > search->options.max_iterations,
         .claimed = extremal,
         .strict = search->strict,
-        .convex = search->convex,
+        .legendre_holds = search->legendre_holds,
         .solvable = step->finite && step->regularisation < RETRAX_LARGEST_REGULARISATION,
         .infeasible = retrax_is_infeasible(search),
-        .falls = !extremal && retrax_cost_falls(search),
+        .diverging = !extremal && retrax_cost_diverges(search),
         .stopped = search->stopped,
-        .right_inertia = search->right_inertia,
+        .inertia_correct = search->inertia_correct,
     };
 }

@@ -17,7 +17,7 @@ typedef struct {
     double size;        /* of the step in the same units */
     bool finite;        /* whether there is a step */
     bool strict;        /* whether the Hessian is positive definite on the null space of the constraints, beyond rounding */
-    bool convex;        /* whether the inertia is that of such a one, or without inequalities is hidden by rounding */
+    bool inertia_correct; /* whether the inertia is that of such a one, or without inequalities is hidden by rounding */
     bool descends;      /* whether the step has positive curvature */
     double step_cap;    /* the largest part of the step along which no point of constant norm moves by more than its diameter */
     double alpha_max;   /* the largest part of the step that a trial point may make: within the step cap and the fraction to
@@ -26,10 +26,23 @@ typedef struct {
     double constraint_change; /* of the constraint term, multipliers times defects, by the step of the multipliers alone */
 } retrax_direction;
 
-/* What is measured of a trajectory that trials are compared by. */
+/* The measures of globalisation, by which trial points are compared. */
 typedef struct {
-    double infeasibility, objective, constraint_term;
+    double infeasibility;   /* INFEASIBILITY: sum of the scaled defects and violations */
+    double objective;       /* BARRIER_OBJECTIVE: cost with its barrier, in its unit */
+    double constraint_term; /* CONSTRAINT_TERM: the multipliers times the defects, in the same unit */
 } retrax_measures;
+
+/* The decision on a trial point, and the globalisation state after it. */
+typedef struct {
+    bool accepted;
+    bool recompute_step;    /* whether a new linear system is solved next; else the step is halved */
+    double regularisation;  /* of that system, to begin with */
+    double backtrack;       /* of the next trial point */
+    double funnel;
+    double best;
+    retrax_measures measures;
+} retrax_judgement;
 
 /* What a search knows of one of its trajectories; arrays stand in the memory of the search. */
 typedef struct {
@@ -78,13 +91,13 @@ struct retrax_search {
     double backtrack;  /* part of alpha_max that the trial point makes: 1, and half of it after a rejected trial point */
     double funnel;     /* the infeasibility that no iterate exceeds any more */
     double best;       /* residual so far */
-    double correction; /* what the linearised conditions still asked for where the residuals met the tolerance */
-    double firm;       /* times the usual first penalty; its root times the usual first barrier */
+    double correction; /* largest scaled entry of the next Newton step where the error met the tolerance last */
+    double penalty_scale; /* times the usual first penalty; its root times the usual first barrier */
     bool isolated;     /* whether Newton's next step is small where the residuals meet the tolerance */
     bool claimed;      /* whether the iterate counts as an extremal */
     bool strict;       /* whether the extremal that was found is a strict minimum of the discrete problem */
-    bool convex;       /* whether the cost is strictly convex in the controls there, at each point by itself */
-    bool right_inertia; /* whether the limit ended the search where the inertia is that of a minimum */
+    bool legendre_holds; /* whether the cost is strictly convex in the controls there, at each point by itself */
+    bool inertia_correct; /* whether the limit ended the search where the inertia is that of a minimum */
     bool done;
     bool accepted;     /* whether the last trial was */
     bool stopped;      /* whether the report has asked to stop, be it in the last iteration */
@@ -116,8 +129,9 @@ void retrax_eliminate(retrax_search *search, double regularisation);
 retrax_block_system retrax_newton_system(const retrax_search *search, const retrax_phase *phase, double regularisation);
 
 /* inertia.c: computes the step with the smallest tried regularisation, from `regularisation` on, that makes it descend.
- * keep: the regularisation is used as it is; loose: positive curvature along the step is enough. */
-void retrax_regularised_step(retrax_search *search, double regularisation, bool keep, bool loose);
+ * accept_any_inertia: the regularisation is used as it is; curvature_test_only: positive curvature along the step is
+ * enough. */
+void retrax_regularised_step(retrax_search *search, double regularisation, bool accept_any_inertia, bool curvature_test_only);
 
 /* inertia.c: whether the smallest pivot of a system with so many equations of nodes is more than rounding. */
 bool retrax_is_clear(double smallest, retrax_index equations);
@@ -125,11 +139,10 @@ bool retrax_is_clear(double smallest, retrax_index equations);
 /* inertia.c: the largest entry of the step in units of the scaling. */
 double retrax_step_length(const retrax_search *search);
 
-/* funnel.c: whether the trial is accepted; then the search goes on with its funnel, regularisation and best residual.
- * again: whether the step has to be computed again. first: no trial was judged before. */
-bool retrax_judge_trial(retrax_search *search, bool first, bool *again);
+/* funnel.c: judges the trial point, which was measured; first: no trial point was judged before. */
+retrax_judgement retrax_judge_trial(const retrax_search *search, bool first);
 
-/* funnel.c: the merit of an iterate that was measured. */
+/* funnel.c: the measures of globalisation of an iterate that was measured. */
 retrax_measures retrax_measures_of(const retrax_search *search, const double *iterate);
 
 /* degenerate.c: whether Newton's method cannot set out from the guess. */
@@ -144,7 +157,7 @@ bool retrax_renew_scale(retrax_search *search);
 
 /* rescaling.c: whether the cost has fallen by far, and in the second half of the trials by no less than in the first:
  * one with a lower bound falls by less and less on the way to it. */
-bool retrax_cost_falls(const retrax_search *search);
+bool retrax_cost_diverges(const retrax_search *search);
 
 /* conclusion.c: whether the iterate is an extremal: one that counts, meets the tolerance and has ends that meet. */
 bool retrax_is_extremal(const retrax_search *search);
@@ -169,7 +182,7 @@ bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retr
 bool retrax_warm_start(retrax_search *search);
 
 /* barrier.c: whether no iterate leaves an inequality, as a bound of what is free. */
-bool retrax_is_kept(const retrax_phase *phase, retrax_index i);
+bool retrax_is_never_elastic(const retrax_phase *phase, retrax_index i);
 
 /* barrier.c: the value of an inequality; a bound that no iterate leaves holds by rounding at least. */
 double retrax_limit_inside(const retrax_phase *phase, const double *trajectory, retrax_index i);
@@ -193,8 +206,8 @@ bool retrax_reset_slacks(const retrax_search *search, double *iterate);
 /* barrier.c: whether inequalities contradict each other, or the ends. */
 bool retrax_is_infeasible(const retrax_search *search);
 
-/* barrier.c: whether there are inequalities that are not elastic and can be. */
-bool retrax_is_hard(const retrax_search *search);
+/* barrier.c: whether there are inequalities that are not elastic yet and can be. */
+bool retrax_is_not_yet_elastic(const retrax_search *search);
 
 /* initialise.c: scaling factors, first slacks and first multipliers of the guess, and the first step. */
 void retrax_initialise(retrax_search *search);
@@ -255,7 +268,7 @@ void retrax_move_trial(const retrax_search *search);
 bool retrax_report(const retrax_search *search);
 
 /* algorithm.c: writes the unknowns of an iterate after a fraction of the step from search->at. */
-void retrax_move_iterate(const retrax_search *search, double part, double *iterate);
+void retrax_move_iterate(const retrax_search *search, double alpha, double *iterate);
 
 /* multiphase.c: evaluates what couples the ends of an iterate, which have been evaluated, with their costs. */
 void retrax_evaluate_coupling(const retrax_search *search, double *iterate);

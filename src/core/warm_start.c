@@ -23,17 +23,17 @@ static void write_near(const retrax_search *search, const retrax_phase *phase, c
     const double mu = barrier * phase->limits.rate;
     *ARRAY(BARRIER) = mu;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const bool kept = retrax_is_kept(phase, i);
+        const bool never_elastic = retrax_is_never_elastic(phase, i);
         const double multiplier = known[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS] + i];
         const double unit = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
-        const double k = kept ? 0.0 : unit * unit / (phase->limits.rate * search->firm);
-        const double apart = kept ? -retrax_limit_inside(phase, trajectory, i)
+        const double k = never_elastic ? 0.0 : unit * unit / (phase->limits.rate * search->penalty_scale);
+        const double apart = never_elastic ? -retrax_limit_inside(phase, trajectory, i)
                                   : known[layout->first[RETRAX_ARRAY_SLACKS] + i] - k * multiplier;
         const double more = (sqrt(apart * apart + 4.0 * k * mu) + fabs(apart)) / 2.0;
         const bool asked = ARRAY(LIMIT_WEIGHTS)[i] > 0.0;
         const double slack = asked ? (apart > 0.0 ? more : k * mu / more) : 1.0;
         ARRAY(SLACKS)[i] = slack;
-        ARRAY(LIMIT_MULTIPLIERS)[i] = asked ? fmax(mu / slack, kept ? multiplier : 0.0) : 0.0;
+        ARRAY(LIMIT_MULTIPLIERS)[i] = asked ? fmax(mu / slack, never_elastic ? multiplier : 0.0) : 0.0;
         ARRAY(EXCESSES)[i] = 0.0;
         ARRAY(PENALTIES)[i] = INFINITY;
     }

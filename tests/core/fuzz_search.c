@@ -87,7 +87,7 @@ static void make_phase(generator *g, phase *own, bool coupled) {
     own->problem.weights = own->weights;
     own->problem.columns = own->problem.arrays = own->columns;
     own->problem.control_columns = own->problem.control_arrays = own->control_columns;
-    own->problem.kept = own->kept;
+    own->problem.never_elastic = own->kept;
     own->problem.bounds = below(g, own->problem.inequalities + 1);
     const int smooth = below(g, 2) == 0;
     for (int name = 0; name < RETRAX_FUNCTIONS; name++) {

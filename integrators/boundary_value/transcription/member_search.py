@@ -62,18 +62,18 @@ class MemberSearch:
 
     def from_guess(self) -> SearchRecord:
         """The result of a search from the guess, or from a perturbed one where the guess is degenerate."""
-        search = self._search(looks=True)
+        search = self._search(detect_degenerate=True)
         for j, (phase, part) in enumerate(zip(self.problem.phases, self.parts, strict=True)):
             put(search.phase(j), phase, part, self.k)
         search.multipliers()[...] = self._multipliers
         return self._record(search, self._run(search) is SearchStatus.DEGENERATE)
 
-    def from_iterate(self, start: MemberIterate, width: float = 1.0, firm: float = 1.0) -> SearchRecord:
+    def from_iterate(self, start: MemberIterate, width: float = 1.0, penalty_scale: float = 1.0) -> SearchRecord:
         """The result of a search from an iterate.
 
-        ``width``, ``firm``: see ``Search``.
+        ``width``, ``penalty_scale``: see ``Search``.
         """
-        search = self._search(start, width, firm)
+        search = self._search(start, width, penalty_scale)
         self._run(search)
         return self._record(search, False)
 
@@ -92,10 +92,16 @@ class MemberSearch:
         return found, self._iterate(search)
 
     def _search(
-        self, start: MemberIterate | None = None, width: float = 1.0, firm: float = 1.0, looks: bool = False
+        self,
+        start: MemberIterate | None = None,
+        width: float = 1.0,
+        penalty_scale: float = 1.0,
+        detect_degenerate: bool = False,
     ) -> Search:
         """A search that begins at an iterate, if there is one."""
-        search = Search(self._multiphase, *self._options, width, firm, looks, partial(self.watch.told, self.k))
+        search = Search(
+            self._multiphase, *self._options, width, penalty_scale, detect_degenerate, partial(self.watch.told, self.k)
+        )
         if start is not None:
             for j, own in enumerate(start.phases):
                 search.phase(j).set_iterate(own)
