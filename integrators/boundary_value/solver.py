@@ -339,8 +339,7 @@ class Solver:
         if origin is not None:
             formulation, solver, found = origin
             return formulation.recover_covariance(solver.covariance(found))
-        kept = self._kept.get(solution) if isinstance(solution, Solution) else None
-        require_estimate(kept, solution)
+        kept = require_estimate(self._kept.get(solution) if isinstance(solution, Solution) else None, solution)
         with self._required(solution.parameters), np.errstate(all="ignore"):
             return covariance_of(kept.found.system(kept.place), solution)
 

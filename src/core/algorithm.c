@@ -28,6 +28,12 @@ void retrax_swap(retrax_search *search) {
     search->trial = before;
 }
 
+void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, retrax_scale *to) {
+    memcpy(to->unknowns, from->unknowns, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_PARTS]);
+    memcpy(to->nodes, from->nodes, sizeof(double) * (size_t)layout->problem->state_size);
+    to->cost = from->cost;
+}
+
 void retrax_evaluate_functions(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) { retrax_evaluate_nodes(phase->layout, iterate + phase->place); }
     if (retrax_is_coupled(search)) {
@@ -58,12 +64,13 @@ void retrax_measure(retrax_search *search, double *iterate) {
     const double curvature = coupled ? retrax_largest_curvature(search, iterate) : 0.0;
     EACH_PHASE(phase) {
         const bool has_inequalities = retrax_has_inequalities(phase->layout->problem);
+        const retrax_residual_scale scale = {phase->judging.nodes, phase->judging.unknowns,
+                                             has_inequalities ? phase->judging.cost : curvature, phase->steps.nodes,
+                                             phase->steps.cost};
         if (has_inequalities) {
             retrax_survey_inequalities(phase->layout, iterate + phase->place, &phase->limits);
         }
-        const double least_part = has_inequalities ? phase->scale.cost : curvature;
-        retrax_measure_residuals(phase->layout, iterate + phase->place, &phase->scale, least_part,
-                                 has_inequalities ? &phase->limits : NULL);
+        retrax_measure_residuals(phase->layout, iterate + phase->place, &scale, has_inequalities ? &phase->limits : NULL);
     }
     retrax_measure_by_spans(search, iterate);
     if (coupled) {
@@ -111,7 +118,7 @@ static void test_convergence(retrax_search *search) {
     }
     EACH_PHASE(phase) {
         for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
-            const double unit = phase->scale.unknowns[i];
+            const double unit = phase->judging.unknowns[i];
             const double span = retrax_span_of(phase->layout, search->at + phase->place, i);
             next = retrax_larger(next, phase->largest[i] / fmax(span, RETRAX_SHARE * unit));
             size = retrax_larger(size, span / unit);
@@ -160,12 +167,16 @@ static void compute_direction(retrax_search *search, double error) {
                             curvature_test_only);
 }
 
-/* Evaluates the trial point and judges it; an accepted one is the iterate. Returns whether a new step is computed
- * next. */
+/* Evaluates the trial point and judges it, once more with other slacks where it is rejected; an accepted one is the
+ * iterate. Returns whether a new step is computed next. */
 static bool search_line(retrax_search *search) {
     retrax_move_trial(search);
     retrax_assess(search, search->trial);
-    const retrax_judgement judgement = retrax_judge_trial(search, search->trials == 1 && !search->has_inequalities);
+    retrax_judgement judgement = retrax_judge_trial(search, search->trials == 1 && !search->has_inequalities);
+    if (!judgement.accepted && retrax_reset_slacks(search, search->trial)) {
+        retrax_assess(search, search->trial);
+        judgement = retrax_judge_trial(search, false);
+    }
     search->accepted = judgement.accepted;
     search->direction.regularisation = judgement.regularisation;
     search->backtrack = judgement.backtrack;

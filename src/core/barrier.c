@@ -44,12 +44,12 @@ static double size_of_unknown(const retrax_phase *phase, const retrax_limit *of,
     const retrax_problem *const problem = phase->layout->problem;
     const retrax_index n = problem->state_size, m = problem->control_size, point = of->block % problem->points;
     if (!retrax_collocates(problem)) {
-        return phase->scale.unknowns[a];
+        return phase->steps.unknowns[a];
     }
     if (a >= 3 * n) {
-        return phase->scale.unknowns[n + point * m + a - 3 * n];
+        return phase->steps.unknowns[n + point * m + a - 3 * n];
     }
-    return a < 2 * n ? phase->scale.unknowns[a % n] : 0.0; /* no inequality depends on velocities */
+    return a < 2 * n ? phase->steps.nodes[a % n] : 0.0; /* no inequality depends on velocities */
 }
 
 /* Writes the scaling factors of the inequalities: what a step of the size of the scaling changes them by, or their
@@ -120,7 +120,7 @@ void retrax_rest_slacks(const retrax_layout *layout, double *trajectory) {
 void retrax_find_limits(retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const double duration = retrax_duration(layout, trajectory);
-    phase->limits.rate = phase->scale.cost * (double)layout->problem->steps / duration;
+    phase->limits.rate = phase->steps.cost * (double)layout->problem->steps / duration;
     write_limits(phase, trajectory);
 }
 

@@ -46,7 +46,7 @@ static retrax_index list_ends(retrax_search *search) {
             own->rows[side] = count;
             for (retrax_index i = 0; i < own->counts[side]; i++) {
                 const retrax_index a = own->free[side * n + i];
-                search->coupling.border.scales[count] = phase->scale.unknowns[a];
+                search->coupling.border.scales[count] = phase->steps.nodes[a];
                 search->coupling.free_places[count++] = coordinate + side * n + a;
             }
             coordinate += 2 * n;
@@ -84,7 +84,7 @@ static border_sizes write_coupling(retrax_search *search) {
     }
     for (retrax_index r = 0; r < own.equations; r++) {
         row_of(border, first + r)[own.total] = -values[r];
-        border->scales[first + r] = search->phases->scale.cost / search->coupling.sizes[r];
+        border->scales[first + r] = search->phases->steps.cost / search->coupling.sizes[r];
     }
     return own;
 }
@@ -117,7 +117,7 @@ static void add_response(retrax_border *border, const retrax_phase *phase, const
             row[f + j] += end[1 + p + j];
         }
         row[sizes->total] = ARRAY(ASKED)[N * n + a] - end[0];
-        border->scales[f + a] = phase->scale.cost / phase->scale.unknowns[a];
+        border->scales[f + a] = phase->steps.cost / phase->steps.nodes[a];
     }
     for (retrax_index i = 0; i < own->counts[1]; i++) {
         const retrax_index a = own->free[n + i];
@@ -197,7 +197,7 @@ static void summarise(const retrax_layout *layout, const double *trajectory, ret
             for (retrax_index j = 0; j < z; j++) {
                 image += hessian[i * z + j] * d[j];
             }
-            const double unit = phase->scale.unknowns[i];
+            const double unit = phase->steps.unknowns[i];
             *curvature += d[i] * image;
             *size += d[i] / unit * (d[i] / unit);
             phase->largest[i] = retrax_larger(phase->largest[i], fabs(d[i]));
@@ -288,7 +288,7 @@ void retrax_eliminate_coupled(retrax_search *search, double regularisation) {
     }
     step->finite = step->finite && retrax_is_finite(border->solution + sizes.ends + sizes.forces, sizes.equations);
     step->regularisation = regularisation;
-    step->curvature = curvature / search->phases->scale.cost + regularisation * size;
+    step->curvature = curvature / search->phases->steps.cost + regularisation * size;
     step->size = size;
     step->inertia_correct = inertia.negative == count + sizes.forces + sizes.equations;
     step->strict = step->inertia_correct && retrax_is_clear(inertia.smallest, count);
@@ -300,7 +300,7 @@ void retrax_add_coupled_change(retrax_search *search) {
     const double *const steps = at + search->coupling.first[RETRAX_COUPLED_COORDINATE_STEPS];
     const double *const values = at + search->coupling.first[RETRAX_COUPLED_VALUES];
     const retrax_index Z = search->coupling.count[RETRAX_COUPLED_MOVES];
-    const double unit = search->direction.alpha_max / search->phases->scale.cost;
+    const double unit = search->direction.alpha_max / search->phases->steps.cost;
     double pulled = 0.0, changed = 0.0;
     for (retrax_index r = 0; r < search->coupling.count[RETRAX_COUPLED_VALUES]; r++) {
         const double *const row = at + search->coupling.first[RETRAX_COUPLED_JACOBIAN] + r * Z;

@@ -13,8 +13,9 @@
 #define MET 1e-6
 /* Share of the largest entry of an array: ends that are farther apart do not meet. */
 #define APART 1e-3
-/* In units of the cost and of the inequality: the largest stiffness, and one over the least that is not left out. */
-#define STIFFEST 1e4
+/* In units of the cost and of the inequality: the largest stiffness, and one over the least that is not left out. The
+ * keep-out cone of the problem library needs more than 1e8 of it. */
+#define STIFFEST 1e10
 #define IDLE 1e6
 
 /* Whether ends of steps are not as far apart as the arrays of the states are large, whatever gaps are measured by.
@@ -70,7 +71,7 @@ static void limit_stiffness(const retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         const double constraint_scale = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
-        const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->scale.cost / (constraint_scale * constraint_scale);
+        const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->judging.cost / (constraint_scale * constraint_scale);
         if (weight * retrax_stiffness(layout, trajectory, i) > unit / IDLE) {
             ARRAY(SLACKS)[i] = fmax(ARRAY(SLACKS)[i], weight * ARRAY(LIMIT_MULTIPLIERS)[i] / (STIFFEST * unit));
         } else {

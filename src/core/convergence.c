@@ -208,21 +208,21 @@ static void write_measures(const retrax_layout *layout, double *trajectory, cons
 }
 
 /* The derivative of the Lagrangian by the unknowns of the steps relative to its parts, and the scale of these. */
-static double stationarity_of(const retrax_layout *layout, const double *trajectory, const retrax_scale *scale,
-                              double least_part, double *parts) {
+static double stationarity_of(const retrax_layout *layout, const double *trajectory, const retrax_residual_scale *units,
+                              double *scale) {
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
     double found = 0.0;
-    *parts = least_part;
+    *scale = units->least_part;
     for (retrax_index i = 0; i < z; i++) {
-        const double unit = scale->unknowns[i], reach = i < n ? retrax_larger(unit, ARRAY(ALONG)[i]) : unit;
-        *parts = retrax_larger(*parts, unit * ARRAY(PARTS)[i]);
-        if (least_part == 0.0) {
-            *parts = retrax_larger(*parts, unit * reach * ARRAY(CURVATURES)[i]);
+        const double unit = units->judging_unknowns[i], reach = i < n ? retrax_larger(unit, ARRAY(ALONG)[i]) : unit;
+        *scale = retrax_larger(*scale, unit * ARRAY(PARTS)[i]);
+        if (units->least_part == 0.0) {
+            *scale = retrax_larger(*scale, unit * reach * ARRAY(CURVATURES)[i]);
         }
     }
     for (retrax_index i = 0; i < z; i++) {
-        const double unit = scale->unknowns[i];
-        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / retrax_or_one(retrax_larger(unit * ARRAY(PARTS)[i], RETRAX_SHARE * *parts)));
+        const double unit = units->judging_unknowns[i];
+        found = retrax_larger(found, ARRAY(LARGEST_SLOPES)[i] * unit / retrax_or_one(retrax_larger(unit * ARRAY(PARTS)[i], RETRAX_SHARE * *scale)));
     }
     return found;
 }
@@ -264,7 +264,7 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
         found = retrax_larger(found, fabs(ARRAY(COSTS)[k]));
     }
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
-        const double span = retrax_span_of(layout, trajectory, i), unit = phase->scale.unknowns[i];
+        const double span = retrax_span_of(layout, trajectory, i), unit = phase->judging.unknowns[i];
         const double size = i < layout->problem->state_size ? span : retrax_larger(span, unit); /* at rest controls are 0 */
         found = retrax_larger(found, span * ARRAY(PARTS)[i]);
         found = retrax_larger(found, size * size * own_curvature(layout, trajectory, i));
@@ -319,25 +319,25 @@ static void measure_inequalities(const retrax_layout *layout, double *trajectory
     residuals[RETRAX_CONSTRAINT_TERM] += survey[RETRAX_LIMIT_CONSTRAINT_TERM];
 }
 
-void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, const retrax_scale *scale,
-                              double least_part, const retrax_limit_scale *limits) {
+void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, const retrax_residual_scale *scale,
+                              const retrax_limit_scale *limits) {
     const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
     const double *const points = ARRAY(POINT_SURVEY);
     double *const residuals = ARRAY(RESIDUALS), parts;
     fill(residuals, 0.0, RETRAX_RESIDUALS);
-    write_measures(layout, trajectory, scale->unknowns);
-    double defect = 0.0, stationarity = stationarity_of(layout, trajectory, scale, least_part, &parts);
+    write_measures(layout, trajectory, scale->judging_nodes);
+    double defect = 0.0, stationarity = stationarity_of(layout, trajectory, scale, &parts);
     for (retrax_index e = 0; e < E; e++) {
         defect = retrax_larger(defect, ARRAY(DISTANCE)[e] / retrax_or_one(ARRAY(ENTRIES)[e]));
     }
     for (retrax_index a = 0; a < n; a++) {
-        const double unit = scale->unknowns[a];
+        const double unit = scale->judging_nodes[a];
         const double most = retrax_larger(ARRAY(MAX_DEFECTS)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
         const double size = retrax_or_one(retrax_larger(unit * points[RETRAX_POINTS_PARTS * n + a], RETRAX_SHARE * parts));
         defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / retrax_or_one(ARRAY(ALONG)[a]));
         stationarity = retrax_larger(stationarity, unit * points[RETRAX_POINTS_SLOPE * n + a] / size);
-        residuals[RETRAX_INFEASIBILITY] += (ARRAY(SUMMED_DEFECTS)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / unit;
-        residuals[RETRAX_MAX_SCALED_DEFECT] = retrax_larger(residuals[RETRAX_MAX_SCALED_DEFECT], most / unit);
+        residuals[RETRAX_INFEASIBILITY] += (ARRAY(SUMMED_DEFECTS)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / scale->nodes[a];
+        residuals[RETRAX_MAX_SCALED_DEFECT] = retrax_larger(residuals[RETRAX_MAX_SCALED_DEFECT], most / scale->nodes[a]);
     }
     residuals[RETRAX_DEFECT] = defect;
     residuals[RETRAX_STATIONARITY] = stationarity;

@@ -33,12 +33,12 @@
  * and coupled trajectories have one measure. */
 static void write_curvatures(const retrax_search *search, retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;
-    const double *const trajectory = search->at + phase->place, *const sizes = phase->scale.unknowns;
+    const double *const trajectory = search->at + phase->place, *const sizes = phase->steps.unknowns;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
     const bool same = retrax_has_inequalities(layout->problem) || retrax_is_coupled(search);
     double most = 0.0;
     for (retrax_index i = 0; i < z; i++) {
-        phase->curvatures[i] = same ? 1.0 : ARRAY(CURVATURES)[i] * sizes[i] * sizes[i] / phase->scale.cost;
+        phase->curvatures[i] = same ? 1.0 : ARRAY(CURVATURES)[i] * sizes[i] * sizes[i] / phase->steps.cost;
         most = fmax(most, phase->curvatures[i]);
     }
     for (retrax_index i = 0; i < z; i++) {
@@ -78,8 +78,8 @@ static void add_predicted_change(retrax_search *search, const retrax_phase *phas
         ahead += ARRAY(LIMIT_STEP)[RETRAX_STEP_AHEAD];
         dual = phase->dual * ARRAY(LIMIT_STEP)[RETRAX_STEP_CONSTRAINT_TERM];
     }
-    step->predicted_change += step->alpha_max * ahead / phase->scale.cost;
-    step->constraint_change += (step->alpha_max * term + dual) / phase->scale.cost;
+    step->predicted_change += step->alpha_max * ahead / phase->steps.cost;
+    step->constraint_change += (step->alpha_max * term + dual) / phase->steps.cost;
 }
 
 bool retrax_is_clear(double smallest, retrax_index equations) {
@@ -102,9 +102,9 @@ retrax_block_system retrax_newton_system(const retrax_search *search, const retr
         .defect = ARRAY(NEWTON_DEFECTS),
         .fixed_start = ARRAY(FIXED),
         .fixed_end = ARRAY(FIXED) + N * n,
-        .stage_scale = phase->scale.unknowns,
-        .node_scale = phase->scale.unknowns,
-        .cost_scale = phase->scale.cost,
+        .stage_scale = phase->steps.unknowns,
+        .node_scale = phase->steps.nodes,
+        .cost_scale = phase->steps.cost,
         .regularisation = regularisation,
         .regularised = phase->curvatures,
     };
@@ -141,7 +141,7 @@ static double complete_step(const retrax_search *search, retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;
     retrax_expand_step(layout, trajectory, search->workspace);
     phase->dual = 1.0;
-    phase->step_cap = retrax_step_cap(layout, trajectory, phase->largest, phase->constant_norm);
+    phase->step_cap = retrax_step_cap(layout, trajectory, phase->largest, search->trial + phase->place, phase->constant_norm);
     if (!retrax_has_inequalities(layout->problem)) {
         return phase->step_cap;
     }
@@ -174,7 +174,7 @@ double retrax_step_length(const retrax_search *search) {
     double found = 0.0;
     EACH_PHASE(phase) {
         for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
-            const double length = phase->largest[i] / phase->scale.unknowns[i];
+            const double length = phase->largest[i] / phase->steps.unknowns[i];
             found = length > found || isnan(length) ? length : found;
         }
     }

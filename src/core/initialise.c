@@ -32,19 +32,27 @@ void retrax_copy_iterate(const retrax_search *search, const double *from, double
     }
 }
 
-/* Copies what is given and the unknowns of all trajectories, between the iterate and the guess. */
-static void copy_guess(retrax_search *search, bool back) {
+void retrax_keep_guess(retrax_search *search) {
     EACH_PHASE(phase) {
-        double *const guess = search->first + phase->guess_place, *const at = search->at + phase->place;
-        retrax_copy(back ? at : guess, back ? guess : at, phase->layout->first[RETRAX_ARRAY_POINT_CENTRES]);
+        const retrax_index known = phase->layout->first[RETRAX_ARRAY_POINT_CENTRES];
+        retrax_copy(search->first + phase->guess_place, search->at + phase->place, known);
     }
     if (retrax_is_coupled(search)) {
-        double *const at = retrax_search_multipliers(search, false), *const guess = retrax_search_multipliers(search, true);
-        retrax_copy(back ? at : guess, back ? guess : at, search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
+        const retrax_index count = search->coupling.count[RETRAX_COUPLED_MULTIPLIERS];
+        retrax_copy(search->first + search->guess_multipliers, retrax_search_multipliers(search, false), count);
     }
 }
 
-void retrax_return_to_guess(retrax_search *search) { copy_guess(search, true); }
+void retrax_return_to_guess(retrax_search *search) {
+    EACH_PHASE(phase) {
+        const retrax_index known = phase->layout->first[RETRAX_ARRAY_POINT_CENTRES];
+        retrax_copy(search->at + phase->place, search->first + phase->guess_place, known);
+    }
+    if (retrax_is_coupled(search)) {
+        const retrax_index count = search->coupling.count[RETRAX_COUPLED_MULTIPLIERS];
+        retrax_copy(retrax_search_multipliers(search, false), search->first + search->guess_multipliers, count);
+    }
+}
 
 /* ---------------------------------------------------------------------------------------------------------- scale */
 
@@ -115,6 +123,16 @@ void retrax_find_scales(retrax_search *search, double *iterate) {
 
 /* ------------------------------------------------------------------------------------------------ first multipliers */
 
+/* Whether all costates are zero. */
+static bool is_without_costates(const retrax_layout *layout, const double *trajectory) {
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_COSTATES]; i++) {
+        if (ARRAY(COSTATES)[i] != 0.0) {
+            return false;
+        }
+    }
+    return true;
+}
+
 /* Whether no block of the Hessian has a negative eigenvalue beyond rounding; matrix: [z][z] workspace. */
 static bool are_blocks_positive(const retrax_layout *layout, const double *trajectory, double *matrix) {
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
@@ -145,12 +163,8 @@ static bool has_flat_controls(const retrax_layout *layout, const double *traject
 /* Whether the cost alone does not say which way to go: no trajectory has costates, and no Hessian is curved downward. */
 static bool is_without_way(const retrax_search *search) {
     bool found = true;
-    EACH_PHASE(phase) {
-        const retrax_layout *const layout = phase->layout;
-        const double *const trajectory = search->at + phase->place;
-        found = found && retrax_is_zero(ARRAY(COSTATES), layout->count[RETRAX_ARRAY_COSTATES]) &&
-                are_blocks_positive(layout, trajectory, phase->square);
-    }
+    EACH_PHASE(phase) { found = found && is_without_costates(phase->layout, search->at + phase->place); }
+    EACH_PHASE(phase) { found = found && are_blocks_positive(phase->layout, search->at + phase->place, phase->square); }
     return found;
 }
 
@@ -177,6 +191,16 @@ static void find_first_multipliers(retrax_search *search) {
     retrax_assess(search, search->at);
 }
 
+/* Whether the guess of a trajectory knows multipliers of inequalities. */
+static bool knows_multipliers(const retrax_layout *layout, const double *trajectory) {
+    for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMIT_MULTIPLIERS]; i++) {
+        if (ARRAY(LIMIT_MULTIPLIERS)[i] != 0.0) {
+            return true;
+        }
+    }
+    return false;
+}
+
 /* Evaluates the guess as where inequalities do not pull yet, and finds its scaling factors. */
 static void measure_guess(retrax_search *search) {
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
@@ -184,8 +208,8 @@ static void measure_guess(retrax_search *search) {
     retrax_find_limit_curvatures(search);
     retrax_find_scales(search, search->at);
     EACH_PHASE(phase) {
-        retrax_copy(phase->scale.unknowns, phase->fresh.unknowns, phase->layout->count[RETRAX_ARRAY_PARTS]);
-        phase->scale.cost = phase->fresh.cost;
+        retrax_copy_scale(phase->layout, &phase->fresh, &phase->judging);
+        retrax_copy_scale(phase->layout, &phase->fresh, &phase->steps);
         if (retrax_has_inequalities(phase->layout->problem)) {
             retrax_find_limits(phase, search->at + phase->place);
         }
@@ -193,7 +217,7 @@ static void measure_guess(retrax_search *search) {
     if (retrax_is_coupled(search)) {
         retrax_copy(search->coupling.sizes, search->coupling.fresh, search->coupling.count[RETRAX_COUPLED_VALUES]);
     }
-    search->first_cost = search->phases->scale.cost;
+    search->first_cost = search->phases->judging.cost;
 }
 
 void retrax_forget_multipliers(const retrax_search *search, double *iterate) {
@@ -222,12 +246,10 @@ static void start_slacks(retrax_search *search) {
 void retrax_begin(retrax_search *search) {
     bool known = false;
     EACH_PHASE(phase) {
-        const retrax_layout *const layout = phase->layout;
-        const double *const trajectory = search->at + phase->place;
-        phase->knows = !retrax_is_zero(ARRAY(LIMIT_MULTIPLIERS), layout->count[RETRAX_ARRAY_LIMIT_MULTIPLIERS]);
+        phase->knows = knows_multipliers(phase->layout, search->at + phase->place);
         known = known || phase->knows;
     }
-    copy_guess(search, false);
+    retrax_keep_guess(search);
     retrax_swap(search);
     retrax_return_to_guess(search); /* both have the same data */
     retrax_swap(search);
@@ -259,6 +281,6 @@ void retrax_initialise(retrax_search *search) {
         find_first_multipliers(search);
         retrax_regularised_step(search, 0.0, linear, linear);
     }
-    copy_guess(search, false);
+    retrax_keep_guess(search);
     search->degenerate = search->options.detect_degenerate && retrax_is_degenerate(search);
 }

@@ -36,15 +36,6 @@ static inline bool retrax_is_finite(const double *numbers, retrax_index count) {
     return sum == 0.0;
 }
 
-/* Whether all numbers are zero. */
-static inline bool retrax_is_zero(const double *numbers, retrax_index count) {
-    bool found = true;
-    for (retrax_index i = 0; i < count; i++) {
-        found = found && numbers[i] == 0.0;
-    }
-    return found;
-}
-
 /* The duration of a trajectory. */
 double retrax_duration(const retrax_layout *layout, const double *trajectory);
 

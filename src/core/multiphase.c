@@ -176,12 +176,12 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
         const double *const trajectory = iterate + phase->place;
         const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
         for (retrax_index i = 0; i < 2 * n; i++) {
-            const double own = phase->scale.unknowns[i % n];
+            const double own = phase->judging.nodes[i % n];
             const double size = own * retrax_larger(own, RETRAX_VALUE_SHARE * value_of(layout, trajectory, i % n));
             found = retrax_larger(found, fabs(curvature[(first + i) * Z + first + i]) * size);
         }
         for (retrax_index i = 0; i < z && !retrax_has_inequalities(layout->problem); i++) { /* with a barrier it has no bound */
-            const double unit = phase->scale.unknowns[i];
+            const double unit = phase->judging.unknowns[i];
             found = retrax_larger(found, ARRAY(CURVATURES)[i] * unit * unit);
         }
         first += 2 * n;
@@ -200,7 +200,7 @@ static double change_of(const retrax_search *search, const double *iterate, retr
         const retrax_layout *const layout = phase->layout;
         const double *const trajectory = iterate + phase->place;
         const retrax_index n = layout->problem->state_size, N = layout->problem->steps;
-        const double *const own = by == BY_FRESH ? phase->fresh.unknowns : phase->response.ways;
+        const double *const own = by == BY_FRESH ? phase->fresh.nodes : phase->response.ways;
         const double *const sizes = by == BY_ALONG ? ARRAY(ALONG) : own;
         for (retrax_index i = 0; i < 2 * n; i++, row++) {
             const bool fixed = by == BY_WAYS && ARRAY(FIXED)[i < n ? i : N * n + i - n] != 0.0;
@@ -257,7 +257,7 @@ void retrax_join_residuals(const retrax_search *search, double *iterate) {
         residuals[RETRAX_INFEASIBILITY] += fabs(COUPLED(VALUES)[i]) / search->coupling.sizes[i];
         constraint_term += COUPLED(COORDINATES)[i] * COUPLED(VALUES)[i];
     }
-    residuals[RETRAX_CONSTRAINT_TERM] += constraint_term / search->phases->scale.cost;
+    residuals[RETRAX_CONSTRAINT_TERM] += constraint_term / search->phases->steps.cost;
     residuals[RETRAX_DEFECT] = retrax_larger(residuals[RETRAX_DEFECT], missed_of(search, iterate));
     residuals[RETRAX_MAX_SCALED_DEFECT] = retrax_larger(residuals[RETRAX_MAX_SCALED_DEFECT], apart_of(search, iterate));
     for (int i = RETRAX_ERROR_WITHOUT_COMPLEMENTARITY; i <= RETRAX_BARRIER_ERROR; i++) {
@@ -290,7 +290,7 @@ static void find_ways(const retrax_search *search, retrax_phase *phase, double *
     retrax_measure_scale(layout, trajectory, &data, search->workspace, search->set, &phase->fresh);
     retrax_copy(ARRAY(GRADIENTS), gradients, layout->count[RETRAX_ARRAY_GRADIENTS]);
     for (retrax_index a = 0; a < n; a++) {
-        least[a] = phase->fresh.unknowns[a] > DBL_MIN ? phase->fresh.unknowns[a] : 0.0;
+        least[a] = phase->fresh.nodes[a] > DBL_MIN ? phase->fresh.nodes[a] : 0.0;
         ways[a] = least[a] > 0.0 ? least[a] : ways[a];
     }
 }
@@ -313,8 +313,10 @@ static double cost_of(const retrax_phase *phase, const double *trajectory) {
     static const retrax_array paid[] = {RETRAX_ARRAY_GRADIENTS, RETRAX_ARRAY_COSTS, RETRAX_ARRAY_HESSIANS};
     const retrax_layout *const layout = phase->layout;
     for (size_t k = 0; k < sizeof(paid) / sizeof(paid[0]); k++) {
-        if (!retrax_is_zero(trajectory + layout->first[paid[k]], layout->count[paid[k]])) {
-            return phase->fresh.cost * (double)layout->problem->steps;
+        for (retrax_index i = 0; i < layout->count[paid[k]]; i++) {
+            if (trajectory[layout->first[paid[k]] + i] != 0.0) {
+                return phase->fresh.cost * (double)layout->problem->steps;
+            }
         }
     }
     return 0.0;

@@ -26,8 +26,8 @@ bool retrax_widen_scale(retrax_search *search, double part, double length) {
     for (retrax_index a = 0; a < phase->layout->problem->state_size && !retrax_is_coupled(search); a++) {
         const double left = summed_defect(phase->layout, search->trial, a) - (1.0 - part) * summed_defect(phase->layout, search->at, a);
         const double second = left / (moved * moved);
-        if (isfinite(second) && second > WIDER * phase->scale.unknowns[a]) {
-            phase->scale.unknowns[a] = second;
+        if (isfinite(second) && second > WIDER * phase->steps.nodes[a]) {
+            phase->steps.nodes[a] = phase->steps.unknowns[a] = second;
             wider = true;
         }
     }
@@ -39,6 +39,19 @@ bool retrax_cost_diverges(const retrax_search *search) {
     const retrax_index last = search->trials, middle = last / 2 > 1 ? last / 2 : 1;
     const double early = costs[1] - costs[middle], late = costs[middle] - costs[last];
     return early + late > FALLEN * search->first_cost && last >= FEWEST && late >= early;
+}
+
+/* Whether the trajectory moves by more than rounding of a prescribed end. */
+static bool moves(const retrax_layout *layout, const double *trajectory) {
+    for (retrax_index e = 0; e < layout->problem->state_numbers; e++) {
+        const double high = ARRAY(HIGHEST)[e], low = ARRAY(LOWEST)[e];
+        const double given = fmax(fabs(ARRAY(START)[e]) * ARRAY(START_ENTRIES)[e],
+                                  fabs(ARRAY(END)[e]) * ARRAY(END_ENTRIES)[e]);
+        if (high + low > RETRAX_STILL * fmax(high, low) && given > 0.0) {
+            return true;
+        }
+    }
+    return false;
 }
 
 /* Whether its controls move it by more than rounding of its states, or it has none: else no success is what it seems
@@ -65,26 +78,40 @@ static bool acts(const retrax_phase *phase, const double *trajectory) {
 
 /* Whether the sizes in use are far larger than those of the iterate, phase->fresh. */
 static bool are_outgrown(const retrax_search *search) {
-    bool less = false, pushes = false;
+    bool less = false, more = false, goes = false, pushes = false;
     EACH_PHASE(phase) {
         const retrax_index z = phase->layout->count[RETRAX_ARRAY_PARTS];
         for (retrax_index i = 0; i <= z; i++) {
             const double own = i < z ? phase->fresh.unknowns[i] : phase->fresh.cost;
-            const double used = i < z ? phase->scale.unknowns[i] : phase->scale.cost;
-            less = less || fmin(own, used) < LESS * used;
+            const double used = i < z ? phase->judging.unknowns[i] : phase->judging.cost;
+            const double share = fmin(own, used) / used;
+            less = less || share < LESS;
+            more = more || share > RETRAX_ROOT_EPS;
         }
     }
-    EACH_PHASE(phase) { pushes = pushes || (less && acts(phase, search->at + phase->place)); }
-    return pushes;
+    EACH_PHASE(phase) {
+        pushes = pushes || (less && acts(phase, search->at + phase->place));
+        goes = goes || moves(phase->layout, search->at + phase->place);
+    }
+    return less && pushes && (more || goes);
 }
 
-/* Takes the lesser of the sizes in use and those of the iterate, and of coupled trajectories the latter. */
+/* Takes the sizes of the iterate, the lesser ones to judge by; coupled trajectories have one measure for both, but for
+ * the cost, which multipliers make larger than it is. */
 static void take_fresh(const retrax_search *search, retrax_phase *phase) {
-    for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
+    const retrax_index n = phase->layout->problem->state_size, z = phase->layout->count[RETRAX_ARRAY_PARTS];
+    const bool coupled = retrax_is_coupled(search);
+    retrax_copy_scale(phase->layout, &phase->fresh, &phase->steps);
+    for (retrax_index i = 0; i < z; i++) {
         const double own = phase->fresh.unknowns[i];
-        phase->scale.unknowns[i] = retrax_is_coupled(search) ? own : fmin(phase->scale.unknowns[i], own);
+        phase->judging.unknowns[i] = coupled ? own : fmin(phase->judging.unknowns[i], own);
     }
-    phase->scale.cost = fmin(phase->scale.cost, phase->fresh.cost); /* multipliers make it larger than it is */
+    for (retrax_index a = 0; a < n; a++) {
+        const double own = phase->fresh.nodes[a];
+        phase->judging.nodes[a] = coupled ? own : fmin(phase->judging.nodes[a], own);
+    }
+    phase->judging.cost = fmin(phase->judging.cost, phase->fresh.cost);
+    phase->steps.cost = phase->judging.cost;
 }
 
 /* [test_members_of_a_batch_have_units_of_their_own] */

@@ -77,9 +77,9 @@ static void write_end(const retrax_layout *layout, const double *trajectory, con
 
 /* Writes the weights on the end, and which equations of the ends count: all at the start, none at the end. */
 static void weigh(const retrax_phase *phase, retrax_response *own) {
-    const double each = WEIGHT * (double)phase->layout->problem->steps * phase->scale.cost;
+    const double each = WEIGHT * (double)phase->layout->problem->steps * phase->steps.cost;
     for (retrax_index a = 0; a < phase->layout->problem->state_size; a++) {
-        own->weights[a] = each / (phase->scale.unknowns[a] * phase->scale.unknowns[a]);
+        own->weights[a] = each / (phase->steps.nodes[a] * phase->steps.nodes[a]);
         own->ones[a] = 1.0;
         own->none[a] = 0.0;
     }

@@ -614,20 +614,22 @@ enum {
     RETRAX_RESIDUALS        /* their number */
 };
 
-/* Scaling factors of a trajectory; the array belongs to the caller. See 9. */
+/* Scaling factors of a trajectory: those that success is judged by, and those of steps. */
 typedef struct {
-    double *unknowns; /* [z] of a step, of which the first n are those of the nodes too */
-    double cost;      /* of a step */
-} retrax_scale;
+    const double *judging_nodes;    /* [n] */
+    const double *judging_unknowns; /* [z] */
+    double least_part;              /* cost that sets the scale of slopes where their parts vanish; 0: their curvature */
+    const double *nodes;            /* [n] */
+    double cost;
+} retrax_residual_scale;
 
 /* Writes what is largest along an assembled trajectory: HIGHEST to CURVATURES and POINT_SURVEY; TOTALS are its cost,
  * and the sum of its multipliers times what is lacking. */
 RETRAX_API void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory);
 
-/* Writes ALONG, ENTRIES and RESIDUALS of a trajectory that was surveyed. least_part: cost that sets the scale of slopes
- * where their parts vanish, 0: their curvature does; limits: NULL without inequalities. */
-RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, const retrax_scale *scale,
-                                         double least_part, const retrax_limit_scale *limits);
+/* Writes ALONG, ENTRIES and RESIDUALS of a trajectory that was surveyed; limits: NULL without inequalities. */
+RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *trajectory,
+                                         const retrax_residual_scale *scale, const retrax_limit_scale *limits);
 
 /* ------------------------------------------------------------------------------------------------------ 9. Scaling:
  * scaling factors of a trajectory, free of the units that its problem is written in
@@ -639,6 +641,13 @@ RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *tr
  * ends that a drifting trajectory misses, and what the slope of the cost asks for. No size is next to nothing: not
  * beside what each step makes of the sizes of others, nor beside what costs as much as all others do.
  * ------------------------------------------------------------------------------------------------------ */
+
+/* Scaling factors; the arrays belong to the caller. */
+typedef struct {
+    double *unknowns; /* [z] of a step */
+    double *nodes;    /* [n] */
+    double cost;      /* of a step */
+} retrax_scale;
 
 /* Of what the scaling factors of a trajectory are made beside its linear system; the arrays are only read. */
 typedef struct {
@@ -758,7 +767,8 @@ RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
 typedef struct {
     const double *trajectory;   /* the last iterate */
     const double *first;        /* the guess with its first multipliers and slacks: the arrays before POINT_CENTRES */
-    retrax_scale scale;         /* scaling factors that success was judged by */
+    retrax_scale judging;       /* scaling factors that success was judged by */
+    retrax_scale steps;         /* those of steps */
     const double *limits;       /* [c + d] of the inequalities */
     double rate;                /* unit of the barrier */
     const double *residuals;    /* [RETRAX_RESIDUALS] of all trajectories together */

@@ -34,6 +34,7 @@ typedef struct {
     double *drift;      /* [n] of a trajectory that lacks what the nodes lack */
     double *drifted;    /* [n] */
     double *farthest;   /* [n] the most that it has drifted by */
+    double *gains;      /* [n][n] the least that a step moves one coordinate by per unit of another */
     double *gramians;   /* [4][N][n] diagonals: from the start, the sizes of its terms, from the end, the sizes */
     double *curvature, *slope; /* [z] sums over all steps of the sizes of the cost's derivatives */
     double *push;       /* [z] sizes of controls of a trajectory of size one */
@@ -60,6 +61,7 @@ static void lay_out(scaling *own, retrax_block *block, retrax_index N, retrax_in
     own->drift = retrax_take(block, n, 1, sizeof(double));
     own->drifted = retrax_take(block, n, 1, sizeof(double));
     own->farthest = retrax_take(block, n, 1, sizeof(double));
+    own->gains = retrax_take(block, n, n, sizeof(double));
     own->gramians = retrax_take(block, 4 * N, n, sizeof(double));
     own->curvature = retrax_take(block, z, 1, sizeof(double));
     own->slope = retrax_take(block, z, 1, sizeof(double));
@@ -184,6 +186,11 @@ static double walk(scaling *own, bool from_end) {
         invert(own, near);
         write_terms(own, near, far);
         advance_drift(own, ARRAY(NEWTON_DEFECTS) + node * n, sign);
+        for (retrax_index a = 0; a < n && !from_end; a++) {
+            for (retrax_index c = 0; c < n; c++) {
+                own->gains[a * n + c] = fmin(own->gains[a * n + c], fabs(own->terms[0][c * own->width + a]));
+            }
+        }
         for (int t = 0; t < 2; t++) {
             advance_gramian(own, own->terms[t], own->gramian[t]);
             for (retrax_index a = 0; a < n; a++) {
@@ -256,10 +263,11 @@ static void write_push(scaling *own, bool convex) {
 }
 
 /* The size of the trajectory: what its ends (`asked`), its controls and the slope of the cost ask for, within its room.
- * It moves one of its coordinates as far as the guess does. */
+ * It moves one of its coordinates as far as the guess does; where all else asks for rounding, one that the guess moves,
+ * if that costs no more than the guess. */
 static double size_of(const scaling *own, double asked, bool convex) {
     const retrax_index n = own->n;
-    double least = INFINITY, most = 0.0;
+    double least = INFINITY, any_least = INFINITY, most = 0.0, costs = 0.0;
     for (retrax_index i = 0; i < own->z; i++) {
         const double size = own->data->sizes[i], reach = own->reach[i];
         const double curvature = own->curvature[i], slope = own->slope[i];
@@ -267,15 +275,23 @@ static double size_of(const scaling *own, double asked, bool convex) {
             const double ratio = size / reach;
             asked = retrax_larger(asked, i >= n ? ratio : 0.0);
             least = fmin(least, i < n ? ratio : INFINITY);
+            any_least = fmin(any_least, ratio > 0.0 && i < n ? ratio : INFINITY);
         }
         if (convex) {
             asked = retrax_larger(asked, slope * reach / (1.0 + curvature * reach * reach));
+            costs = retrax_larger(costs, i < n ? retrax_larger(curvature * size * size, slope * size) : 0.0);
         }
     }
     for (retrax_index i = n; i < own->z; i++) {
         most = retrax_larger(most, convex ? own->data->room[i - n] / own->push[i] : INFINITY);
     }
     asked = fmax(asked, isfinite(least) ? least : 0.0);
+    if (costs > 0.0) {
+        any_least = fmin(any_least, sqrt(costs));
+    }
+    if (isfinite(any_least) && asked <= RETRAX_ROOT_EPS * any_least) {
+        asked = any_least;
+    }
     return most > 0.0 && most < asked ? most : asked;
 }
 
@@ -331,6 +347,25 @@ static void write_unknowns(const scaling *own, double size, double *unknowns) {
     }
 }
 
+/* Raises sizes that are next to nothing beside what each step makes of the size of another coordinate, as that of the
+ * rate of a body between two that pull equally. */
+static void balance(const scaling *own, double *nodes) {
+    const retrax_index n = own->n;
+    bool raised = true;
+    for (retrax_index round = 0; round < n && raised; round++) {
+        raised = false;
+        for (retrax_index a = 0; a < n; a++) {
+            for (retrax_index c = 0; c < n; c++) {
+                const double moved = own->gains[a * n + c] * nodes[c];
+                if (a != c && nodes[a] < moved && moved < INFINITY) {
+                    nodes[a] = moved;
+                    raised = true;
+                }
+            }
+        }
+    }
+}
+
 void retrax_measure_scale(const retrax_layout *layout, const double *trajectory, const retrax_scale_data *data,
                           void *workspace, retrax_instruction_set set, retrax_scale *scale) {
     scaling own = {.layout = layout, .trajectory = trajectory, .data = data, .set = set};
@@ -347,11 +382,16 @@ void retrax_measure_scale(const retrax_layout *layout, const double *trajectory,
         convex = convex && own.curvature[i] > 0.0;
     }
     write_push(&own, convex);
+    for (retrax_index i = 0; i < n * n; i++) {
+        own.gains[i] = INFINITY;
+    }
     const double from_start = walk(&own, false), from_end = walk(&own, true);
     for (retrax_index a = 0; a < n; a++) {
         const double found = reached(&own, a, 0);
         own.reach[a] = found > RETRAX_ROOT_EPS * reached(&own, a, 1) ? found : 0.0;
     }
     write_unknowns(&own, size_of(&own, fmin(from_start, from_end), convex), scale->unknowns);
+    balance(&own, scale->unknowns);
+    memcpy(scale->nodes, scale->unknowns, sizeof(double) * (size_t)n);
     scale->cost = or_one(most_cost(&own, scale->unknowns) / (double)own.N);
 }

@@ -10,10 +10,14 @@
 /* Takes the arrays of a phase from a block. */
 static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *block, retrax_phase *to) {
     const retrax_problem *const problem = layout->problem;
-    const retrax_index E = problem->state_numbers, m = problem->control_size, points = problem->steps * problem->points;
+    const retrax_index n = problem->state_size, E = problem->state_numbers, m = problem->control_size;
     const retrax_index c = problem->inequalities + problem->node_inequalities, z = layout->count[RETRAX_ARRAY_PARTS];
-    to->scale.unknowns = retrax_take(block, z, 1, sizeof(double));
-    to->fresh.unknowns = retrax_take(block, z, 1, sizeof(double));
+    const retrax_index points = problem->steps * problem->points;
+    retrax_scale *const scales[] = {&to->judging, &to->steps, &to->fresh};
+    for (int i = 0; i < 3; i++) {
+        scales[i]->unknowns = retrax_take(block, z, 1, sizeof(double));
+        scales[i]->nodes = retrax_take(block, n, 1, sizeof(double));
+    }
     to->constraint_scales = retrax_take(block, c, 1, sizeof(double));
     to->curvatures = retrax_take(block, z, 1, sizeof(double));
     to->largest = retrax_take(block, z, 1, sizeof(double));
@@ -146,7 +150,8 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
     return (retrax_search_result){
         .trajectory = search->at + own->place,
         .first = search->first + own->guess_place,
-        .scale = own->scale,
+        .judging = own->judging,
+        .steps = own->steps,
         .limits = own->constraint_scales,
         .rate = own->limits.rate,
         .residuals = search->at + search->residuals,

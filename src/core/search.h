@@ -49,7 +49,7 @@ typedef struct {
     const retrax_layout *layout;
     retrax_index place;          /* of its numbers in those of an iterate */
     retrax_index guess_place;    /* of its given arrays and unknowns in search->first */
-    retrax_scale scale;          /* scaling factors of steps, which success is judged by */
+    retrax_scale judging, steps; /* scaling factors that success is judged by, and those of steps */
     retrax_scale fresh;          /* those of the iterate, where they are measured again */
     retrax_limit_scale limits;
     double *constraint_scales;         /* [c] */
@@ -116,8 +116,9 @@ struct retrax_search {
 static inline bool retrax_is_coupled(const retrax_search *search) { return search->problem->function.evaluate != NULL; }
 
 /* step_cap.c: returns the fraction of the step in which points that keep their size move by no more than a diameter.
- * largest: [z] steps of the unknowns; steady: [E + U] workspace. */
-double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, bool *constant_norm);
+ * largest: [z] steps of the unknowns; trial: a trajectory that is overwritten; steady: [E + U] workspace. */
+double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
+                       bool *constant_norm);
 
 /* inertia.c: computes the Newton step at the iterate with a regularisation of the Hessian. */
 void retrax_newton_step(retrax_search *search, double regularisation);
@@ -144,6 +145,20 @@ retrax_judgement retrax_judge_trial(const retrax_search *search, bool first);
 
 /* funnel.c: the measures of globalisation of an iterate that was measured. */
 retrax_measures retrax_measures_of(const retrax_search *search, const double *iterate);
+
+/* A piece of the states: an array, but for entries that have a coordinate of their own, which are pieces. */
+typedef struct {
+    double far;         /* the most that an entry of it is moved by the step, to first order */
+    double spread;      /* the most that an entry of it changes along the trajectory */
+    retrax_index first; /* its first entry */
+} retrax_piece;
+
+/* degenerate.c: finds out which entries of the iterate of one trajectory, which was surveyed, are pieces by
+ * themselves. */
+void retrax_find_pieces(retrax_search *search);
+
+/* degenerate.c: the piece that an entry belongs to, after retrax_find_pieces. */
+retrax_piece retrax_piece_of(const retrax_search *search, retrax_index e);
 
 /* degenerate.c: whether Newton's method cannot set out from the guess. */
 bool retrax_is_degenerate(retrax_search *search);
@@ -299,5 +314,8 @@ void retrax_add_coupled_change(retrax_search *search);
 
 /* algorithm.c: lets iterate and trial change places. */
 void retrax_swap(retrax_search *search);
+
+/* algorithm.c: copies scaling factors. */
+void retrax_copy_scale(const retrax_layout *layout, const retrax_scale *from, retrax_scale *to);
 
 #endif /* RETRAX_SEARCH_H */

@@ -43,6 +43,19 @@ static bool has_constant_norm(const moving_points *own, const double *points, co
     return most - least <= RETRAX_ROOT_EPS * most;
 }
 
+/* Whether a group of entries has the sizes at all points that it had before. */
+static bool is_kept(const moving_points *own, const double *before, const double *after, const retrax_index *groups,
+                    retrax_index group) {
+    for (retrax_index k = 0; k < own->points; k++) {
+        const double size = sqrt(square_of(own, before + k * own->numbers, groups, group));
+        const double now = sqrt(square_of(own, after + k * own->numbers, groups, group));
+        if (!(fabs(now - size) <= RETRAX_ROOT_EPS * size)) {
+            return false;
+        }
+    }
+    return true;
+}
+
 /* Whether coordinate a moves columns of constant norm of an array and nothing else. */
 static bool moves_alone(const moving_points *own, retrax_index a, retrax_index array) {
     bool touches = false;
@@ -112,6 +125,15 @@ static void mark_constant_norm(moving_points *own, const double *points) {
     }
 }
 
+/* Of these, keeps those that have the sizes that they had. */
+static void mark_kept(moving_points *own, const double *before, const double *after) {
+    for (retrax_index e = 0; e < own->numbers; e++) {
+        own->constant_norm[own->columns[e]] =
+            own->constant_norm[own->columns[e]] && (is_kept(own, before, after, own->columns, own->columns[e]) ||
+                                             is_kept(own, before, after, own->arrays, own->arrays[e]));
+    }
+}
+
 /* Writes the largest entries of the frames at the controls. */
 static void write_control_support(const retrax_layout *layout, double *trajectory) {
     const retrax_index size = layout->problem->control_size * layout->problem->control_numbers;
@@ -122,7 +144,8 @@ static void write_control_support(const retrax_layout *layout, double *trajector
     }
 }
 
-double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, bool *constant_norm) {
+double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
+                       bool *constant_norm) {
     const retrax_problem *const problem = layout->problem;
     const retrax_index E = problem->state_numbers, n = problem->state_size, m = problem->control_size;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], s = problem->points;
@@ -132,7 +155,7 @@ double retrax_step_cap(const retrax_layout *layout, double *trajectory, const do
                              {problem->steps * s, problem->control_numbers, m, problem->control_columns,
                               problem->control_arrays, ARRAY(CONTROL_SUPPORT), ARRAY(STEPS) + n, s, z, m, constant_norm + E}};
     const int count = problem->curved_controls ? 2 : 1;
-    double farthest = 0.0;
+    double farthest = 0.0, kept = 0.0;
     if (problem->curved_controls) {
         write_control_support(layout, trajectory);
     } else if (all_small(layout, trajectory, largest)) {
@@ -142,5 +165,14 @@ double retrax_step_cap(const retrax_layout *layout, double *trajectory, const do
         mark_constant_norm(&parts[i], trajectory + layout->first[arrays[i]]);
         farthest = fmax(farthest, farthest_motion(&parts[i], trajectory + layout->first[arrays[i]]));
     }
-    return DIAMETER / fmax(farthest, DIAMETER);
+    if (!(farthest > DIAMETER)) {
+        return 1.0;
+    }
+    retrax_move_trajectory(layout, trajectory, DIAMETER / farthest, trial);
+    for (int i = 0; i < count; i++) {
+        const double *const before = trajectory + layout->first[arrays[i]];
+        mark_kept(&parts[i], before, trial + layout->first[arrays[i]]);
+        kept = fmax(kept, farthest_motion(&parts[i], before));
+    }
+    return DIAMETER / fmax(kept, DIAMETER);
 }

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from retrax.compute.binding.condensing import CollocationArrays, KeptArrays, _kept, _sizes, _system, _workspace
 from retrax.compute.binding.library import FLOAT, address_of, library
-from retrax.compute.binding.structs import CollocationSystemStruct, CondensedSystemStruct, LayoutStruct, ScaleStruct
+from retrax.compute.binding.structs import CollocationSystemStruct, CondensedSystemStruct, LayoutStruct
 from retrax.compute.binding.transcription import Scale, Trajectory
 
 
@@ -17,6 +17,18 @@ class LimitScaleStruct(Structure):
     _fields_ = (
         ("rate", c_double),
         ("limits", c_void_p),
+    )
+
+
+class ResidualScaleStruct(Structure):
+    """``retrax_residual_scale``."""
+
+    _fields_ = (
+        ("judging_nodes", c_void_p),
+        ("judging_unknowns", c_void_p),
+        ("least_part", c_double),
+        ("nodes", c_void_p),
+        ("cost", c_double),
     )
 
 
@@ -38,7 +50,7 @@ _SIGNATURES: dict[str, list[Any]] = {
     "retrax_survey_inequalities": [_LAYOUT, c_void_p, _LIMITS],
     "retrax_step_inequalities": [_LAYOUT, c_void_p, c_double],
     "retrax_move_inequalities": [_LAYOUT, c_void_p, c_double, c_double, c_void_p],
-    "retrax_measure_residuals": [_LAYOUT, c_void_p, POINTER(ScaleStruct), c_double, _LIMITS],
+    "retrax_measure_residuals": [_LAYOUT, c_void_p, POINTER(ResidualScaleStruct), _LIMITS],
     "retrax_expand_step": [_LAYOUT, c_void_p, c_void_p],
     "retrax_move_trajectory": [_LAYOUT, c_void_p, c_double, c_void_p],
 }  # fmt: skip
@@ -54,18 +66,20 @@ def core() -> Any:
     return own
 
 
-def measure(at: Trajectory, scale: Scale, limits: LimitScale, least_part: float) -> None:
+def measure(at: Trajectory, judging: Scale, steps: Scale, limits: LimitScale, least_part: float) -> None:
     """Measure how far a trajectory is from its conditions, and survey its inequalities.
 
-    ``scale``, ``limits``: scaling factors; ``least_part``: the cost that sets the scale of slopes where their parts
-    vanish, 0 where their curvature does.
+    ``judging``, ``steps``: scaling factors that success is judged by, and those of steps; ``least_part``: the cost that
+    sets the scale of slopes where their parts vanish, 0 where their curvature does.
     """
-    unknowns = address_of(scale.unknowns, FLOAT, scale.unknowns.shape, "scaling factors")
+    vectors = [judging.nodes, judging.unknowns, steps.nodes]
+    places = [address_of(own, FLOAT, own.shape, "scaling factors") for own in vectors]
+    scale = ResidualScaleStruct(*places[:2], least_part, places[2], steps.cost)
     place = address_of(limits.limits, FLOAT, limits.limits.shape, "scaling factors of inequalities")
     of_limits = byref(LimitScaleStruct(limits.rate, place))
     here = byref(at._layout), at._address
     core().retrax_survey_inequalities(*here, of_limits)
-    core().retrax_measure_residuals(*here, byref(ScaleStruct(unknowns, scale.cost)), least_part, of_limits)
+    core().retrax_measure_residuals(*here, byref(scale), of_limits)
 
 
 def step_inequalities(at: Trajectory, share: float) -> None:

@@ -48,7 +48,7 @@ def random_iterate(of: Transcription, phase: DiscretePhase, guess: Any, seed: in
     rng, search, to = np.random.default_rng(seed), Search(of, 1e-8, 100), of.trajectory()
     put(search.trajectory, phase, guess)
     search.run()
-    at, sizes = search.trajectory, search.read().scale
+    at, sizes = search.trajectory, search.read().judging
     to.copy_from(at)
     at["STEPS"] = AWAY * np.tile(sizes.unknowns, len(at["STEP_SIZE"])) * rng.standard_normal(len(at["STEPS"]))
     speed = AWAY / at["STEP_SIZE"].sum() * np.tile(sizes.nodes, len(at["VELOCITY_STEPS"]) // len(sizes.nodes))
@@ -91,7 +91,7 @@ def test_systems_are_the_derivatives_of_the_discrete_equations(name):
     held = np.sum(at["LIMIT_WEIGHTS"] * at["LIMIT_MULTIPLIERS"] * lacking)
     measured = Scale(np.ones(len(at["PARTS"])), np.ones(equations.n), 1.0)
     limits = LimitScale(1.0, np.ones(steps.inequalities))
-    measure(at, measured, limits, 1.0)
+    measure(at, measured, measured, limits, 1.0)
     rest, asked, survey = at["PENALTIES"] - at["LIMIT_MULTIPLIERS"], at["LIMIT_WEIGHTS"] > 0, at["LIMIT_SURVEY"]
     np.testing.assert_allclose(survey[6], held, rtol=1e-9)
     elastic = asked & np.isfinite(rest)
@@ -211,7 +211,7 @@ def test_natural_sizes_change_with_the_units_of_the_problem(power, monkeypatch):
         search = Search(core_transcription.make_transcription(phase), 1e-9, 100)
         put(search.trajectory, phase, guess)
         assert search.run() is SearchStatus.CONVERGED
-        found.append(search.read().scale.copy)
+        found.append(search.read().judging.copy)
     one, other = found
     np.testing.assert_allclose(other.unknowns, one.unknowns * 10.0**power, rtol=1e-9)
     np.testing.assert_allclose(other.nodes, one.nodes * 10.0**power, rtol=1e-9)
@@ -255,8 +255,8 @@ def test_searches_end_where_the_first_and_second_order_conditions_hold(name):
     assert found.facts.strict
     expected, steps = Expansion(equations, at), phase.transcription
     own, hessian = expected.of_steps, expected.of_steps["hessian"]
-    size = sizes_of_unknowns(equations, found.scale)
-    assert np.abs(expected.defects / found.scale.nodes).max() < 1e-8
+    size = sizes_of_unknowns(equations, found.judging)
+    assert np.abs(expected.defects / found.judging.nodes).max() < 1e-8
     parts = np.abs(own["gradient"]) + np.einsum("kn,knz->kz", *map(np.abs, (expected.multipliers[1:], expected.right)))
     parts += np.einsum("kn,knz->kz", *map(np.abs, (expected.multipliers[:-1], expected.left)))
     assert np.abs(own["slope"] * size).max() < 1e-7 * np.max(parts * size)

@@ -99,7 +99,7 @@ def both(loop: Loop, folder: Any, core: Any, *options: str) -> tuple[Any, Any, F
 
     def fly(q: Any, t: float) -> np.ndarray:
         if callable(loop.controller._parameters):
-            flown.given["parameters"] = loop.controller._parameters(t)
+            flown.given["parameters"] = np.array([loop.controller._parameters(t), 0.0])  # then the start time of a plan
         return flown(flat(q), t)
 
     given = loop.plant, loop.start, loop.horizon, loop.sample

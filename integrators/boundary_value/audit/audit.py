@@ -12,6 +12,7 @@ from ...problem_checks.smoothness.derivative_check import DerivativeCheck
 from ...reporting.results import reasons, sentence
 from ..inputs.arguments import structure_of
 from ..inputs.boundary_data import PrescribedEnd
+from ..solution.diagnostics import RegularChecks
 from ..solution.record import Solution
 from .constraint_qualification import ConstraintQualification
 from .control_curvature import ControlCurvature
@@ -74,7 +75,8 @@ class Audit:
         unqualified = self._unqualified(solution)
         solution = withdraw_minimum(solution) if unqualified else solution
         checks = solution.checks
-        near = solution.success or max(checks.defect, checks.stationarity, checks.violation) <= NEARLY_CONVERGED
+        violation = checks.violation if isinstance(checks, RegularChecks) else 0.0
+        near = solution.success or max(checks.defect, checks.stationarity, violation) <= NEARLY_CONVERGED
         undetermined = self.undetermined(solution) if near and not outside else ""
         result = _with_end(solution.result, outside)
         return explain(solution, reasons(result, unqualified, undetermined))

@@ -111,7 +111,7 @@ def singular_structure(problem: OptimalControlProblem, solution: Solution, linea
     An arc at a bound beside a singular arc is part of the singular arc if the switching function vanishes there too:
     the discrete control chatters. ``linear``: at which stages the Hamiltonian is linear in each entry, ``(N s, m)``.
     """
-    times, sides, _ = control_arcs(problem, solution, linear.all(axis=0))
+    times, sides, _ = control_arcs(problem, solution, np.asarray(linear.all(axis=0)))
     weak = switching_sizes(problem, solution) <= WEAK_PULL * solution.checks.hamiltonian_size
     weak |= stage_sides(problem, solution)[0] == 0
     weak &= linear & ~solution.held_by(problem._limits.every_name)[:, None]

@@ -102,13 +102,13 @@ def _functions_text(own: PosedController) -> str:
         del found["chart_uneven"]  # of the centres of collocation
     else:
         found["state_at_point"] = own.at_points
-    for function in found.values():
-        if not hasattr(function, "tape"):
-            raise InvalidInputError(
-                "export_c takes retractions whose inverses are tapes, to shift a trajectory; got "
-                f"{own.interpolant.retraction}; try Solver(..., evaluator='tape'), or another retraction"
-            )
-    return "\n".join([c_head(), *(c_function(own.tape.program, name) for name, own in found.items())])
+    tapes: dict[str, Any] = {name: getattr(function, "tape", None) for name, function in found.items()}
+    if None in tapes.values():
+        raise InvalidInputError(
+            "export_c takes retractions whose inverses are tapes, to shift a trajectory; got "
+            f"{own.interpolant.retraction}; try Solver(..., evaluator='tape'), or another retraction"
+        )
+    return "\n".join([c_head(), *(c_function(tape.program, name) for name, tape in tapes.items())])
 
 
 def _constants_text(posed: PosedProblem, own: PosedController) -> str:

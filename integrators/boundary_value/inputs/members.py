@@ -53,8 +53,9 @@ def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
 def member_of(ends: BoundaryDataReader, given: BoundaryData, k: int) -> BoundaryData:
     """The data of member ``k`` of a batch."""
     start, end = ends.member(given.start, k), ends.member(given.end, k)
-    rest = jax.tree.map(partial(entry_of, k=k), (given.horizon, given.parameters), is_leaf=is_free)
-    return BoundaryData(start, end, *rest, given.start_time)
+    shared = given.horizon, given.parameters
+    horizon, parameters = jax.tree.map(partial(entry_of, k=k), shared, is_leaf=is_free)
+    return BoundaryData(start, end, horizon, parameters, given.start_time)
 
 
 def entry_of(leaf: Any, k: int) -> Any:

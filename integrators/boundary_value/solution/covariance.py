@@ -47,8 +47,8 @@ class Covariance:
         return f"Covariance({', '.join(f'{name}={shapes(value)}' for name, value in vars(self).items())})"
 
 
-def require_estimate(kept: Any, solution: Any) -> None:
-    """Raise unless a solution, whose system the solver has ``kept``, is a strict minimum."""
+def require_estimate(kept: Any, solution: Any) -> Any:
+    """What the solver has ``kept`` of a solution; raises unless the solution is a strict minimum."""
     if kept is None or not solution.success:
         raise InvalidInputError(
             "covariance takes a solution with success of a regular problem that this solver found, got "
@@ -56,6 +56,7 @@ def require_estimate(kept: Any, solution: Any) -> None:
         )
     if solution.status != "minimum":
         raise _undetermined(f"its status is {solution.status!r}, expected 'minimum'", solution)
+    return kept
 
 
 def covariance_of(system: KKTSystem, solution: Any) -> Covariance:

@@ -26,7 +26,7 @@ def failure_text(solution: SolutionFields) -> str:
     """The message of the error of a solution without success: the result, a few figures and the way to the report."""
     checks, rows = solution.checks, [("cost", f"{solution.cost:.9g} after {solution.statistics.iterations} iterations")]
     rows += _residuals(solution)
-    if isinstance(checks, RegularChecks) and (solution.stage_multipliers or solution.node_multipliers):
+    if isinstance(checks, RegularChecks) and (at_stages(solution.multipliers) or solution.node_multipliers):
         rows += [("inequalities", f"violated by {checks.violation:.1e} (relative)")]
     missed = {} if solution.singular is None else solution.singular.conditions
     if missed:

@@ -185,7 +185,7 @@ def extremals_of(
         return steps.at_stages(iterate.unknowns, costates, conditions.data, iterate.slacks)
 
     def system(k: int) -> KKTSystem:
-        return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].scale)
+        return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].steps)
 
     flags = [np.array(own) for own in zip(*(record.facts for record in records), strict=True)]
     iterations, limited, claimed, strict, convex, solvable, infeasible, falling, *_ = flags

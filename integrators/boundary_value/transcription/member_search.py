@@ -135,7 +135,7 @@ class MemberSearch:
         found = results[0]
         if found.facts.stopped:
             self.watch.stop()
-        missing = [own.trajectory["MAX_DEFECTS"] / own.scale.nodes for own in results]
+        missing = [own.trajectory["MAX_DEFECTS"] / own.judging.nodes for own in results]
         if self.problem.coupling is not None:
             missing.append(np.abs(found.values) / found.equations)
         first = None
@@ -157,5 +157,5 @@ def _phase_record(found: SearchResult) -> PhaseRecord:
     """The record of a phase, whose arrays no other search overwrites."""
     at = found.trajectory
     nodes, costates, totals, limits = [at[name].copy() for name in ("NODES", "NODE_COSTATES", "TOTALS", "LIMITS")]
-    sizes = found.scale.copy, found.limits.copy()
+    sizes = found.judging.copy, found.steps.copy, found.limits.copy()
     return PhaseRecord(nodes, costates, totals, limits, at.iterate, *sizes, found.rate)

@@ -31,7 +31,8 @@ class PhaseRecord(NamedTuple):
     totals: np.ndarray
     limits: np.ndarray
     iterate: IterateNumbers
-    scale: Scale  # natural sizes that success was judged by
+    judging: Scale  # natural sizes that success was judged by
+    steps: Scale  # natural sizes of steps
     limit_sizes: np.ndarray  # natural sizes of inequalities
     rate: float  # unit of the barrier
 

@@ -91,7 +91,7 @@ class OneStageFunctions:
         none = np.zeros((*data.steps.shape, self.inequalities - self.own))
         pull = none if slacks is None else slacks.multipliers[:, :, 0, self.own :]
         given = data.steps[:, :, None], data.parameters[:, None]
-        indices = np.arange(1.0, pull.shape[1] + 1)[None, :, None][..., : self.node_costs]
+        indices = np.arange(1.0, data.steps.shape[1] + 1)[None, :, None][..., : self.node_costs]
         around = costates[:, :-1], costates[:, 1:]
         (covectors,) = self._covectors.at(2, x, u, *around, *given, pull, indices)
         return x, u, covectors

@@ -19,7 +19,7 @@ from .structs import REPORT, IterationStruct, OptionsStruct, SearchResultStruct
 from .transcription import IterateNumbers, Scale, Sizes, Trajectory, Transcription, array_places
 
 MOST_ITERATIONS = 1 << 20  # as in search.c
-WAVES = 3  # as in degenerate.c
+WAVES = 3  # as in perturbed_guess.c
 
 
 class SearchStatus(IntEnum):
@@ -59,7 +59,8 @@ class SearchResult(NamedTuple):
 
     trajectory: Trajectory
     first: IterateNumbers
-    scale: Scale
+    judging: Scale
+    steps: Scale
     limits: np.ndarray
     rate: float
     residuals: np.ndarray
@@ -201,11 +202,13 @@ class Search:
         sizes, z = of.sizes, layout.count[array_places()["PARTS"]]
         at = Trajectory(of, self._part(found.trajectory, layout.numbers))
         first = IterateNumbers(self._part(found.first, of.iterate_numbers), of.parts)
-        unknowns = self._part(found.scale.unknowns, z)
-        scale = Scale(unknowns, unknowns[: sizes.state_size], found.scale.cost)
+        judging, steps = [
+            Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
+            for own in (found.judging, found.steps)
+        ]
         limits, residuals = self._part(found.limits, sizes.limits), self._part(found.residuals, len(at["RESIDUALS"]))
         coupled, facts = self._coupled(found), SearchFacts(*read_facts(found))
-        return SearchResult(at, first, scale, limits, found.rate, residuals, *coupled, facts)
+        return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, facts)
 
     def _coupled(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Scaling factors, values and derivatives of the equations between the ends."""

@@ -209,7 +209,7 @@ class MultiphaseStruct(Structure):
 class ScaleStruct(Structure):
     """``retrax_scale``."""
 
-    _fields_ = (("unknowns", c_void_p), ("cost", c_double))
+    _fields_ = (("unknowns", c_void_p), ("nodes", c_void_p), ("cost", c_double))
 
 
 @final
@@ -273,7 +273,8 @@ class SearchResultStruct(Structure):
     _fields_ = (
         ("trajectory", c_void_p),
         ("first", c_void_p),
-        ("scale", ScaleStruct),
+        ("judging", ScaleStruct),
+        ("steps", ScaleStruct),
         ("limits", c_void_p),
         ("rate", c_double),
         ("residuals", c_void_p),

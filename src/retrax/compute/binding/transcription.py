@@ -54,8 +54,7 @@ class Sizes(NamedTuple):
 
 @final
 class Scale(NamedTuple):
-    """Scaling factors: of the unknowns of a step, shape ``(z,)``, of the nodes, its first ``(n,)``, and of the cost of
-    a step."""
+    """Scaling factors: of the unknowns of a step, shape ``(z,)``, of the nodes, ``(n,)``, and of the cost of a step."""
 
     unknowns: np.ndarray
     nodes: np.ndarray
