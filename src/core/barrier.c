@@ -192,7 +192,8 @@ static double largest_penalty_growth(const retrax_search *search) {
 
 /* The barrier of a phase, lower while its problem is solved; penalty_too_small: whether penalties are too small to lower
  * it. */
-static double lowered_barrier(const retrax_search *search, const retrax_phase *phase, double penalty_growth, bool *penalty_too_small) {
+static double lowered_barrier(const retrax_search *search, const retrax_phase *phase, double penalty_growth,
+                              bool *penalty_too_small) {
     const retrax_layout *const layout = phase->layout;
     const double *const trajectory = search->at + phase->place, *const survey = ARRAY(LIMIT_SURVEY);
     const double rate = phase->limits.rate * penalty_growth;
@@ -263,7 +264,8 @@ bool retrax_update_barrier(retrax_search *search) {
     } else if (penalty_too_small) {
         EACH_PHASE(phase) { raise_penalties(phase->layout, search->at + phase->place); }
         if (retrax_is_coupled(search)) {
-            multiply(retrax_search_multipliers(search, false), PENALTY_FACTOR, search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
+            multiply(retrax_search_multipliers(search, false), PENALTY_FACTOR,
+                     search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
         }
     } else {
         if (lower) {

@@ -348,7 +348,8 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
     }
     const double error = retrax_larger(retrax_larger(defect, stationarity), residuals[RETRAX_VIOLATION]);
     residuals[RETRAX_ERROR_WITHOUT_COMPLEMENTARITY] = error;
-    residuals[RETRAX_KKT_ERROR] = retrax_larger(error, retrax_larger(residuals[RETRAX_EXCESS], residuals[RETRAX_COMPLEMENTARITY]));
+    residuals[RETRAX_KKT_ERROR] =
+        retrax_larger(error, retrax_larger(residuals[RETRAX_EXCESS], residuals[RETRAX_COMPLEMENTARITY]));
     residuals[RETRAX_BARRIER_ERROR] = retrax_larger(error, residuals[RETRAX_CENTRING]);
     residuals[RETRAX_BARRIER_OBJECTIVE] /= scale->cost;
     residuals[RETRAX_CONSTRAINT_TERM] /= scale->cost;

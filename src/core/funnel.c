@@ -2,26 +2,26 @@
  * Funnel: which trials are accepted, and with which regularisation the search goes on.
  *
  * The funnel is a bound on the infeasibility that only narrows [Kiessling, Leyffer, Vanaret, A unified funnel restoration
- * SQP algorithm, 2025]. Where the step promises less cost by more than a share of the squared infeasibility, a trial is
+ * SQP algorithm, 2025]. Where the step predicts less cost by more than a share of the squared infeasibility, a trial is
  * accepted if the cost decreases as Armijo asks, but for rounding; else if it comes well into the funnel. The cost is
- * that of the Lagrangian with the multipliers of the trial. Accepted too is what brings the residual below nine tenths of
- * the best so far while nothing alone lacks more than the funnel.
+ * that of the Lagrangian with the multipliers of the trial. A trial point is also accepted if its error is below nine
+ * tenths of the best one so far while no single scaled defect exceeds the funnel width.
  */
 #include "search.h"
 
 #include <float.h>
 #include <math.h>
 
-/* Share of the promised decrease of the cost that a trial has to make. */
+/* Share of the predicted reduction that a trial has to make. */
 #define ARMIJO 1e-4
-/* Share of the squared infeasibility above which a promise counts. */
+/* Share of the squared infeasibility above which a predicted reduction counts. */
 #define SWITCH 1e-3
 /* Share by which a trial has to come into the funnel, per fraction of the step. */
 #define NARROWER 1e-2
 /* Shares of the distance to the infeasibility by which the funnel narrows: for less cost, and for less infeasibility. */
 #define GENTLY 0.1
 #define FIRMLY 0.5
-/* Times the best residual so far: of a record, and of a first step that does not descend. */
+/* Times the best error so far: of a record, and of a first step that does not descend. */
 #define RECORD 0.9
 #define FAST 1e-2
 /* Decrease of the cost, relative, that is lost in what the cost is a sum of. */

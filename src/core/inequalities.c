@@ -123,7 +123,8 @@ static double size_of(const inequalities *own, limit_row row, double constraint_
 static void survey_excess(const inequalities *own, retrax_index i, double constraint_scale, const retrax_limit_scale *scale,
                           double *survey) {
     const double unit = scale->rate / constraint_scale, penalty = own->penalties[i];
-    survey[RETRAX_LIMIT_PENALTY_GROWTH] = retrax_larger(survey[RETRAX_LIMIT_PENALTY_GROWTH], penalty / (RETRAX_FIRST_PENALTY * unit));
+    survey[RETRAX_LIMIT_PENALTY_GROWTH] =
+        retrax_larger(survey[RETRAX_LIMIT_PENALTY_GROWTH], penalty / (RETRAX_FIRST_PENALTY * unit));
     if (own->multipliers[i] <= NEAR_PENALTY * penalty) {
         return;
     }

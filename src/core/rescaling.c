@@ -24,7 +24,8 @@ bool retrax_widen_scale(retrax_search *search, double part, double length) {
     const double moved = part * length;
     bool wider = false;
     for (retrax_index a = 0; a < phase->layout->problem->state_size && !retrax_is_coupled(search); a++) {
-        const double left = summed_defect(phase->layout, search->trial, a) - (1.0 - part) * summed_defect(phase->layout, search->at, a);
+        const double before = summed_defect(phase->layout, search->at, a);
+        const double left = summed_defect(phase->layout, search->trial, a) - (1.0 - part) * before;
         const double second = left / (moved * moved);
         if (isfinite(second) && second > WIDER * phase->steps.nodes[a]) {
             phase->steps.nodes[a] = phase->steps.unknowns[a] = second;

@@ -785,8 +785,8 @@ typedef struct {
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
     bool diverging;              /* whether it is no extremal and the cost falls as if it had no lower bound */
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
-    bool inertia_correct;       /* where the iteration limit ended it at no extremal: whether the linear system of the iterate has,
-                                 * without a regularisation, the inertia of a minimum; else false */
+    bool inertia_correct;       /* where the iteration limit ended the search at no extremal: whether the linear system of
+                                 * the iterate has, without a regularisation, the inertia of a minimum; else false */
 } retrax_search_result;
 
 /* Returns what the last run has found, with the arrays of a phase. */

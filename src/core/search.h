@@ -12,7 +12,7 @@
 
 /* A Newton step, and what its elimination tells of the linear system. */
 typedef struct {
-    double regularisation;       /* of the Hessian, which makes the step descend */
+    double regularisation; /* of the Hessian, which makes the step descend */
     double curvature;   /* along the step, in units of the cost */
     double size;        /* of the step in the same units */
     bool finite;        /* whether there is a step */
