@@ -79,7 +79,8 @@ def solve(
         The bound of the relative defects and the relative stationarity; by default ``eps^0.7``, 1e-11 in double
         precision. The next Newton step is then below its square root.
     max_iterations : int
-        The most Newton iterations of one search. Up to five more follow where only a lower barrier is missing.
+        The most trial points of one search; a Newton step has one to five. Up to five more follow where only a lower
+        barrier is missing.
     throw : bool
         Whether to raise ``ConvergenceError`` without success; otherwise read ``solution.success``.
     classification : Classification, optional

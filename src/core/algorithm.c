@@ -7,18 +7,19 @@
 #include <math.h>
 #include <string.h>
 
-/* Share by which a wanted step has to shrink from one solved iterate to the next: else the linear system is singular. */
+/* Share by which the next Newton step has to shrink from one solved iterate to the next: else the linear system is
+ * singular. */
 #define SHRINKS 0.1
 /* Residual that is rounding. */
 #define EXACT (64.0 * DBL_EPSILON)
-/* Times its natural sizes: a trajectory that has grown so far follows the null vector of a singular system. */
+/* Times its scaling factors: a trajectory that has grown so far follows the null vector of a singular system. */
 #define GROWN 1e6
-/* Times the residual: a step that leads to less is Newton's own. */
+/* Times the error: a step that leads to less is a full Newton step. */
 #define GAINED 0.1
-/* A shift has to shorten a step to this share; a step is cut no further than to the other. */
+/* A regularisation has to shorten a step to this share; a step is cut no further than to the other. */
 #define SHORTER 0.5
 #define SLOW 1e-6
-/* Trials after which natural sizes are measured again. */
+/* Trial points after which the scaling is measured again. */
 #define ROUND 40
 
 void retrax_swap(retrax_search *search) {
@@ -44,7 +45,7 @@ void retrax_evaluate_functions(const retrax_search *search, double *iterate) {
 void retrax_assemble(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) {
         double *const trajectory = iterate + phase->place;
-        if (retrax_is_limited(phase->layout->problem)) {
+        if (retrax_has_inequalities(phase->layout->problem)) {
             retrax_add_inequalities(phase->layout, trajectory);
         }
         retrax_assemble_system(phase->layout, trajectory, search->workspace, search->set);
@@ -62,14 +63,14 @@ void retrax_measure(retrax_search *search, double *iterate) {
     const bool coupled = retrax_is_coupled(search);
     const double curvature = coupled ? retrax_largest_curvature(search, iterate) : 0.0;
     EACH_PHASE(phase) {
-        const bool limited = retrax_is_limited(phase->layout->problem);
+        const bool has_inequalities = retrax_has_inequalities(phase->layout->problem);
         const retrax_residual_scale scale = {phase->judging.nodes, phase->judging.unknowns,
-                                             limited ? phase->judging.cost : curvature, phase->steps.nodes,
+                                             has_inequalities ? phase->judging.cost : curvature, phase->steps.nodes,
                                              phase->steps.cost};
-        if (limited) {
+        if (has_inequalities) {
             retrax_survey_inequalities(phase->layout, iterate + phase->place, &phase->limits);
         }
-        retrax_measure_residuals(phase->layout, iterate + phase->place, &scale, limited ? &phase->limits : NULL);
+        retrax_measure_residuals(phase->layout, iterate + phase->place, &scale, has_inequalities ? &phase->limits : NULL);
     }
     retrax_measure_by_spans(search, iterate);
     if (coupled) {
@@ -82,123 +83,150 @@ void retrax_assess(retrax_search *search, double *iterate) {
     retrax_measure(search, iterate);
 }
 
-void retrax_move_iterate(const retrax_search *search, double part, double *iterate) {
+void retrax_move_iterate(const retrax_search *search, double alpha, double *iterate) {
     retrax_copy_iterate(search, search->at, iterate);
-    EACH_PHASE(phase) { retrax_move_trajectory(phase->layout, search->at + phase->place, part, iterate + phase->place); }
+    EACH_PHASE(phase) { retrax_move_trajectory(phase->layout, search->at + phase->place, alpha, iterate + phase->place); }
     if (retrax_is_coupled(search)) {
-        retrax_move_coupling(search, part, iterate);
+        retrax_move_coupling(search, alpha, iterate);
     }
 }
 
 void retrax_move_trial(const retrax_search *search) {
-    const double part = search->fraction * search->direction.reach;
-    retrax_move_iterate(search, part, search->trial);
+    const double alpha = search->backtrack * search->direction.alpha_max;
+    retrax_move_iterate(search, alpha, search->trial);
     EACH_PHASE(phase) {
-        retrax_move_inequalities(phase->layout, search->at + phase->place, part, phase->dual, search->trial + phase->place);
+        retrax_move_inequalities(phase->layout, search->at + phase->place, alpha, phase->dual, search->trial + phase->place);
     }
 }
 
-/* Begins anew with the funnel and the best residual, as where the barrier has changed. */
+/* Restarts the funnel and the best error, as where the barrier has changed. */
 static void reset_funnel(retrax_search *search) {
-    search->merit = retrax_merit_of(search, search->at);
-    search->funnel = fmax(search->merit.infeasibility, search->options.width);
-    search->best = RESIDUAL(search->at, LARGEST);
-    search->fraction = 1.0;
+    search->measures = retrax_measures_of(search, search->at);
+    search->funnel = fmax(search->measures.infeasibility, search->options.width);
+    search->best = RESIDUAL(search->at, BARRIER_ERROR);
+    search->backtrack = 1.0;
 }
 
-/* Decides what the iterate is where its residuals meet the tolerance, by the step that is still wanted there.
+/* Tests convergence where the error of the iterate meets the tolerance, by the next Newton step.
  *
- * Newton's steps shrink where the residuals vanish, unless the system is singular to rounding. Then the trajectory is
+ * Newton steps shrink where the errors vanish, unless the system is singular to rounding. Then the trajectory is
  * one of a family of extremals, or it has grown along the null vector until rounding hides that there is none. */
-static void settle(retrax_search *search) {
-    double wanted = 0.0, grown = 0.0;
-    if (!(RESIDUAL(search->at, FINAL) <= search->options.tolerance)) {
+static void test_convergence(retrax_search *search) {
+    double next = 0.0, size = 0.0; /* the largest scaled entries of the next Newton step, and of the spans of the iterate */
+    if (!(RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance)) {
         return;
     }
     EACH_PHASE(phase) {
         for (retrax_index i = 0; i < phase->layout->count[RETRAX_ARRAY_PARTS]; i++) {
-            const double unit = phase->judging.unknowns[i], span = retrax_span_of(phase->layout, search->at + phase->place, i);
-            wanted = retrax_larger(wanted, phase->largest[i] / fmax(span, RETRAX_SHARE * unit));
-            grown = retrax_larger(grown, span / unit);
+            const double unit = phase->judging.unknowns[i];
+            const double span = retrax_span_of(phase->layout, search->at + phase->place, i);
+            next = retrax_larger(next, phase->largest[i] / fmax(span, RETRAX_SHARE * unit));
+            size = retrax_larger(size, span / unit);
         }
     }
-    const bool was_isolated = search->isolated, stuck = wanted > SHRINKS * search->correction;
-    search->isolated = wanted <= sqrt(search->options.tolerance);
-    search->claimed = search->isolated || (stuck && grown <= GROWN);
-    search->correction = wanted;
-    const bool exact = was_isolated || RESIDUAL(search->at, LARGEST) <= EXACT;
+    const bool was_isolated = search->isolated, stuck = next > SHRINKS * search->correction;
+    search->isolated = next <= sqrt(search->options.tolerance);
+    search->claimed = search->isolated || (stuck && size <= GROWN);
+    search->correction = next;
+    const bool exact = was_isolated || RESIDUAL(search->at, BARRIER_ERROR) <= EXACT;
     search->done = (search->isolated && exact) || stuck;
 }
 
-/* Whether no shift shortens the step, as where the constraints ask for it: then the same step is cut further. */
-static bool is_vain(retrax_search *search, double length) {
+/* Whether a regularisation shortens the step, which is `length` long without more of it; where the constraints ask for
+ * the step none does. Side effect: where it does not shorten enough by itself, the step becomes that of the least
+ * norm. */
+static bool regularisation_shortens_step(retrax_search *search, double length) {
     if (!(retrax_step_length(search) > SHORTER * length)) {
-        return false;
+        return true;
     }
-    retrax_newton_step(search, RETRAX_LEAST_SHIFT);
-    return retrax_step_length(search) > SHORTER * length;
+    retrax_newton_step(search, RETRAX_LEAST_NORM_REGULARISATION);
+    return !(retrax_step_length(search) > SHORTER * length);
 }
 
-/* Computes the next step, from the iterate as it is now. */
-static void next_step(retrax_search *search, const retrax_direction *before, double fraction, double length,
-                      double residual, bool cut) {
-    const bool limited = search->limited, good = search->accepted;
-    const double now = RESIDUAL(search->at, LARGEST), tolerance = search->options.tolerance;
-    const bool arrived = RESIDUAL(search->at, FINAL) <= tolerance;
-    const bool keep = arrived || (good && now <= sqrt(tolerance));
-    const bool gains = good && now <= GAINED * residual && !limited;
-    retrax_regularised_step(search, arrived ? 0.0 : search->direction.shift, keep, gains);
-    if (cut && before->descends && fraction > SLOW && fraction / 2.0 < RETRAX_SHORTEST) {
-        const double shift = search->direction.shift;
-        if (is_vain(search, length)) {
-            retrax_newton_step(search, before->shift);
-            search->direction.descends = before->descends;
-            search->fraction = fraction / 2.0;
-        } else {
-            retrax_regularised_step(search, shift, true, gains);
-        }
+/* Cuts the step before further, which was rejected, where no regularisation shortens it; else the next step has the
+ * regularisation that it was computed with, whatever the inertia
+ * [test_a_trajectory_that_grows_without_end_is_no_success]. */
+static void cut_further(retrax_search *search, const retrax_direction *before, double backtrack, double length) {
+    const double regularisation = search->direction.regularisation;
+    if (regularisation_shortens_step(search, length)) {
+        retrax_regularised_step(search, regularisation, true, false);
+    } else {
+        retrax_newton_step(search, before->regularisation);
+        search->direction.descends = before->descends;
+        search->backtrack = backtrack / 2.0;
     }
 }
 
-/* One iteration: try the step, judge the trial, update the barrier, compute the next step. */
-static void iterate(retrax_search *search) {
-    const retrax_direction before = search->direction;
-    const double fraction = search->fraction, residual = RESIDUAL(search->at, LARGEST);
-    const double length = retrax_step_length(search);
-    const bool was_isolated = search->isolated, limited = search->limited;
-    bool again;
+/* Computes the next direction, from the iterate as it is now; error: of the iterate before. */
+static void compute_direction(retrax_search *search, double error) {
+    const double now = RESIDUAL(search->at, BARRIER_ERROR), tolerance = search->options.tolerance;
+    const bool within = RESIDUAL(search->at, KKT_ERROR) <= tolerance;
+    const bool accept_any_inertia = within || (search->accepted && now <= sqrt(tolerance));
+    const bool curvature_test_only = search->accepted && now <= GAINED * error && !search->has_inequalities;
+    retrax_regularised_step(search, within ? 0.0 : search->direction.regularisation, accept_any_inertia,
+                            curvature_test_only);
+}
+
+/* Evaluates the trial point and judges it, once more with other slacks where it is rejected; an accepted one is the
+ * iterate. Returns whether a new step is computed next. */
+static bool search_line(retrax_search *search) {
     retrax_move_trial(search);
     retrax_assess(search, search->trial);
-    search->accepted = retrax_judge_trial(search, search->trials == 1 && !limited, &again);
-    if (!search->accepted && retrax_reset_slacks(search, search->trial)) {
-        search->direction = before;
-        search->fraction = fraction;
+    retrax_judgement judgement = retrax_judge_trial(search, search->trials == 1 && !search->has_inequalities);
+    if (!judgement.accepted && retrax_reset_slacks(search, search->trial)) {
         retrax_assess(search, search->trial);
-        search->accepted = retrax_judge_trial(search, false, &again);
+        judgement = retrax_judge_trial(search, false);
     }
+    search->accepted = judgement.accepted;
+    search->direction.regularisation = judgement.regularisation;
+    search->backtrack = judgement.backtrack;
+    search->funnel = judgement.funnel;
+    search->best = judgement.best;
+    search->measures = judgement.measures;
     if (search->accepted) {
         retrax_swap(search);
     }
-    const bool refused = again && !search->accepted && !was_isolated;
-    const bool wider = refused && retrax_widen_scale(search, fraction * before.reach, length);
-    if (wider) {
-        retrax_measure(search, search->at);
-        const double tried = search->fraction;
-        reset_funnel(search);
-        search->fraction = tried;
-        search->direction.shift = before.shift;
+    return judgement.recompute_step;
+}
+
+/* Widens the scaling after a rejected trial point where that is too small; before: the direction to it, with its length.
+ * Returns whether it does. */
+static bool widen_scale(retrax_search *search, const retrax_direction *before, double backtrack, double length) {
+    if (!retrax_widen_scale(search, backtrack * before->alpha_max, length)) {
+        return false;
     }
+    const double next = search->backtrack;
+    retrax_measure(search, search->at);
+    reset_funnel(search);
+    search->backtrack = next;
+    search->direction.regularisation = before->regularisation;
+    return true;
+}
+
+/* One pass of the loop: a trial point of a backtracking line search. At most four halvings follow without a new linear
+ * system, then one with a larger regularisation; after an accepted trial point the barrier and the direction are new. */
+static void try_step(retrax_search *search) {
+    const retrax_direction before = search->direction;
+    const double error = RESIDUAL(search->at, BARRIER_ERROR), backtrack = search->backtrack;
+    const double length = retrax_step_length(search);
+    const bool was_isolated = search->isolated, again = search_line(search);
+    const bool rejected = again && !search->accepted && !was_isolated;
+    const bool wider = rejected && widen_scale(search, &before, backtrack, length);
     search->trials++;
     const bool changed = retrax_update_barrier(search);
     if (changed) {
         reset_funnel(search);
     }
-    search->done = was_isolated && search->accepted && RESIDUAL(search->at, FINAL) <= search->options.tolerance;
+    search->done = was_isolated && search->accepted && RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance;
     if (search->done || !(again || changed)) {
         return;
     }
-    next_step(search, &before, fraction, length, residual, again && !search->accepted && !changed && !wider);
-    settle(search);
+    compute_direction(search, error);
+    const bool cut = !search->accepted && !changed && !wider;
+    if (cut && before.descends && backtrack > SLOW && backtrack / 2.0 < RETRAX_SHORTEST) {
+        cut_further(search, &before, backtrack, length);
+    }
+    test_convergence(search);
 }
 
 /* Whether there is nothing to go on with, and why. */
@@ -210,7 +238,7 @@ static retrax_search_status status_of(const retrax_search *search) {
     if (search->done) {
         return search->claimed ? RETRAX_CONVERGED : RETRAX_SINGULAR;
     }
-    if ((!step->finite || step->shift >= RETRAX_LARGEST_SHIFT) && !retrax_is_hard(search)) {
+    if ((!step->finite || step->regularisation >= RETRAX_LARGEST_REGULARISATION) && !retrax_is_not_yet_elastic(search)) {
         return RETRAX_SINGULAR;
     }
     if (retrax_is_infeasible(search)) {
@@ -219,21 +247,21 @@ static retrax_search_status status_of(const retrax_search *search) {
     return search->trials > search->options.max_iterations ? RETRAX_ITERATION_LIMIT : RETRAX_GOING_ON;
 }
 
-/* Stands at the iterate with a step that is not tried yet. */
-static void stand(retrax_search *search) {
+/* Restarts the globalisation at the iterate, with a step that is not tried yet. */
+static void restart_globalisation(retrax_search *search) {
     search->correction = INFINITY;
     search->isolated = search->claimed = search->done = search->accepted = false;
     reset_funnel(search);
-    settle(search);
+    test_convergence(search);
 }
 
-/* Goes on in the natural sizes of the iterate where those in use are far larger. */
-static void renew(retrax_search *search) {
+/* Continues with the scaling of the iterate where the scaling in use is far larger. */
+static void rescale(retrax_search *search) {
     if (retrax_renew_scale(search)) {
         retrax_measure(search, search->at);
-        const bool near = RESIDUAL(search->at, LARGEST) <= sqrt(search->options.tolerance);
+        const bool near = RESIDUAL(search->at, BARRIER_ERROR) <= sqrt(search->options.tolerance);
         retrax_regularised_step(search, 0.0, near, near);
-        stand(search);
+        restart_globalisation(search);
     }
 }
 
@@ -242,7 +270,7 @@ static double largest_barrier(const retrax_search *search) {
     double found = 0.0;
     EACH_PHASE(phase) {
         const double barrier = search->at[phase->place + phase->layout->first[RETRAX_ARRAY_BARRIER]];
-        found = fmax(found, retrax_is_limited(phase->layout->problem) ? barrier / phase->limits.rate : 0.0);
+        found = fmax(found, retrax_has_inequalities(phase->layout->problem) ? barrier / phase->limits.rate : 0.0);
     }
     return found;
 }
@@ -255,8 +283,8 @@ bool retrax_report(const retrax_search *search) {
         .cost = at[search->totals],
         .defect = RESIDUAL(at, DEFECT),
         .stationarity = RESIDUAL(at, STATIONARITY),
-        .shift = step->shift,
-        .fraction = search->fraction * step->reach,
+        .regularisation = step->regularisation,
+        .fraction = search->backtrack * step->alpha_max,
         .descends = step->descends,
         .violation = retrax_larger(RESIDUAL(at, VIOLATION), RESIDUAL(at, EXCESS)),
         .barrier = largest_barrier(search),
@@ -268,12 +296,12 @@ retrax_search_status retrax_search_run(retrax_search *search) {
     retrax_search_status status;
     retrax_initialise(search);
     search->trials = 1;
-    stand(search);
+    restart_globalisation(search);
     for (;;) {
         search->costs[search->trials] = search->at[search->totals];
         status = status_of(search);
         if (status != RETRAX_DEGENERATE && (status != RETRAX_GOING_ON || search->trials % ROUND == 0)) {
-            renew(search);
+            rescale(search);
             status = status_of(search);
         }
         search->stopped = status != RETRAX_DEGENERATE && retrax_report(search);
@@ -281,6 +309,6 @@ retrax_search_status retrax_search_run(retrax_search *search) {
             retrax_conclude(search);
             return status == RETRAX_GOING_ON ? RETRAX_STOPPED : status;
         }
-        iterate(search);
+        try_step(search);
     }
 }

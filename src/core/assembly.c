@@ -48,13 +48,13 @@ static retrax_condensed_system condensed_of(const retrax_layout *layout, double 
 /* Condenses the collocation steps; the velocities that mend the defects of the points change slopes and ends. */
 static void condense(const retrax_layout *layout, double *trajectory, void *workspace, retrax_instruction_set set) {
     const retrax_problem *const problem = layout->problem;
-    const bool limited = retrax_is_limited(problem), at_nodes = problem->node_inequalities > 0;
+    const bool has_inequalities = retrax_has_inequalities(problem), at_nodes = problem->node_inequalities > 0;
     const retrax_collocation_system system =
-        system_of(layout, trajectory, limited ? ARRAY(RIGHT_SLOPES) : ARRAY(POINT_SLOPES),
+        system_of(layout, trajectory, has_inequalities ? ARRAY(RIGHT_SLOPES) : ARRAY(POINT_SLOPES),
                   at_nodes ? ARRAY(RIGHT_END_SLOPES) : ARRAY(END_SLOPES));
     retrax_condensed_system condensed = condensed_of(layout, trajectory);
     retrax_condense(&system, &condensed, 0, problem->steps, workspace, set);
-    if (limited) {
+    if (has_inequalities) {
         retrax_condense_slope(&system, &condensed, ARRAY(BARRIER_SLOPES), at_nodes ? ARRAY(BARRIER_END_SLOPES) : NULL,
                               ARRAY(SLOPES_BY_VELOCITIES),
                               ARRAY(BARRIER_SIDES));
@@ -99,7 +99,7 @@ void retrax_assemble_system(const retrax_layout *layout, double *trajectory, voi
                 ARRAY(COSTS)[k] += ARRAY(POINT_COSTS)[k * s + i];
             }
         }
-    } else if (!retrax_is_limited(problem)) {
+    } else if (!retrax_has_inequalities(problem)) {
         retrax_copy(ARRAY(RIGHT_SIDES), ARRAY(SLOPES), layout->count[RETRAX_ARRAY_SLOPES]);
     }
     for (int i = 0; i < 2; i++) {
@@ -160,9 +160,9 @@ void retrax_expand_step(const retrax_layout *layout, double *trajectory, void *w
     if (!retrax_collocates(layout->problem)) {
         return;
     }
-    const bool limited = retrax_is_limited(layout->problem), at_nodes = layout->problem->node_inequalities > 0;
+    const bool has_inequalities = retrax_has_inequalities(layout->problem), at_nodes = layout->problem->node_inequalities > 0;
     const retrax_collocation_system system =
-        system_of(layout, trajectory, limited ? ARRAY(NEWTON_SLOPES) : ARRAY(POINT_SLOPES),
+        system_of(layout, trajectory, has_inequalities ? ARRAY(NEWTON_SLOPES) : ARRAY(POINT_SLOPES),
                   at_nodes ? ARRAY(NEWTON_END_SLOPES) : ARRAY(END_SLOPES));
     const retrax_condensed_system condensed = condensed_of(layout, trajectory);
     retrax_expand(&system, &condensed, 0, layout->problem->steps, ARRAY(STEPS), ARRAY(COVECTOR_STEPS),

@@ -1,5 +1,5 @@
 /*
- * Barrier: the natural sizes of the inequalities, their first slacks, and how the barrier falls and penalties grow.
+ * Barrier: the scaling factors of the inequalities, their first slacks, and how the barrier falls and penalties grow.
  *
  * A barrier problem is solved to ten times the barrier, which then is the smaller of a fifth of it and its power 1.5
  * [Waechter, Biegler, On the implementation of an interior-point filter line-search algorithm, Math. Program. 106, 2006].
@@ -12,10 +12,10 @@
 
 /* An inequality that holds at first by less than this share of its size is elastic. */
 #define INSIDE 1e-2
-/* The first barrier, in natural sizes. */
+/* The first barrier, in units of the scaling. */
 #define FIRST_BARRIER 0.3
 /* Factor by which the cost counts less where penalties are too small. */
-#define DEARER 3.0
+#define PENALTY_FACTOR 3.0
 /* A barrier problem is solved to so many times the barrier; then that falls by a factor, or by a power. */
 #define SOLVED 10.0
 #define LESS 0.2
@@ -24,7 +24,7 @@
 #define REACHED (4.0 * DBL_EPSILON)
 /* Above this barrier, relative, excesses are left whatever their penalty. */
 #define TELLS 0.1
-/* A step of a smaller fraction jams at the inequalities; with a larger shift it is stiff. */
+/* A step of a smaller fraction jams at the inequalities; with a larger regularisation it is stiff. */
 #define JAMMED 1e-3
 #define STIFF 1e2
 /* A slack that would be less than this share of it stays as its step made it. */
@@ -34,11 +34,11 @@ static retrax_index limit_of(const retrax_phase *phase, retrax_index i) {
     return retrax_limit_of(phase->layout->problem, i).limit;
 }
 
-bool retrax_is_kept(const retrax_phase *phase, retrax_index i) {
-    return phase->layout->problem->kept[limit_of(phase, i)] != 0.0;
+bool retrax_is_never_elastic(const retrax_phase *phase, retrax_index i) {
+    return phase->layout->problem->never_elastic[limit_of(phase, i)] != 0.0;
 }
 
-/* The natural size of an unknown that an inequality depends on. */
+/* The scaling factor of an unknown that an inequality depends on. */
 static double size_of_unknown(const retrax_phase *phase, const retrax_limit *of, retrax_index a) {
     const retrax_problem *const problem = phase->layout->problem;
     const retrax_index n = problem->state_size, m = problem->control_size, point = of->block % problem->points;
@@ -51,8 +51,8 @@ static double size_of_unknown(const retrax_phase *phase, const retrax_limit *of,
     return a < 2 * n ? phase->steps.nodes[a % n] : 0.0; /* no inequality depends on velocities */
 }
 
-/* Writes the natural sizes of the inequalities: what a step of natural size changes them by, or their values where that
- * is next to nothing, as that of a ball where its derivative vanishes. */
+/* Writes the scaling factors of the inequalities: what a step of the size of the scaling changes them by, or their
+ * values where that is next to nothing, as that of a ball where its derivative vanishes. */
 static void write_limits(retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
@@ -69,14 +69,14 @@ static void write_limits(retrax_phase *phase, const double *trajectory) {
             value = of.limit == j ? retrax_larger(value, fabs(ARRAY(LIMITS)[i])) : value;
         }
         size = size > RETRAX_VALUE_SHARE * value ? size : value;
-        phase->limit_sizes[j] = size > 0.0 && isfinite(size) ? size : 1.0;
+        phase->constraint_scales[j] = size > 0.0 && isfinite(size) ? size : 1.0;
     }
 }
 
 double retrax_limit_inside(const retrax_phase *phase, const double *trajectory, retrax_index i) {
     const retrax_layout *const layout = phase->layout;
-    const double value = ARRAY(LIMITS)[i], limit = phase->limit_sizes[limit_of(phase, i)];
-    return retrax_is_kept(phase, i) ? fmin(value, -DBL_EPSILON * limit) : value;
+    const double value = ARRAY(LIMITS)[i], constraint_scale = phase->constraint_scales[limit_of(phase, i)];
+    return retrax_is_never_elastic(phase, i) ? fmin(value, -DBL_EPSILON * constraint_scale) : value;
 }
 
 /* Writes the slack, multiplier and excess of an inequality on the central path: g + s = t, nu s = zeta t = mu. */
@@ -103,8 +103,8 @@ static void write_central(const retrax_phase *phase, double *trajectory, retrax_
 
 /* The usual first penalty of an inequality; infinite where no iterate leaves it. */
 static double first_penalty(const retrax_search *search, const retrax_phase *phase, retrax_index i) {
-    const double unit = phase->limits.rate / phase->limit_sizes[limit_of(phase, i)];
-    return retrax_is_kept(phase, i) ? INFINITY : RETRAX_FIRST_PENALTY * unit * search->firm;
+    const double unit = phase->limits.rate / phase->constraint_scales[limit_of(phase, i)];
+    return retrax_is_never_elastic(phase, i) ? INFINITY : RETRAX_FIRST_PENALTY * unit * search->penalty_scale;
 }
 
 void retrax_rest_slacks(const retrax_layout *layout, double *trajectory) {
@@ -126,35 +126,35 @@ void retrax_find_limits(retrax_phase *phase, const double *trajectory) {
 void retrax_start_slacks(const retrax_search *search, retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     retrax_find_limits(phase, trajectory);
-    *ARRAY(BARRIER) = FIRST_BARRIER * phase->limits.rate * sqrt(search->firm);
+    *ARRAY(BARRIER) = FIRST_BARRIER * phase->limits.rate * sqrt(search->penalty_scale);
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double limit = phase->limit_sizes[limit_of(phase, i)];
-        const bool holds = retrax_limit_inside(phase, trajectory, i) < -INSIDE * limit;
+        const double constraint_scale = phase->constraint_scales[limit_of(phase, i)];
+        const bool holds = retrax_limit_inside(phase, trajectory, i) < -INSIDE * constraint_scale;
         write_central(phase, trajectory, i, holds ? INFINITY : first_penalty(search, phase, i));
     }
 }
 
 /* Whether a phase has inequalities that are not elastic and can be. */
-static bool is_hard(const retrax_phase *phase, const double *trajectory) {
+static bool is_not_yet_elastic(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isinf(ARRAY(PENALTIES)[i]) && !retrax_is_kept(phase, i)) {
+        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && isinf(ARRAY(PENALTIES)[i]) && !retrax_is_never_elastic(phase, i)) {
             return true;
         }
     }
     return false;
 }
 
-bool retrax_is_hard(const retrax_search *search) {
+bool retrax_is_not_yet_elastic(const retrax_search *search) {
     bool found = false;
-    EACH_PHASE(phase) { found = found || is_hard(phase, search->at + phase->place); }
+    EACH_PHASE(phase) { found = found || is_not_yet_elastic(phase, search->at + phase->place); }
     return found;
 }
 
 /* Makes all inequalities of a trajectory elastic that can be, on the central path of at least the first barrier. */
-static void soften(const retrax_search *search, const retrax_phase *phase, double *trajectory) {
+static void enter_elastic_mode(const retrax_search *search, const retrax_phase *phase, double *trajectory) {
     const retrax_layout *const layout = phase->layout;
-    const double first = FIRST_BARRIER * phase->limits.rate * sqrt(search->firm);
+    const double first = FIRST_BARRIER * phase->limits.rate * sqrt(search->penalty_scale);
     *ARRAY(BARRIER) = fmax(*ARRAY(BARRIER), first);
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
         write_central(phase, trajectory, i, fmin(ARRAY(PENALTIES)[i], first_penalty(search, phase, i)));
@@ -174,40 +174,43 @@ static void raise_penalties(const retrax_layout *layout, double *trajectory) {
     static const retrax_array scaled[] = {RETRAX_ARRAY_POINT_COSTATES, RETRAX_ARRAY_COSTATES,
                                           RETRAX_ARRAY_LIMIT_MULTIPLIERS, RETRAX_ARRAY_PENALTIES};
     for (size_t i = 0; i < sizeof(scaled) / sizeof(scaled[0]); i++) {
-        multiply(trajectory + layout->first[scaled[i]], DEARER, layout->count[scaled[i]]);
+        multiply(trajectory + layout->first[scaled[i]], PENALTY_FACTOR, layout->count[scaled[i]]);
     }
 }
 
 /* What all multipliers, and the unit of the barrier, have grown by with the penalties of any phase. */
-static double dearness(const retrax_search *search) {
+static double largest_penalty_growth(const retrax_search *search) {
     double found = 1.0;
     EACH_PHASE(phase) {
         const double *const trajectory = search->at + phase->place;
         const retrax_layout *const layout = phase->layout;
-        found = retrax_is_limited(layout->problem) ? fmax(found, ARRAY(LIMIT_SURVEY)[RETRAX_LIMIT_DEAR]) : found;
+        found = retrax_has_inequalities(layout->problem) ? fmax(found, ARRAY(LIMIT_SURVEY)[RETRAX_LIMIT_PENALTY_GROWTH]) : found;
     }
     return found;
 }
 
-/* The barrier of a phase, lower while its problem is solved; cheap: whether penalties are too small to lower it. */
-static double lowered(const retrax_search *search, const retrax_phase *phase, double dear, bool *cheap) {
+/* The barrier of a phase, lower while its problem is solved; penalty_too_small: whether penalties are too small to lower
+ * it. */
+static double lowered_barrier(const retrax_search *search, const retrax_phase *phase, double penalty_growth,
+                              bool *penalty_too_small) {
     const retrax_layout *const layout = phase->layout;
     const double *const trajectory = search->at + phase->place, *const survey = ARRAY(LIMIT_SURVEY);
-    const double rate = phase->limits.rate * dear;
+    const double rate = phase->limits.rate * penalty_growth;
     const double last = RETRAX_LAST_BARRIER * search->options.tolerance * phase->limits.rate / rate;
     double barrier = *ARRAY(BARRIER);
-    *cheap = false;
+    *penalty_too_small = false;
     for (;;) {
-        const double off = retrax_larger(retrax_larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]), 0.0);
-        const double own = barrier / rate, enough = fmax(SOLVED * own, search->options.tolerance);
-        if (!(RESIDUAL(search->at, STEADY) <= enough && off <= SOLVED * barrier)) {
+        const double least = survey[RETRAX_LIMIT_LEAST], most = survey[RETRAX_LIMIT_PRODUCT];
+        const double centring = retrax_larger(retrax_larger(most - barrier, barrier - least), 0.0);
+        const double relative = barrier / rate, enough = fmax(SOLVED * relative, search->options.tolerance);
+        if (!(RESIDUAL(search->at, ERROR_WITHOUT_COMPLEMENTARITY) <= enough && centring <= SOLVED * barrier)) {
             return barrier;
         }
-        *cheap = survey[RETRAX_LIMIT_CHEAP] > 0.0 && own <= TELLS;
-        if (*cheap || !(own > (1.0 + REACHED) * last)) {
+        *penalty_too_small = survey[RETRAX_LIMIT_PENALTY_TOO_SMALL] > 0.0 && relative <= TELLS;
+        if (*penalty_too_small || !(relative > (1.0 + REACHED) * last)) {
             return barrier;
         }
-        const double less = fmax(last, fmin(LESS * own, pow(own, FASTER))) * rate;
+        const double less = fmax(last, fmin(LESS * relative, pow(relative, FASTER))) * rate;
         if (!(less < barrier)) {
             return barrier; /* rounding of a rate that is next to zero */
         }
@@ -218,48 +221,50 @@ static double lowered(const retrax_search *search, const retrax_phase *phase, do
 /* Whether steps jam at inequalities that are not elastic. */
 static bool is_stuck(const retrax_search *search) {
     const retrax_direction *const step = &search->direction;
-    const bool jams = step->shift >= STIFF || search->fraction * step->reach <= JAMMED || !step->finite;
-    return jams && RESIDUAL(search->at, LARGEST) > sqrt(search->options.tolerance) && retrax_is_hard(search);
+    const bool jams = step->regularisation >= STIFF || search->backtrack * step->alpha_max <= JAMMED || !step->finite;
+    return jams && RESIDUAL(search->at, BARRIER_ERROR) > sqrt(search->options.tolerance) && retrax_is_not_yet_elastic(search);
 }
 
-/* Lowers the barriers of all phases; cheap: whether penalties of any are too small. Returns whether one is lower. */
-static bool lower_barriers(retrax_search *search, bool *cheap) {
-    const double dear = dearness(search);
+/* Lowers the barriers of all phases; penalty_too_small: whether penalties of any are too small. Returns whether one is
+ * lower. */
+static bool lower_barriers(retrax_search *search, bool *penalty_too_small) {
+    const double penalty_growth = largest_penalty_growth(search);
     bool lower = false;
-    *cheap = false;
+    *penalty_too_small = false;
     EACH_PHASE(phase) {
-        if (retrax_is_limited(phase->layout->problem)) {
-            bool own;
-            const double barrier = lowered(search, phase, dear, &own);
+        if (retrax_has_inequalities(phase->layout->problem)) {
+            bool too_small;
+            const double barrier = lowered_barrier(search, phase, penalty_growth, &too_small);
             double *const before = search->at + phase->place + phase->layout->first[RETRAX_ARRAY_BARRIER];
             lower = lower || barrier != *before;
             *before = barrier;
-            *cheap = *cheap || own;
+            *penalty_too_small = *penalty_too_small || too_small;
         }
     }
     return lower;
 }
 
 bool retrax_update_barrier(retrax_search *search) {
-    if (!search->limited) {
+    if (!search->has_inequalities) {
         return false;
     }
     const bool stuck = is_stuck(search);
-    bool cheap;
-    const bool lower = lower_barriers(search, &cheap);
+    bool penalty_too_small;
+    const bool lower = lower_barriers(search, &penalty_too_small);
     if (stuck) { /* once more from the guess: multipliers that grew against a bound would hold it there */
         retrax_return_to_guess(search);
         retrax_assess(search, search->at);
         EACH_PHASE(phase) {
-            if (retrax_is_limited(phase->layout->problem)) {
-                soften(search, phase, search->at + phase->place);
+            if (retrax_has_inequalities(phase->layout->problem)) {
+                enter_elastic_mode(search, phase, search->at + phase->place);
             }
         }
-        search->direction.shift = 0.0;
-    } else if (cheap) {
+        search->direction.regularisation = 0.0;
+    } else if (penalty_too_small) {
         EACH_PHASE(phase) { raise_penalties(phase->layout, search->at + phase->place); }
         if (retrax_is_coupled(search)) {
-            multiply(retrax_search_multipliers(search, false), DEARER, search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
+            multiply(retrax_search_multipliers(search, false), PENALTY_FACTOR,
+                     search->coupling.count[RETRAX_COUPLED_MULTIPLIERS]);
         }
     } else {
         if (lower) {
@@ -276,9 +281,9 @@ bool retrax_update_barrier(retrax_search *search) {
 static bool reset_slacks(const retrax_layout *layout, double *trajectory) {
     bool found = false;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double own = ARRAY(EXCESSES)[i] - ARRAY(LIMITS)[i], made = ARRAY(SLACKS)[i];
-        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && own >= LEFT * made && fabs(own - made) > RETRAX_ROOT_EPS * made) {
-            ARRAY(SLACKS)[i] = own;
+        const double reset = ARRAY(EXCESSES)[i] - ARRAY(LIMITS)[i], slack = ARRAY(SLACKS)[i];
+        if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0 && reset >= LEFT * slack && fabs(reset - slack) > RETRAX_ROOT_EPS * slack) {
+            ARRAY(SLACKS)[i] = reset;
             found = true;
         }
     }
@@ -294,7 +299,7 @@ bool retrax_reset_slacks(const retrax_search *search, double *iterate) {
 /* Whether inequalities of a phase contradict each other, or the ends. */
 static bool is_infeasible(const retrax_search *search, const retrax_phase *phase) {
     const retrax_layout *const layout = phase->layout;
-    if (!retrax_is_limited(layout->problem)) {
+    if (!retrax_has_inequalities(layout->problem)) {
         return false;
     }
     const double *const trajectory = search->at + phase->place, *const survey = ARRAY(LIMIT_SURVEY);
@@ -309,5 +314,5 @@ static bool is_infeasible(const retrax_search *search, const retrax_phase *phase
 bool retrax_is_infeasible(const retrax_search *search) {
     bool found = false;
     EACH_PHASE(phase) { found = found || is_infeasible(search, phase); }
-    return found && RESIDUAL(search->at, STEADY) <= search->options.tolerance;
+    return found && RESIDUAL(search->at, ERROR_WITHOUT_COMPLEMENTARITY) <= search->options.tolerance;
 }

@@ -22,7 +22,7 @@ typedef struct {
     retrax_index most;        /* pivots of a stage: z + 2 n */
     retrax_front front;
     double *column_sizes;  /* [2][width] largest entries of columns among the unknowns, and among the equations */
-    double *inverse_nodes; /* [n] inverse natural sizes of defects */
+    double *inverse_nodes; /* [n] inverse scaling factors of defects */
     double *carried;       /* [2 n][2 n + columns] what a stage leaves on c_{k+1}, then on the rows that it leaves */
     double *row_scales;    /* [N][width] second scaling of each front */
     double *divided;       /* [N (z + 2 n) + n][width] factors of all stages */
@@ -79,7 +79,7 @@ static double *carried_row(const elimination *own, retrax_index i) {
     return own->carried + i * (2 * own->n + own->system->columns);
 }
 
-/* The factor of equation a of node k: the inverse of its natural size, or 0 where it is replaced by c = 0. */
+/* The factor of equation a of node k: the inverse of its scaling factor, or 0 where it is replaced by c = 0. */
 static double equation_scale(const elimination *own, retrax_index k, retrax_index a) {
     double scale = own->inverse_nodes[a];
     if (k == 0) {

@@ -19,7 +19,7 @@
 
 /* What the multipliers of equations are held by, rows being scaled to one size: where equations depend on each other and
  * agree, those that rounding leaves free stay small. */
-#define HELD 1e-15
+#define MULTIPLIER_REGULARISATION 1e-15
 /* Rounds of scaling rows and columns to one size. */
 #define ROUNDS 3
 
@@ -165,7 +165,7 @@ static retrax_inertia solve_border(const retrax_search *search, retrax_border *b
     scale_border(border, total);
     symmetrise(border, total);
     for (retrax_index i = total - search->coupling.count[RETRAX_COUPLED_VALUES]; i < total; i++) {
-        row_of(border, i)[i] -= HELD;
+        row_of(border, i)[i] -= MULTIPLIER_REGULARISATION;
     }
     bool finite = true;
     for (retrax_index i = 0; i < total; i++) {
@@ -185,7 +185,7 @@ static retrax_inertia solve_border(const retrax_search *search, retrax_border *b
 
 /* ------------------------------------------------------------------------------------------------------------ step */
 
-/* Sum of d' H d and of the squares of d in natural sizes over the stages, and the largest steps. */
+/* Sum of d' H d and of the squares of d in units of the scaling over the stages, and the largest steps. */
 static void summarise(const retrax_layout *layout, const double *trajectory, retrax_phase *phase, double *curvature,
                       double *size) {
     const retrax_index N = layout->problem->steps, z = layout->count[RETRAX_ARRAY_PARTS];
@@ -268,39 +268,39 @@ static border_sizes eliminate_border(retrax_search *search, retrax_inertia *iner
     return sizes;
 }
 
-void retrax_eliminate_coupled(retrax_search *search, double shift) {
+void retrax_eliminate_coupled(retrax_search *search, double regularisation) {
     retrax_border *const border = &search->coupling.border;
-    retrax_direction *const found = &search->direction;
+    retrax_direction *const step = &search->direction;
     retrax_index count = 0;
     retrax_inertia inertia = {0, INFINITY};
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
-        retrax_add_inertia(&inertia, retrax_respond(search, phase, shift));
+        retrax_add_inertia(&inertia, retrax_respond(search, phase, regularisation));
         count += layout->count[RETRAX_ARRAY_DEFECTS];
     }
     const border_sizes sizes = eliminate_border(search, &inertia);
     double curvature = write_moves(search, &sizes), size = 0.0;
-    found->finite = true;
+    step->finite = true;
     EACH_PHASE(phase) {
         double *const trajectory = search->at + phase->place;
-        found->finite = write_step(border, phase, trajectory) && found->finite;
+        step->finite = write_step(border, phase, trajectory) && step->finite;
         summarise(phase->layout, trajectory, phase, &curvature, &size);
     }
-    found->finite = found->finite && retrax_is_finite(border->solution + sizes.ends + sizes.forces, sizes.equations);
-    found->shift = shift;
-    found->curvature = curvature / search->phases->steps.cost + shift * size;
-    found->size = size;
-    found->convex = inertia.negative == count + sizes.forces + sizes.equations;
-    found->strict = found->convex && retrax_is_clear(inertia.smallest, count);
+    step->finite = step->finite && retrax_is_finite(border->solution + sizes.ends + sizes.forces, sizes.equations);
+    step->regularisation = regularisation;
+    step->curvature = curvature / search->phases->steps.cost + regularisation * size;
+    step->size = size;
+    step->inertia_correct = inertia.negative == count + sizes.forces + sizes.equations;
+    step->strict = step->inertia_correct && retrax_is_clear(inertia.smallest, count);
 }
 
-void retrax_add_coupled_promise(retrax_search *search) {
+void retrax_add_coupled_change(retrax_search *search) {
     const double *const at = search->at, *const moves = at + search->coupling.first[RETRAX_COUPLED_MOVES];
     const double *const multipliers = at + search->coupling.first[RETRAX_COUPLED_COORDINATES];
     const double *const steps = at + search->coupling.first[RETRAX_COUPLED_COORDINATE_STEPS];
     const double *const values = at + search->coupling.first[RETRAX_COUPLED_VALUES];
     const retrax_index Z = search->coupling.count[RETRAX_COUPLED_MOVES];
-    const double unit = search->direction.reach / search->phases->steps.cost;
+    const double unit = search->direction.alpha_max / search->phases->steps.cost;
     double pulled = 0.0, changed = 0.0;
     for (retrax_index r = 0; r < search->coupling.count[RETRAX_COUPLED_VALUES]; r++) {
         const double *const row = at + search->coupling.first[RETRAX_COUPLED_JACOBIAN] + r * Z;
@@ -309,6 +309,6 @@ void retrax_add_coupled_promise(retrax_search *search) {
         }
         changed += steps[r] * values[r];
     }
-    search->direction.promised -= unit * pulled; /* the costs of the ends have the multipliers times the equations */
-    search->direction.turned += unit * changed;
+    search->direction.predicted_change -= unit * pulled; /* the costs of the ends have the multipliers times the equations */
+    search->direction.constraint_change += unit * changed;
 }

@@ -24,7 +24,7 @@
 
 /* Whether ends of steps are not as far apart as the arrays of the states are large, whatever gaps are measured by.
  *
- * Where natural sizes have lost their meaning, as where controls reach next to nothing or next to everything, a gap in
+ * Where scaling factors have lost their meaning, as where controls reach next to nothing or next to everything, a gap in
  * these sizes says nothing. */
 static bool do_ends_meet(const retrax_search *search) {
     const retrax_layout *const layout = search->phases->layout;
@@ -51,12 +51,12 @@ static bool do_ends_meet(const retrax_search *search) {
 }
 
 bool retrax_is_extremal(const retrax_search *search) {
-    const bool claimed = search->claimed && RESIDUAL(search->at, FINAL) <= search->options.tolerance;
+    const bool claimed = search->claimed && RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance;
     return claimed && (retrax_is_coupled(search) || do_ends_meet(search));
 }
 
 /* Whether the Hessians by the controls of all points are positive definite, with the share of the inequalities. */
-static bool is_convex(const retrax_phase *phase, const double *trajectory) {
+static bool legendre_holds(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_problem *const problem = layout->problem;
     const double *const hessians = retrax_collocates(problem) ? ARRAY(POINT_HESSIANS) : ARRAY(HESSIANS);
@@ -69,13 +69,13 @@ static bool is_convex(const retrax_phase *phase, const double *trajectory) {
     return true;
 }
 
-/* Limits the stiffness of the inequalities of a trajectory, which was evaluated: by longer slacks, and none of one that is
- * next to not stiff. */
-static void soften(const retrax_phase *phase, double *trajectory, double stiffest) {
+/* Limits the stiffness of the inequalities of a trajectory, which was evaluated: by longer slacks, and none of one that
+ * is next to not stiff. */
+static void limit_stiffness(const retrax_phase *phase, double *trajectory, double stiffest) {
     const retrax_layout *const layout = phase->layout;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double limit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
-        const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->judging.cost / (limit * limit);
+        const double constraint_scale = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
+        const double weight = ARRAY(LIMIT_WEIGHTS)[i], unit = phase->judging.cost / (constraint_scale * constraint_scale);
         if (weight * retrax_stiffness(layout, trajectory, i) > unit / IDLE) {
             ARRAY(SLACKS)[i] = fmax(ARRAY(SLACKS)[i], weight * ARRAY(LIMIT_MULTIPLIERS)[i] / (stiffest * unit));
         } else {
@@ -91,7 +91,7 @@ static bool is_strict_with(retrax_search *search, double stiffest) {
     retrax_copy_iterate(search, search->at, search->trial);
     retrax_swap(search);
     retrax_evaluate_functions(search, search->at);
-    EACH_PHASE(phase) { soften(phase, search->at + phase->place, stiffest); }
+    EACH_PHASE(phase) { limit_stiffness(phase, search->at + phase->place, stiffest); }
     retrax_assemble(search, search->at);
     retrax_eliminate(search, 0.0);
     const bool strict = search->direction.strict;
@@ -111,11 +111,11 @@ static bool is_strict(retrax_search *search) {
     return false;
 }
 
-/* Whether the linear system of the iterate has the inertia of a minimum without a shift. */
-static bool has_right_inertia(retrax_search *search) {
+/* Whether the linear system of the iterate has the inertia of a minimum without a regularisation. */
+static bool is_inertia_correct(retrax_search *search) {
     const retrax_direction step = search->direction;
     retrax_newton_step(search, 0.0);
-    const bool found = search->direction.convex;
+    const bool found = search->direction.inertia_correct;
     search->direction = step;
     return found;
 }
@@ -123,9 +123,9 @@ static bool has_right_inertia(retrax_search *search) {
 void retrax_conclude(retrax_search *search) {
     const retrax_direction *const step = &search->direction;
     const bool extremal = retrax_is_extremal(search);
-    search->convex = extremal;
-    EACH_PHASE(phase) { search->convex = search->convex && is_convex(phase, search->at + phase->place); }
-    search->right_inertia = !extremal && search->trials > search->options.max_iterations && has_right_inertia(search);
+    search->legendre_holds = extremal;
+    EACH_PHASE(phase) { search->legendre_holds = search->legendre_holds && legendre_holds(phase, search->at + phase->place); }
+    search->inertia_correct = !extremal && search->trials > search->options.max_iterations && is_inertia_correct(search);
     search->strict = extremal && search->isolated &&
-                     (search->limited ? is_strict(search) : step->strict && step->shift == 0.0);
+                     (search->has_inequalities ? is_strict(search) : step->strict && step->regularisation == 0.0);
 }

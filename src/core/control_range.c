@@ -1,5 +1,6 @@
 /*
- * Control ranges: how far controls can go between their inequalities, which is their natural size where the cost is flat.
+ * Control ranges: how far controls can go between their inequalities, which is their scaling factor where the cost is
+ * flat.
  */
 #include "search.h"
 

@@ -30,14 +30,15 @@ static void survey_nodes(const retrax_layout *layout, double *trajectory) {
         }
         for (retrax_index a = 0; a < n; a++) {
             const double defect = ARRAY(DEFECTS)[k * n + a];
-            ARRAY(MISSING)[a] += fabs(defect);
-            ARRAY(LACKING)[a] = retrax_larger(ARRAY(LACKING)[a], fabs(defect));
+            ARRAY(SUMMED_DEFECTS)[a] += fabs(defect);
+            ARRAY(MAX_DEFECTS)[a] = retrax_larger(ARRAY(MAX_DEFECTS)[a], fabs(defect));
             ARRAY(TOTALS)[1] += ARRAY(MULTIPLIERS)[k * n + a] * defect;
         }
     }
 }
 
-/* Surveys the slopes of the Lagrangian by the unknowns of the steps, the parts that cancel in them, and the curvatures. */
+/* Surveys the slopes of the Lagrangian by the unknowns of the steps, the parts that cancel in them, and the
+ * curvatures. */
 static void survey_steps(const retrax_layout *layout, double *trajectory) {
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
@@ -109,7 +110,7 @@ static void survey_points(const retrax_layout *layout, double *trajectory) {
 }
 
 void retrax_survey_trajectory(const retrax_layout *layout, double *trajectory) {
-    static const retrax_array sums[] = {RETRAX_ARRAY_SUPPORT,        RETRAX_ARRAY_MISSING,    RETRAX_ARRAY_LACKING,
+    static const retrax_array sums[] = {RETRAX_ARRAY_SUPPORT,        RETRAX_ARRAY_SUMMED_DEFECTS,    RETRAX_ARRAY_MAX_DEFECTS,
                                         RETRAX_ARRAY_PARTS,          RETRAX_ARRAY_LARGEST_SLOPES,
                                         RETRAX_ARRAY_CURVATURES,     RETRAX_ARRAY_POINT_SURVEY, RETRAX_ARRAY_TOTALS};
     for (size_t i = 0; i < sizeof(sums) / sizeof(sums[0]); i++) {
@@ -254,8 +255,8 @@ static double own_curvature(const retrax_layout *layout, const double *trajector
     return found;
 }
 
-/* What the Lagrangian of a step is made of: its cost, the parts of its derivative by unknowns that move by what they span,
- * and, where these vanish, its curvature. */
+/* What the Lagrangian of a step is made of: its cost, the parts of its derivative by unknowns that move by what they
+ * span, and, where these vanish, its curvature. */
 static double content_of(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     double found = 0.0;
@@ -271,10 +272,10 @@ static double content_of(const retrax_phase *phase, const double *trajectory) {
     return found;
 }
 
-/* Whether a trajectory is judged by what it spans: else no natural size is what controls reach, or the cost sets the scale,
- * as the curvature has no bound. */
+/* Whether a trajectory is judged by what it spans: else no scaling factor is what controls reach, or the cost sets the
+ * scale, as the curvature has no bound. */
 static bool is_judged_by_spans(const retrax_problem *problem) {
-    return problem->control_size > 0 && !retrax_is_limited(problem);
+    return problem->control_size > 0 && !retrax_has_inequalities(problem);
 }
 
 void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
@@ -287,7 +288,7 @@ void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
     EACH_PHASE(phase) { content = retrax_larger(content, content_of(phase, iterate + phase->place)); }
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
-        double *const trajectory = iterate + phase->place, *const found = ARRAY(RESIDUALS);
+        double *const trajectory = iterate + phase->place, *const residuals = ARRAY(RESIDUALS);
         const bool judged = is_judged_by_spans(layout->problem);
         for (retrax_index i = 0; judged && i < layout->count[RETRAX_ARRAY_PARTS]; i++) {
             double span = retrax_span_of(layout, trajectory, i);
@@ -297,33 +298,33 @@ void retrax_measure_by_spans(const retrax_search *search, double *iterate) {
             }
             const double parts = retrax_larger(span * ARRAY(PARTS)[i], RETRAX_SHARE * content);
             const double share = span * ARRAY(LARGEST_SLOPES)[i] / retrax_or_one(parts);
-            found[RETRAX_STATIONARITY] = retrax_larger(found[RETRAX_STATIONARITY], share);
+            residuals[RETRAX_STATIONARITY] = retrax_larger(residuals[RETRAX_STATIONARITY], share);
         }
-        found[RETRAX_FINAL] = retrax_larger(found[RETRAX_FINAL], found[RETRAX_STATIONARITY]);
+        residuals[RETRAX_KKT_ERROR] = retrax_larger(residuals[RETRAX_KKT_ERROR], residuals[RETRAX_STATIONARITY]);
     }
 }
 
 /* Adds the residuals of the inequalities. */
 static void measure_inequalities(const retrax_layout *layout, double *trajectory, const retrax_limit_scale *limits,
-                                 double *found) {
+                                 double *residuals) {
     const double *const survey = ARRAY(LIMIT_SURVEY), barrier = *ARRAY(BARRIER);
     const double off = retrax_larger(survey[RETRAX_LIMIT_PRODUCT] - barrier, barrier - survey[RETRAX_LIMIT_LEAST]);
     const double steps = (double)layout->problem->steps;
-    found[RETRAX_VIOLATION] = survey[RETRAX_LIMIT_VIOLATION];
-    found[RETRAX_EXCESS] = survey[RETRAX_LIMIT_EXCESS];
-    found[RETRAX_COMPLEMENTARITY] = survey[RETRAX_LIMIT_PRODUCT] / limits->rate;
-    found[RETRAX_CENTRING] = retrax_larger(0.0, off) / limits->rate;
-    found[RETRAX_INFEASIBILITY] += survey[RETRAX_LIMIT_MISSING] * steps / retrax_duration(layout, trajectory);
-    found[RETRAX_MERIT] += survey[RETRAX_LIMIT_POTENTIAL];
-    found[RETRAX_HELD] += survey[RETRAX_LIMIT_HELD];
+    residuals[RETRAX_VIOLATION] = survey[RETRAX_LIMIT_VIOLATION];
+    residuals[RETRAX_EXCESS] = survey[RETRAX_LIMIT_EXCESS];
+    residuals[RETRAX_COMPLEMENTARITY] = survey[RETRAX_LIMIT_PRODUCT] / limits->rate;
+    residuals[RETRAX_CENTRING] = retrax_larger(0.0, off) / limits->rate;
+    residuals[RETRAX_INFEASIBILITY] += survey[RETRAX_LIMIT_SUMMED_DEFECT] * steps / retrax_duration(layout, trajectory);
+    residuals[RETRAX_BARRIER_OBJECTIVE] += survey[RETRAX_LIMIT_POTENTIAL];
+    residuals[RETRAX_CONSTRAINT_TERM] += survey[RETRAX_LIMIT_CONSTRAINT_TERM];
 }
 
 void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, const retrax_residual_scale *scale,
                               const retrax_limit_scale *limits) {
     const retrax_index n = layout->problem->state_size, E = layout->problem->state_numbers;
     const double *const points = ARRAY(POINT_SURVEY);
-    double *const found = ARRAY(RESIDUALS), parts;
-    fill(found, 0.0, RETRAX_RESIDUALS);
+    double *const residuals = ARRAY(RESIDUALS), parts;
+    fill(residuals, 0.0, RETRAX_RESIDUALS);
     write_measures(layout, trajectory, scale->judging_nodes);
     double defect = 0.0, stationarity = stationarity_of(layout, trajectory, scale, &parts);
     for (retrax_index e = 0; e < E; e++) {
@@ -331,24 +332,25 @@ void retrax_measure_residuals(const retrax_layout *layout, double *trajectory, c
     }
     for (retrax_index a = 0; a < n; a++) {
         const double unit = scale->judging_nodes[a];
-        const double most = retrax_larger(ARRAY(LACKING)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
+        const double most = retrax_larger(ARRAY(MAX_DEFECTS)[a], points[RETRAX_POINTS_OF_POINT * n + a]);
         const double size = retrax_or_one(retrax_larger(unit * points[RETRAX_POINTS_PARTS * n + a], RETRAX_SHARE * parts));
         defect = retrax_larger(defect, points[RETRAX_POINTS_OF_STEP * n + a] / retrax_or_one(ARRAY(ALONG)[a]));
         stationarity = retrax_larger(stationarity, unit * points[RETRAX_POINTS_SLOPE * n + a] / size);
-        found[RETRAX_INFEASIBILITY] += (ARRAY(MISSING)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / scale->nodes[a];
-        found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], most / scale->nodes[a]);
+        residuals[RETRAX_INFEASIBILITY] += (ARRAY(SUMMED_DEFECTS)[a] + points[RETRAX_POINTS_TOTAL * n + a]) / scale->nodes[a];
+        residuals[RETRAX_MAX_SCALED_DEFECT] = retrax_larger(residuals[RETRAX_MAX_SCALED_DEFECT], most / scale->nodes[a]);
     }
-    found[RETRAX_DEFECT] = defect;
-    found[RETRAX_STATIONARITY] = stationarity;
-    found[RETRAX_MERIT] = ARRAY(TOTALS)[0];
-    found[RETRAX_HELD] = ARRAY(TOTALS)[1];
+    residuals[RETRAX_DEFECT] = defect;
+    residuals[RETRAX_STATIONARITY] = stationarity;
+    residuals[RETRAX_BARRIER_OBJECTIVE] = ARRAY(TOTALS)[0];
+    residuals[RETRAX_CONSTRAINT_TERM] = ARRAY(TOTALS)[1];
     if (limits != NULL) {
-        measure_inequalities(layout, trajectory, limits, found);
+        measure_inequalities(layout, trajectory, limits, residuals);
     }
-    found[RETRAX_STEADY] = retrax_larger(retrax_larger(defect, stationarity), found[RETRAX_VIOLATION]);
-    found[RETRAX_FINAL] =
-        retrax_larger(found[RETRAX_STEADY], retrax_larger(found[RETRAX_EXCESS], found[RETRAX_COMPLEMENTARITY]));
-    found[RETRAX_LARGEST] = retrax_larger(found[RETRAX_STEADY], found[RETRAX_CENTRING]);
-    found[RETRAX_MERIT] /= scale->cost;
-    found[RETRAX_HELD] /= scale->cost;
+    const double error = retrax_larger(retrax_larger(defect, stationarity), residuals[RETRAX_VIOLATION]);
+    residuals[RETRAX_ERROR_WITHOUT_COMPLEMENTARITY] = error;
+    residuals[RETRAX_KKT_ERROR] =
+        retrax_larger(error, retrax_larger(residuals[RETRAX_EXCESS], residuals[RETRAX_COMPLEMENTARITY]));
+    residuals[RETRAX_BARRIER_ERROR] = retrax_larger(error, residuals[RETRAX_CENTRING]);
+    residuals[RETRAX_BARRIER_OBJECTIVE] /= scale->cost;
+    residuals[RETRAX_CONSTRAINT_TERM] /= scale->cost;
 }

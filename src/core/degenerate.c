@@ -1,9 +1,9 @@
 /*
  * Degenerate guesses: those from which Newton's method cannot set out.
  *
- * At rest a system without drift is controllable in no direction but those of its controls: the constraints of the guess are
- * dependent, and Newton's step has no bound, or leaves what they ask for. Nor is it known which way round ends come together
- * that are opposite to each other. Of coupled ends it is not asked.
+ * At rest a system without drift is controllable in no direction but those of its controls: the constraints of the guess
+ * are dependent, and Newton's step has no bound, or leaves what they ask for. Nor is it known which way round ends come
+ * together that are opposite to each other. Of coupled ends it is not asked.
  */
 #include "search.h"
 
@@ -15,13 +15,13 @@
 #define OPPOSITE 0.05
 /* Share of what the linearised constraints ask for: a step that leaves more solves another problem. */
 #define UNMET 1e-3
-/* Share of the natural sizes of the nodes: of a guess that lacks less, what a step leaves is rounding. */
+/* Share of the scaling factors of the nodes: of a guess that lacks less, what a step leaves is rounding. */
 #define MET 1e-8
 
 /* Whether two entries belong to one piece of a state: an array, but for entries that have a coordinate of their own. */
 static bool are_together(const retrax_search *search, retrax_index e, retrax_index f) {
     const retrax_index *const arrays = search->phases->layout->problem->arrays;
-    const bool *const alone = search->phases->steady;
+    const bool *const alone = search->phases->constant_norm;
     return e == f || (!alone[e] && !alone[f] && arrays[e] == arrays[f]);
 }
 
@@ -30,7 +30,7 @@ void retrax_find_pieces(retrax_search *search) {
     const double *const trajectory = search->at;
     const retrax_index E = layout->problem->state_numbers;
     for (retrax_index e = 0; e < E; e++) {
-        search->phases->steady[e] = retrax_is_alone(ARRAY(SUPPORT), layout->problem->state_size, E, e);
+        search->phases->constant_norm[e] = retrax_is_alone(ARRAY(SUPPORT), layout->problem->state_size, E, e);
     }
 }
 
@@ -91,7 +91,7 @@ static bool is_unmet(const retrax_search *search) {
     return asked > MET && !(remaining <= UNMET * asked);
 }
 
-/* The length of a defect at a node in natural sizes. */
+/* The length of a defect at a node in units of the scaling. */
 static double length_of(const retrax_search *search, const double *defect) {
     double sum = 0.0;
     for (retrax_index a = 0; a < search->phases->layout->problem->state_size; a++) {
@@ -130,9 +130,9 @@ bool retrax_is_degenerate(retrax_search *search) {
     if (!is_far(search)) {
         return false;
     }
-    retrax_newton_step(search, RETRAX_LEAST_SHIFT);
+    retrax_newton_step(search, RETRAX_LEAST_NORM_REGULARISATION);
     const bool found = is_far(search);
-    retrax_newton_step(search, step.shift);
+    retrax_newton_step(search, step.regularisation);
     search->direction.descends = step.descends;
     return found;
 }

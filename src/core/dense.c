@@ -7,10 +7,10 @@
 
 /* A number of this size is zero, but for rounding, rows being scaled to one size. */
 #define NOTHING 1e-15
-/* A right-hand side of this size, in natural sizes, is zero but for rounding: 64 eps. */
+/* A right-hand side of this size, in units of the scaling, is zero but for rounding: 64 eps. */
 #define CONSISTENT 1.4210854715202004e-14
-/* Share of the entries of the border that a pivot has to exceed, or its row is left: of what it is subtracted from no more
- * than so many digits are lost. */
+/* Share of the entries of the border that a pivot has to exceed, or its row is left: of what it is subtracted from no
+ * more than so many digits are lost. */
 #define STABLE 1e-3
 /* A diagonal entry of this share of the largest entry in its row is a pivot of size one: so the growth by one pivot of
  * size two is bounded as by two of size one, (1 + sqrt(17)) / 8 [Bunch, Kaufman, Math. Comp. 31, 1977]. */
@@ -101,7 +101,8 @@ static double border_size(const search *own, retrax_index i) {
     return largest;
 }
 
-/* First row among those left with an entry of this size in the row that was updated last; `otherwise` if there is none. */
+/* First row among those left with an entry of this size in the row that was updated last; `otherwise` if there is
+ * none. */
 static retrax_index place_of(const search *own, double size, retrax_index otherwise) {
     for (retrax_index j = own->first; j < own->pivots; j++) {
         if (own->front->sizes[j] == size) {
@@ -147,9 +148,9 @@ static void keep_one(search *own, retrax_index i) {
     own->count += 1;
 }
 
-/* Keeps row i of an equation, of which no pivot is more than nothing, so that it depends on others: its multiplier is zero,
- * or NaN where the border or a right-hand side is more than that. Returns 0, or NaN where a number of the row is not
- * finite. */
+/* Keeps row i of an equation, of which no pivot is more than nothing, so that it depends on others: its multiplier is
+ * zero, or NaN where the border or a right-hand side is more than that. Returns 0, or NaN where a number of the row is
+ * not finite. */
 static double keep_nothing(search *own, retrax_index i) {
     const retrax_index width = own->front->width, rows = own->front->rows;
     const double *const row = row_of(own->front, i);

@@ -66,8 +66,8 @@ retrax_inertia retrax_front_factorise(const retrax_kernels *kernels, retrax_fron
 
 /* Solves for the unknowns that were eliminated from the first `pivots`, of one right-hand side, number `column`.
  *
- * x: [rows], in which the unknowns of the border and of the rows that are left are given and the others are written; work:
- * [pivots]. */
+ * x: [rows], in which the unknowns of the border and of the rows that are left are given and the others are written;
+ * work: [pivots]. */
 void retrax_front_substitute(const retrax_front *front, retrax_index pivots, const retrax_pivots *found,
                              retrax_index column, double *x, double *work);
 

@@ -6,7 +6,7 @@
 #include <math.h>
 
 /* Factor of mu / s within which multipliers stay. */
-#define KEPT 1e10
+#define KAPPA_SIGMA 1e10
 /* Share of its penalty at which a multiplier says that the penalty is too small. */
 #define NEAR_PENALTY 0.5
 /* The largest penalty, relative to the unit of the multipliers. */
@@ -54,7 +54,7 @@ static double barrier_slope(const inequalities *own, retrax_index i) {
 }
 
 /* What g + s - t lacks of zero. */
-static double missing(const inequalities *own, retrax_index i) {
+static double limit_defect(const inequalities *own, retrax_index i) {
     return own->values[i] + own->slacks[i] - own->excesses[i];
 }
 
@@ -109,8 +109,8 @@ static limit_row row_of(const inequalities *own, retrax_index limit) {
 }
 
 /* The size that an inequality is measured by. */
-static double size_of(const inequalities *own, limit_row row, double limit) {
-    double found = limit;
+static double size_of(const inequalities *own, limit_row row, double constraint_scale) {
+    double found = constraint_scale;
     for (retrax_index i = row.first; i < row.last; i += row.stride) {
         if (own->weights[i] > 0.0) {
             found = retrax_larger(found, RETRAX_VALUE_SHARE * fabs(own->values[i]));
@@ -120,49 +120,50 @@ static double size_of(const inequalities *own, limit_row row, double limit) {
 }
 
 /* Adds an elastic inequality to the survey. */
-static void survey_excess(const inequalities *own, retrax_index i, double limit, const retrax_limit_scale *scale,
-                          double *found) {
-    const double unit = scale->rate / limit, penalty = own->penalties[i];
-    found[RETRAX_LIMIT_DEAR] = retrax_larger(found[RETRAX_LIMIT_DEAR], penalty / (RETRAX_FIRST_PENALTY * unit));
+static void survey_excess(const inequalities *own, retrax_index i, double constraint_scale, const retrax_limit_scale *scale,
+                          double *survey) {
+    const double unit = scale->rate / constraint_scale, penalty = own->penalties[i];
+    survey[RETRAX_LIMIT_PENALTY_GROWTH] =
+        retrax_larger(survey[RETRAX_LIMIT_PENALTY_GROWTH], penalty / (RETRAX_FIRST_PENALTY * unit));
     if (own->multipliers[i] <= NEAR_PENALTY * penalty) {
         return;
     }
     if (penalty < LAST_PENALTY * unit) {
-        found[RETRAX_LIMIT_CHEAP] = 1.0;
+        survey[RETRAX_LIMIT_PENALTY_TOO_SMALL] = 1.0;
     } else {
-        found[RETRAX_LIMIT_LEFT] = retrax_larger(found[RETRAX_LIMIT_LEFT], own->excesses[i] / limit);
+        survey[RETRAX_LIMIT_LEFT] = retrax_larger(survey[RETRAX_LIMIT_LEFT], own->excesses[i] / constraint_scale);
     }
 }
 
 void retrax_survey_inequalities(const retrax_layout *layout, double *trajectory, const retrax_limit_scale *scale) {
     const inequalities own = inequalities_of(layout, trajectory);
-    double *const found = ARRAY(LIMIT_SURVEY);
+    double *const survey = ARRAY(LIMIT_SURVEY);
     for (retrax_index k = 0; k < layout->count[RETRAX_ARRAY_LIMIT_SURVEY]; k++) {
-        found[k] = k == RETRAX_LIMIT_LEAST ? INFINITY : 0.0;
+        survey[k] = k == RETRAX_LIMIT_LEAST ? INFINITY : 0.0;
     }
     for (retrax_index j = 0; j < own.each + own.at_ends; j++) {
         const limit_row row = row_of(&own, j);
-        const double limit = scale->limits[j], size = size_of(&own, row, limit);
+        const double constraint_scale = scale->limits[j], size = size_of(&own, row, constraint_scale);
         for (retrax_index i = row.first; i < row.last; i += row.stride) {
-            const double w = own.weights[i], lacking = missing(&own, i), product = own.slacks[i] * own.multipliers[i];
+            const double w = own.weights[i], defect = limit_defect(&own, i), product = own.slacks[i] * own.multipliers[i];
             if (!(w > 0.0)) {
                 continue;
             }
-            double cost = -own.barrier * log(own.slacks[i] / limit);
-            found[RETRAX_LIMIT_VIOLATION] = retrax_larger(found[RETRAX_LIMIT_VIOLATION], fabs(lacking) / size);
-            found[RETRAX_LIMIT_EXCESS] = retrax_larger(found[RETRAX_LIMIT_EXCESS], own.excesses[i] / size);
-            found[RETRAX_LIMIT_PRODUCT] = retrax_larger(found[RETRAX_LIMIT_PRODUCT], product);
-            found[RETRAX_LIMIT_LEAST] = -retrax_larger(-found[RETRAX_LIMIT_LEAST], -product);
+            double cost = -own.barrier * log(own.slacks[i] / constraint_scale);
+            survey[RETRAX_LIMIT_VIOLATION] = retrax_larger(survey[RETRAX_LIMIT_VIOLATION], fabs(defect) / size);
+            survey[RETRAX_LIMIT_EXCESS] = retrax_larger(survey[RETRAX_LIMIT_EXCESS], own.excesses[i] / size);
+            survey[RETRAX_LIMIT_PRODUCT] = retrax_larger(survey[RETRAX_LIMIT_PRODUCT], product);
+            survey[RETRAX_LIMIT_LEAST] = -retrax_larger(-survey[RETRAX_LIMIT_LEAST], -product);
             if (is_elastic(&own, i)) {
                 const double other = own.excesses[i] * rest(&own, i);
-                found[RETRAX_LIMIT_PRODUCT] = retrax_larger(found[RETRAX_LIMIT_PRODUCT], other);
-                found[RETRAX_LIMIT_LEAST] = -retrax_larger(-found[RETRAX_LIMIT_LEAST], -other);
-                cost += own.penalties[i] * own.excesses[i] - own.barrier * log(own.excesses[i] / limit);
-                survey_excess(&own, i, limit, scale, found);
+                survey[RETRAX_LIMIT_PRODUCT] = retrax_larger(survey[RETRAX_LIMIT_PRODUCT], other);
+                survey[RETRAX_LIMIT_LEAST] = -retrax_larger(-survey[RETRAX_LIMIT_LEAST], -other);
+                cost += own.penalties[i] * own.excesses[i] - own.barrier * log(own.excesses[i] / constraint_scale);
+                survey_excess(&own, i, constraint_scale, scale, survey);
             }
-            found[RETRAX_LIMIT_MISSING] += w * fabs(lacking) / limit;
-            found[RETRAX_LIMIT_POTENTIAL] += w * cost;
-            found[RETRAX_LIMIT_HELD] += w * own.multipliers[i] * lacking;
+            survey[RETRAX_LIMIT_SUMMED_DEFECT] += w * fabs(defect) / constraint_scale;
+            survey[RETRAX_LIMIT_POTENTIAL] += w * cost;
+            survey[RETRAX_LIMIT_CONSTRAINT_TERM] += w * own.multipliers[i] * defect;
         }
     }
 }
@@ -195,7 +196,7 @@ static void write_point_steps(const retrax_layout *layout, double *trajectory) {
 
 void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, double share) {
     const inequalities own = inequalities_of(layout, trajectory);
-    double primal = 1.0, dual = 1.0, ahead = 0.0, held = 0.0;
+    double primal = 1.0, dual = 1.0, ahead = 0.0, constraint_term = 0.0;
     const double *const steps[] = {retrax_collocates(layout->problem) ? ARRAY(POINT_STEPS) : ARRAY(STEPS),
                                    ARRAY(END_STEPS)};
     if (retrax_collocates(layout->problem)) {
@@ -224,17 +225,17 @@ void retrax_step_inequalities(const retrax_layout *layout, double *trajectory, d
             primal = shortened(primal, s, ds, share);
             dual = shortened(dual, nu, dnu, share);
             ahead += w * slope;
-            held += w * dnu * missing(&own, i);
+            constraint_term += w * dnu * limit_defect(&own, i);
         }
         ARRAY(SLACK_STEPS)[i] = ds;
         ARRAY(LIMIT_MULTIPLIER_STEPS)[i] = dnu;
         ARRAY(EXCESS_STEPS)[i] = dt;
     }
-    double *const found = ARRAY(LIMIT_STEP);
-    found[RETRAX_STEP_PRIMAL] = primal;
-    found[RETRAX_STEP_DUAL] = dual;
-    found[RETRAX_STEP_AHEAD] = ahead;
-    found[RETRAX_STEP_HELD] = held;
+    double *const lengths = ARRAY(LIMIT_STEP);
+    lengths[RETRAX_STEP_PRIMAL] = primal;
+    lengths[RETRAX_STEP_DUAL] = dual;
+    lengths[RETRAX_STEP_AHEAD] = ahead;
+    lengths[RETRAX_STEP_CONSTRAINT_TERM] = constraint_term;
 }
 
 void retrax_move_inequalities(const retrax_layout *layout, const double *from, double primal, double dual,
@@ -248,7 +249,7 @@ void retrax_move_inequalities(const retrax_layout *layout, const double *from, d
                     dual * from[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIER_STEPS] + i];
         if (!is_elastic(&own, i)) {
             const double centre = own.barrier / own.slacks[i];
-            nu = nu > 0.0 ? fmin(fmax(nu, centre / KEPT), KEPT * centre) : 0.0;
+            nu = nu > 0.0 ? fmin(fmax(nu, centre / KAPPA_SIGMA), KAPPA_SIGMA * centre) : 0.0;
         }
         own.multipliers[i] = nu;
     }

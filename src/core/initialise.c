@@ -1,5 +1,5 @@
 /*
- * Initialise: natural sizes, first slacks and first multipliers of a guess.
+ * Initialise: scaling factors, first slacks and first multipliers of a guess.
  */
 #include "search.h"
 
@@ -8,8 +8,8 @@
 
 /* Share of the largest curvature in the controls, by their ways to the bounds, of which less is rounding. */
 #define FLAT 1e-8
-/* Shift of the first multipliers: a move by the size of a coordinate costs as much as the size of the cost. */
-#define FIRST_SHIFT 1.0
+/* Regularisation of the first multipliers: a move by the size of a coordinate costs as much as the size of the cost. */
+#define FIRST_REGULARISATION 1.0
 /* Share of the size of a block below which a negative eigenvalue of it is rounding. */
 #define NEGATIVE 1e-9
 
@@ -93,7 +93,7 @@ void retrax_find_scale(retrax_search *search, retrax_phase *phase, const double 
         phase->sizes[n + i] = retrax_control_size(layout, trajectory, i);
         phase->room[i] = INFINITY;
     }
-    if (retrax_is_limited(problem)) {
+    if (retrax_has_inequalities(problem)) {
         double *const ways = phase->values + n, largest = 0.0;
         retrax_find_control_ranges(phase, trajectory, ways);
         for (retrax_index i = 0; i < controls; i++) {
@@ -134,7 +134,7 @@ static bool is_without_costates(const retrax_layout *layout, const double *traje
 }
 
 /* Whether no block of the Hessian has a negative eigenvalue beyond rounding; matrix: [z][z] workspace. */
-static bool is_convex(const retrax_layout *layout, const double *trajectory, double *matrix) {
+static bool are_blocks_positive(const retrax_layout *layout, const double *trajectory, double *matrix) {
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS];
     for (retrax_index k = 0; k < layout->problem->steps; k++) {
         const double *const hessian = ARRAY(HESSIANS) + k * z * z;
@@ -164,7 +164,7 @@ static bool has_flat_controls(const retrax_layout *layout, const double *traject
 static bool is_without_way(const retrax_search *search) {
     bool found = true;
     EACH_PHASE(phase) { found = found && is_without_costates(phase->layout, search->at + phase->place); }
-    EACH_PHASE(phase) { found = found && is_convex(phase->layout, search->at + phase->place, phase->square); }
+    EACH_PHASE(phase) { found = found && are_blocks_positive(phase->layout, search->at + phase->place, phase->square); }
     return found;
 }
 
@@ -175,7 +175,7 @@ static bool is_without_way(const retrax_search *search) {
  * constraints leave free, as in every problem of least time, how the constraints bend is what bounds a step, and that
  * the multipliers weigh [test_least_time_with_a_heading_needs_no_bounds_of_the_horizon]. */
 static void find_first_multipliers(retrax_search *search) {
-    retrax_newton_step(search, FIRST_SHIFT);
+    retrax_newton_step(search, FIRST_REGULARISATION);
     if (!search->direction.finite) {
         return;
     }
@@ -201,7 +201,7 @@ static bool knows_multipliers(const retrax_layout *layout, const double *traject
     return false;
 }
 
-/* Evaluates the guess as where inequalities do not pull yet, and finds its natural sizes. */
+/* Evaluates the guess as where inequalities do not pull yet, and finds its scaling factors. */
 static void measure_guess(retrax_search *search) {
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
     retrax_evaluate(search, search->at);
@@ -210,7 +210,7 @@ static void measure_guess(retrax_search *search) {
     EACH_PHASE(phase) {
         retrax_copy_scale(phase->layout, &phase->fresh, &phase->judging);
         retrax_copy_scale(phase->layout, &phase->fresh, &phase->steps);
-        if (retrax_is_limited(phase->layout->problem)) {
+        if (retrax_has_inequalities(phase->layout->problem)) {
             retrax_find_limits(phase, search->at + phase->place);
         }
     }
@@ -236,7 +236,7 @@ void retrax_forget_multipliers(const retrax_search *search, double *iterate) {
 /* Sets first slacks of the phases that know none. */
 static void start_slacks(retrax_search *search) {
     EACH_PHASE(phase) {
-        if (retrax_is_limited(phase->layout->problem) && !phase->knows) {
+        if (retrax_has_inequalities(phase->layout->problem) && !phase->knows) {
             retrax_start_slacks(search, phase, search->at + phase->place);
         }
     }
@@ -254,7 +254,7 @@ void retrax_begin(retrax_search *search) {
     retrax_return_to_guess(search); /* both have the same data */
     retrax_swap(search);
     measure_guess(search);
-    if (!search->limited) {
+    if (!search->has_inequalities) {
         return;
     }
     start_slacks(search);
@@ -268,19 +268,19 @@ void retrax_begin(retrax_search *search) {
 }
 
 void retrax_initialise(retrax_search *search) {
-    const bool linear = !search->limited;
+    const bool linear = !search->has_inequalities;
     bool flat_controls = false;
     retrax_begin(search);
     retrax_measure(search, search->at);
     EACH_PHASE(phase) { flat_controls = flat_controls || has_flat_controls(phase->layout, search->at + phase->place); }
     /* The first step is Newton's own: where it gains two digits, the problem is nearly linear and has one extremal. */
     retrax_regularised_step(search, 0.0, linear, linear);
-    const bool flat = !search->direction.descends || search->direction.shift > 0.0 ||
+    const bool flat = !search->direction.descends || search->direction.regularisation > 0.0 ||
                       (linear && !search->direction.strict && flat_controls);
     if (flat && is_without_way(search)) {
         find_first_multipliers(search);
         retrax_regularised_step(search, 0.0, linear, linear);
     }
     retrax_keep_guess(search);
-    search->degenerate = search->options.looks && retrax_is_degenerate(search);
+    search->degenerate = search->options.detect_degenerate && retrax_is_degenerate(search);
 }

@@ -20,7 +20,7 @@ double retrax_duration(const retrax_layout *layout, const double *trajectory) {
     return sum;
 }
 
-bool retrax_is_limited(const retrax_problem *problem) {
+bool retrax_has_inequalities(const retrax_problem *problem) {
     return problem->inequalities > 0 || problem->node_inequalities > 0;
 }
 

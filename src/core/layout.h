@@ -43,7 +43,7 @@ double retrax_duration(const retrax_layout *layout, const double *trajectory);
 retrax_index retrax_point_unknowns(const retrax_problem *problem);
 
 /* Whether there are inequalities. */
-bool retrax_is_limited(const retrax_problem *problem);
+bool retrax_has_inequalities(const retrax_problem *problem);
 
 /* The inequalities of a point that may be curved in the controls. */
 static inline retrax_index retrax_curved_limits(const retrax_problem *problem) {

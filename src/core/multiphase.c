@@ -180,7 +180,7 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
             const double size = own * retrax_larger(own, RETRAX_VALUE_SHARE * value_of(layout, trajectory, i % n));
             found = retrax_larger(found, fabs(curvature[(first + i) * Z + first + i]) * size);
         }
-        for (retrax_index i = 0; i < z && !retrax_is_limited(layout->problem); i++) { /* with a barrier it has no bound */
+        for (retrax_index i = 0; i < z && !retrax_has_inequalities(layout->problem); i++) { /* with a barrier it has no bound */
             const double unit = phase->judging.unknowns[i];
             found = retrax_larger(found, ARRAY(CURVATURES)[i] * unit * unit);
         }
@@ -189,8 +189,8 @@ double retrax_largest_curvature(const retrax_search *search, const double *itera
     return found;
 }
 
-/* What an equation changes by where both ends of each phase move by sizes of their coordinates: ALONG, the natural sizes
- * of the iterate, or the ways that controls make in free coordinates. */
+/* What an equation changes by where both ends of each phase move by sizes of their coordinates: ALONG, the scaling
+ * factors of the iterate, or the ways that controls make in free coordinates. */
 typedef enum { BY_ALONG, BY_FRESH, BY_WAYS } measure;
 
 static double change_of(const retrax_search *search, const double *iterate, retrax_index equation, measure by) {
@@ -229,7 +229,7 @@ static double missed_of(const retrax_search *search, const double *iterate) {
     return found;
 }
 
-/* The most that an equation between the ends lacks, in its natural size. */
+/* The most that an equation between the ends lacks, in units of its scaling. */
 static double apart_of(const retrax_search *search, const double *iterate) {
     double found = 0.0;
     for (retrax_index i = 0; i < search->coupling.count[RETRAX_COUPLED_VALUES]; i++) {
@@ -239,30 +239,30 @@ static double apart_of(const retrax_search *search, const double *iterate) {
 }
 
 void retrax_join_residuals(const retrax_search *search, double *iterate) {
-    double *const found = COUPLED(RESIDUALS), *const totals = COUPLED(TOTALS);
-    memset(found, 0, sizeof(double) * RETRAX_RESIDUALS);
+    double *const residuals = COUPLED(RESIDUALS), *const totals = COUPLED(TOTALS);
+    memset(residuals, 0, sizeof(double) * RETRAX_RESIDUALS);
     totals[0] = totals[1] = 0.0;
     EACH_PHASE(phase) {
         const retrax_layout *const layout = phase->layout;
         const double *const trajectory = iterate + phase->place, *const own = ARRAY(RESIDUALS);
         for (int i = 0; i < RETRAX_RESIDUALS; i++) {
-            const bool sum = i == RETRAX_INFEASIBILITY || i == RETRAX_MERIT || i == RETRAX_HELD;
-            found[i] = sum ? found[i] + own[i] : retrax_larger(found[i], own[i]);
+            const bool sum = i == RETRAX_INFEASIBILITY || i == RETRAX_BARRIER_OBJECTIVE || i == RETRAX_CONSTRAINT_TERM;
+            residuals[i] = sum ? residuals[i] + own[i] : retrax_larger(residuals[i], own[i]);
         }
         totals[0] += ARRAY(TOTALS)[0];
         totals[1] += ARRAY(TOTALS)[1];
     }
-    double held = 0.0;
+    double constraint_term = 0.0;
     for (retrax_index i = 0; i < search->coupling.count[RETRAX_COUPLED_VALUES]; i++) {
-        found[RETRAX_INFEASIBILITY] += fabs(COUPLED(VALUES)[i]) / search->coupling.sizes[i];
-        held += COUPLED(COORDINATES)[i] * COUPLED(VALUES)[i];
+        residuals[RETRAX_INFEASIBILITY] += fabs(COUPLED(VALUES)[i]) / search->coupling.sizes[i];
+        constraint_term += COUPLED(COORDINATES)[i] * COUPLED(VALUES)[i];
     }
-    found[RETRAX_HELD] += held / search->phases->steps.cost;
-    found[RETRAX_DEFECT] = retrax_larger(found[RETRAX_DEFECT], missed_of(search, iterate));
-    found[RETRAX_SHORTFALL] = retrax_larger(found[RETRAX_SHORTFALL], apart_of(search, iterate));
-    found[RETRAX_STEADY] = retrax_larger(found[RETRAX_STEADY], found[RETRAX_DEFECT]);
-    found[RETRAX_FINAL] = retrax_larger(found[RETRAX_FINAL], found[RETRAX_DEFECT]);
-    found[RETRAX_LARGEST] = retrax_larger(found[RETRAX_LARGEST], found[RETRAX_DEFECT]);
+    residuals[RETRAX_CONSTRAINT_TERM] += constraint_term / search->phases->steps.cost;
+    residuals[RETRAX_DEFECT] = retrax_larger(residuals[RETRAX_DEFECT], missed_of(search, iterate));
+    residuals[RETRAX_MAX_SCALED_DEFECT] = retrax_larger(residuals[RETRAX_MAX_SCALED_DEFECT], apart_of(search, iterate));
+    for (int i = RETRAX_ERROR_WITHOUT_COMPLEMENTARITY; i <= RETRAX_BARRIER_ERROR; i++) {
+        residuals[i] = retrax_larger(residuals[i], residuals[RETRAX_DEFECT]);
+    }
 }
 
 /* ----------------------------------------------------------------------------------------------------------- scale */
@@ -307,7 +307,7 @@ static double size_asked(const retrax_search *search, const double *iterate) {
     return asked;
 }
 
-/* The natural size of the cost of a whole phase; 0 where it costs nothing. At rest a square has neither a value nor a
+/* The scaling factor of the cost of a whole phase; 0 where it costs nothing. At rest a square has neither a value nor a
  * slope: its curvature is what there is. */
 static double cost_of(const retrax_phase *phase, const double *trajectory) {
     static const retrax_array paid[] = {RETRAX_ARRAY_GRADIENTS, RETRAX_ARRAY_COSTS, RETRAX_ARRAY_HESSIANS};

@@ -42,7 +42,7 @@ typedef struct {
     retrax_index inputs, outputs;             /* numbers that the function reads, and writes */
     retrax_index (*places)[2];                /* [inputs + outputs] places of these */
     retrax_index *free_places;                /* [Z] of the free coordinates among those of all ends */
-    double *sizes, *fresh;                    /* [r] natural sizes of the equations; those of the iterate */
+    double *sizes, *fresh;                    /* [r] scaling factors of the equations; those of the iterate */
     retrax_border border;
 } retrax_coupling;
 

@@ -1,11 +1,11 @@
 /*
  * Perturbed guess: the trajectory beside a guess from which Newton's method cannot set out.
  *
- * The controls are moved by waves, and the states to where these lead to first order, until half of what the controls move has
- * moved by half its spread along the trajectory. Of a system such as Heisenberg's group, on the way to a point above the
- * start, something that is spread hardly moves so: there the step is as long as changes what is lacking by as much. Where
- * nothing that is spread moves or bends, as of a car at rest beside the place to park, the controls move by half their
- * size, and the trajectory is perturbed from there.
+ * The controls are moved by waves, and the states to where these lead to first order, until half of what the controls
+ * move has moved by half its spread along the trajectory. Of a system such as Heisenberg's group, on the way to a point
+ * above the start, something that is spread hardly moves so: there the step is as long as changes what is lacking by as
+ * much. Where nothing that is spread moves or bends, as of a car at rest beside the place to park, the controls move by
+ * half their size, and the trajectory is perturbed from there.
  */
 #include "search.h"
 
@@ -22,7 +22,7 @@
 #define WAVES 3
 #define PI 3.14159265358979323846
 
-/* Writes natural sizes of the controls, by the curvature of the cost, behind ones for the states. */
+/* Writes scaling factors of the controls, by the curvature of the cost, behind ones for the states. */
 static void write_control_sizes(retrax_search *search) {
     const retrax_layout *const layout = search->phases->layout;
     const double *const trajectory = search->at;
@@ -32,7 +32,7 @@ static void write_control_sizes(retrax_search *search) {
     }
 }
 
-/* Writes to the trial the Hessian of a cost of the controls in natural sizes, and the slope of waves in it. */
+/* Writes to the trial the Hessian of a cost of the controls in units of the scaling, and the slope of waves in it. */
 static void write_waves(retrax_search *search, const double *draws) {
     const retrax_layout *const layout = search->phases->layout;
     double *const trajectory = search->trial;
@@ -102,8 +102,8 @@ static void move_by(retrax_search *search, double size) {
     }
     memset(ARRAY(MULTIPLIER_STEPS), 0, sizeof(double) * (size_t)layout->count[RETRAX_ARRAY_MULTIPLIER_STEPS]);
     retrax_expand_step(layout, trajectory, search->workspace);
-    /* The cap marks steady columns where the pieces were found, which are found again when they are needed. */
-    const double cap = retrax_step_cap(layout, trajectory, search->phases->values, search->trial, search->phases->steady);
+    /* The cap marks columns of constant norm where the pieces were found, which are found again when they are needed. */
+    const double cap = retrax_step_cap(layout, trajectory, search->phases->values, search->trial, search->phases->constant_norm);
     retrax_copy_unknowns(layout, trajectory, search->trial);
     retrax_move_trajectory(layout, trajectory, cap, search->trial);
 }
@@ -231,6 +231,6 @@ bool retrax_search_perturb(retrax_search *search, const double *draws) {
         retrax_evaluate(search, search->at);
         still = perturb(search, draws, round == ROUNDS, &held);
     }
-    search->options.looks = false;
+    search->options.detect_degenerate = false;
     return found || violated;
 }

@@ -1,21 +1,21 @@
 /*
- * Rescaling: natural sizes that a search has come to, in the place of those of its guess.
+ * Rescaling: scaling factors that a search has come to, in the place of those of its guess.
  */
 #include "search.h"
 
 #include <math.h>
 
-/* Times its natural size: a size that the second-order change of a step exceeds by less is not mistaken. */
+/* Times its scaling factor: a size that the second-order change of a step exceeds by less is not mistaken. */
 #define WIDER 10.0
-/* Share of a natural size: where the sizes of the iterate are less, they take its place. */
+/* Share of a scaling factor: where the sizes of the iterate are less, they take its place. */
 #define LESS 0.1
 /* Times the size of the cost, the least fall of the cost, and the fewest trials, that tell that it has no lower bound. */
 #define FALLEN 1e2
 #define FEWEST 20
 
 /* What nodes and points lack in coordinate a, summed over the trajectory. */
-static double lacking(const retrax_layout *layout, const double *trajectory, retrax_index a) {
-    return ARRAY(MISSING)[a] + ARRAY(POINT_SURVEY)[RETRAX_POINTS_TOTAL * layout->problem->state_size + a];
+static double summed_defect(const retrax_layout *layout, const double *trajectory, retrax_index a) {
+    return ARRAY(SUMMED_DEFECTS)[a] + ARRAY(POINT_SURVEY)[RETRAX_POINTS_TOTAL * layout->problem->state_size + a];
 }
 
 /* [test_a_rate_that_only_products_change_is_no_obstacle] */
@@ -24,7 +24,8 @@ bool retrax_widen_scale(retrax_search *search, double part, double length) {
     const double moved = part * length;
     bool wider = false;
     for (retrax_index a = 0; a < phase->layout->problem->state_size && !retrax_is_coupled(search); a++) {
-        const double left = lacking(phase->layout, search->trial, a) - (1.0 - part) * lacking(phase->layout, search->at, a);
+        const double before = summed_defect(phase->layout, search->at, a);
+        const double left = summed_defect(phase->layout, search->trial, a) - (1.0 - part) * before;
         const double second = left / (moved * moved);
         if (isfinite(second) && second > WIDER * phase->steps.nodes[a]) {
             phase->steps.nodes[a] = phase->steps.unknowns[a] = second;
@@ -34,7 +35,7 @@ bool retrax_widen_scale(retrax_search *search, double part, double length) {
     return wider;
 }
 
-bool retrax_cost_falls(const retrax_search *search) {
+bool retrax_cost_diverges(const retrax_search *search) {
     const double *const costs = search->costs;
     const retrax_index last = search->trials, middle = last / 2 > 1 ? last / 2 : 1;
     const double early = costs[1] - costs[middle], late = costs[middle] - costs[last];
@@ -116,11 +117,11 @@ static void take_fresh(const retrax_search *search, retrax_phase *phase) {
 
 /* [test_members_of_a_batch_have_units_of_their_own] */
 bool retrax_renew_scale(retrax_search *search) {
-    if (!search->claimed && retrax_cost_falls(search)) { /* a cost that falls without end has no size */
+    if (!search->claimed && retrax_cost_diverges(search)) { /* a cost that falls without end has no size */
         return false;
     }
     double *at = search->at;
-    if (search->limited) { /* as where inequalities do not pull */
+    if (search->has_inequalities) { /* as where inequalities do not pull */
         retrax_find_limit_curvatures(search);
         at = search->trial;
         retrax_copy_iterate(search, search->at, at);
@@ -133,7 +134,7 @@ bool retrax_renew_scale(retrax_search *search) {
     }
     EACH_PHASE(phase) {
         take_fresh(search, phase);
-        if (retrax_is_limited(phase->layout->problem)) {
+        if (retrax_has_inequalities(phase->layout->problem)) {
             retrax_find_limits(phase, at + phase->place);
         }
     }

@@ -85,10 +85,10 @@ static void weigh(const retrax_phase *phase, retrax_response *own) {
     }
 }
 
-retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double shift) {
+retrax_inertia retrax_respond(const retrax_search *search, retrax_phase *phase, double regularisation) {
     const retrax_layout *const layout = phase->layout;
     double *const trajectory = search->at + phase->place;
-    retrax_block_system of = retrax_newton_system(search, phase, shift);
+    retrax_block_system of = retrax_newton_system(search, phase, regularisation);
     const retrax_index size = of.stage_size * of.stage_size;
     retrax_response *const own = &phase->response;
     double *const last = ARRAY(HESSIANS) + (of.stages - 1) * size;

@@ -22,20 +22,20 @@
 /* Share of the infeasibility: near to feasible a step that leaves more is held by rounding or by an inequality. */
 #define GAINED 0.1
 
-/* Takes the guess without multipliers, and finds its natural sizes and first slacks. */
+/* Takes the guess without multipliers, and finds its scaling factors and first slacks. */
 static void begin(retrax_search *search) {
     retrax_forget_multipliers(search, search->at);
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
     retrax_begin(search);
     retrax_measure(search, search->at);
-    search->fraction = 1.0;
+    search->backtrack = 1.0;
     search->trials = 1;
     search->stopped = false;
 }
 
 /* Tries the step; whether the trial is accepted. It meets the inequalities that hold by slacks of its own. */
 static bool try_step(retrax_search *search) {
-    const double share = 1.0 - DECREASE * search->fraction * search->direction.reach;
+    const double share = 1.0 - DECREASE * search->backtrack * search->direction.alpha_max;
     retrax_move_trial(search);
     retrax_forget_multipliers(search, search->trial);
     retrax_evaluate(search, search->trial);
@@ -53,12 +53,12 @@ retrax_feasibility retrax_search_restore(retrax_search *search, retrax_index max
     for (;;) {
         const double before = RESIDUAL(search->at, INFEASIBILITY);
         near = before <= sqrt(tolerance);
-        if ((near && (crawls || before <= tolerance)) || !(search->fraction >= SHORTEST) || search->stopped ||
+        if ((near && (crawls || before <= tolerance)) || !(search->backtrack >= SHORTEST) || search->stopped ||
             search->trials > max_trials) {
             break;
         }
         if (moved) {
-            retrax_newton_step(search, RETRAX_LEAST_SHIFT);
+            retrax_newton_step(search, RETRAX_LEAST_NORM_REGULARISATION);
         }
         moved = try_step(search);
         crawls = !moved || RESIDUAL(search->trial, INFEASIBILITY) > GAINED * before;
@@ -68,9 +68,9 @@ retrax_feasibility retrax_search_restore(retrax_search *search, retrax_index max
         search->trials++;
         search->direction.descends = moved;
         search->stopped = retrax_report(search);
-        search->fraction = moved ? fmin(LONGER * search->fraction, 1.0) : SHORTER * search->fraction;
+        search->backtrack = moved ? fmin(LONGER * search->backtrack, 1.0) : SHORTER * search->backtrack;
     }
-    const double lacking = retrax_larger(RESIDUAL(search->at, INFEASIBILITY), RESIDUAL(search->at, EXCESS));
+    const double violation = retrax_larger(RESIDUAL(search->at, INFEASIBILITY), RESIDUAL(search->at, EXCESS));
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }
-    return (retrax_feasibility){search->trials - 1, near, lacking <= tolerance, search->stopped};
+    return (retrax_feasibility){search->trials - 1, near, violation <= tolerance, search->stopped};
 }

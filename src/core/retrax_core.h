@@ -14,7 +14,7 @@
  *   6. Transcription: from the iterate of a trajectory to the linear system of a Newton step
  *   7. Inequalities
  *   8. Convergence: how far a trajectory is from satisfying its conditions
- *   9. Scaling: natural sizes of a trajectory, free of the units that its problem is written in
+ *   9. Scaling: scaling factors of a trajectory, free of the units that its problem is written in
  *  10. Search: Newton's method on the conditions of trajectories, whose ends may be coupled
  *  11. Integration: implicit steps of trajectories, many of them side by side
  *
@@ -213,9 +213,9 @@ typedef struct {
     const double *defect;      /* [N + 1][n][columns] */
     const double *fixed_start; /* [n]: 1, or 0 where the equation of the first node is replaced by c = 0 */
     const double *fixed_end;   /* [n]: the same of the last node */
-    const double *stage_scale; /* [z] natural sizes of d; pivots are chosen in these units */
-    const double *node_scale;  /* [n] natural sizes of the defects */
-    double cost_scale;         /* natural size of the cost of a stage */
+    const double *stage_scale; /* [z] scaling factors of d; pivots are chosen in these units */
+    const double *node_scale;  /* [n] scaling factors of the defects */
+    double cost_scale;         /* scaling factor of the cost of a stage */
     double regularisation;     /* r >= 0, in units of cost_scale and stage_scale */
     const double *regularised; /* [z] diagonal of S in the same units */
 } retrax_block_system;
@@ -406,15 +406,15 @@ typedef struct {
     bool curved_controls;         /* whether the controls lie on a manifold that is not flat */
     const retrax_index *control_columns; /* [U] as `columns` and `arrays`, of the controls; NULL where these are flat */
     const retrax_index *control_arrays;
-    const double *kept;           /* [c + d]: 1 for a bound of what is free, which no iterate leaves, else 0 */
+    const double *never_elastic;  /* [c + d]: 1 for a bound of what is free, which no iterate leaves, else 0 */
     retrax_index bounds;          /* inequalities, the first ones, that are straight in the controls */
     bool coupled;                 /* whether START_COST and END_COST are written by what couples the ends; see 10 */
     retrax_function functions[RETRAX_FUNCTIONS];
 } retrax_problem;
 
-/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0, p = s n,
- * w costs of a node, and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1 where controls lie
- * on a manifold that is not flat, else 0. */
+/* Arrays of a trajectory, with the number of their entries, where v = N s for a collocation method and else 0, p = s n, w
+ * costs of a node, and l = N s c + N d inequalities: those of all points, then those of the ends of all steps; g = 1
+ * where controls lie on a manifold that is not flat, else 0. */
 #define RETRAX_ARRAYS(X)                                                                                              \
     /* given */                                                                                                       \
     X(STEP_SIZE, N) X(PARAMETERS, P) X(START, E) X(END, E) /* prescribed points */                                    \
@@ -449,7 +449,7 @@ typedef struct {
     X(COSTS, N) X(END_COORDINATES, 2 * N * n) X(LIMITS, l)                                                            \
     X(LIMIT_JACOBIANS, N *s *c *(s > 1 ? q : z) + N * d * 2 * n)                                                      \
     /* what is largest along the trajectory, and how far it is from its conditions: see 8 */                          \
-    X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(MISSING, n) X(LACKING, n) X(PARTS, z) X(LARGEST_SLOPES, z)          \
+    X(HIGHEST, E) X(LOWEST, E) X(SUPPORT, n *E) X(SUMMED_DEFECTS, n) X(MAX_DEFECTS, n) X(PARTS, z) X(LARGEST_SLOPES, z)          \
     X(CURVATURES, z) X(POINT_SURVEY, RETRAX_POINTS_ROWS * n) X(TOTALS, 2) X(LIMIT_SURVEY, RETRAX_LIMIT_ROWS)          \
     X(ALONG, n) X(ENTRIES, E) X(RESIDUALS, RETRAX_RESIDUALS)                                                          \
     /* Newton step from here, and room for the parts of it that a move makes */                                       \
@@ -481,7 +481,8 @@ RETRAX_API const char *retrax_array_name(int array);
 RETRAX_API retrax_index retrax_function_inputs(const retrax_problem *problem, retrax_function_name name);
 RETRAX_API retrax_index retrax_function_outputs(const retrax_problem *problem, retrax_function_name name);
 
-/* Returns the bytes of memory that a layout needs; 0 if a size is out of bounds or the arrays exceed the address space. */
+/* Returns the bytes of memory that a layout needs; 0 if a size is out of bounds or the arrays exceed the address
+ * space. */
 RETRAX_API size_t retrax_layout_memory(const retrax_problem *problem);
 
 /* Lays out the trajectories of a problem; memory: as retrax_layout_memory says, aligned to 64 bytes. The problem and
@@ -519,10 +520,11 @@ RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double
 /* ------------------------------------------------------------------------------------------------------
  * 7. Inequalities
  *
- * At each point of a step, and at its ends, inequalities g <= 0 are made g + s = t with a slack s > 0 and, where an inequality is elastic, an
- * excess t > 0 at the penalty rho t; t = 0 where the penalty is infinite. With the barrier mu and the weight w of a point
- * the cost gets w (rho t - mu log s - mu log t). The multiplier nu and zeta = rho - nu satisfy nu s = mu, zeta t = mu.
- * Slacks, excesses and multipliers are eliminated at each point: with 1 / D = s / nu + t / zeta
+ * At each point of a step, and at its ends, inequalities g <= 0 are made g + s = t with a slack s > 0 and, where an
+ * inequality is elastic, an excess t > 0 at the penalty rho t; t = 0 where the penalty is infinite. With the barrier mu
+ * and the weight w of a point the cost gets w (rho t - mu log s - mu log t). The multiplier nu and zeta = rho - nu
+ * satisfy nu s = mu, zeta t = mu. Slacks, excesses and multipliers are eliminated at each point: with 1 / D = s / nu + t
+ * / zeta
  *
  *     dnu = D (g + mu / nu - mu / zeta + J d),
  *
@@ -530,7 +532,7 @@ RETRAX_API void retrax_move_trajectory(const retrax_layout *layout, const double
  * whose weight is zero is not asked for.
  * ------------------------------------------------------------------------------------------------------ */
 
-/* Natural sizes of the inequalities of a trajectory. */
+/* Scaling factors of the inequalities of a trajectory. */
 typedef struct {
     double rate;          /* of the cost per time: unit of the barrier */
     const double *limits; /* [c + d] of the inequalities */
@@ -542,11 +544,11 @@ enum {
     RETRAX_LIMIT_EXCESS,    /* the largest excess, relative to that */
     RETRAX_LIMIT_PRODUCT,   /* the largest of nu s and zeta t */
     RETRAX_LIMIT_LEAST,     /* the least of them; infinite without inequalities */
-    RETRAX_LIMIT_MISSING,   /* sum of w |g + s - t| / limit */
+    RETRAX_LIMIT_SUMMED_DEFECT,   /* sum of w |g + s - t| / limit */
     RETRAX_LIMIT_POTENTIAL, /* sum of w (rho t - mu log(s / limit) - mu log(t / limit)) */
-    RETRAX_LIMIT_HELD,      /* sum of w nu (g + s - t) */
-    RETRAX_LIMIT_DEAR,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */
-    RETRAX_LIMIT_CHEAP,     /* 1 where a multiplier comes near to its penalty and that may still grow */
+    RETRAX_LIMIT_CONSTRAINT_TERM, /* sum of w nu (g + s - t) */
+    RETRAX_LIMIT_PENALTY_GROWTH,      /* the largest penalty, relative to the first one; 0 where nothing is elastic */
+    RETRAX_LIMIT_PENALTY_TOO_SMALL,     /* 1 where a multiplier comes near to its penalty and that may still grow */
     RETRAX_LIMIT_LEFT,      /* the largest excess whose multiplier comes near to the last penalty, relative to limit */
     RETRAX_LIMIT_ROWS       /* their number */
 };
@@ -556,7 +558,7 @@ enum {
     RETRAX_STEP_PRIMAL, /* fraction of the steps of slacks and excesses that stays inside */
     RETRAX_STEP_DUAL,   /* the same of the steps of the multipliers */
     RETRAX_STEP_AHEAD,  /* derivative of the potential along the whole step */
-    RETRAX_STEP_HELD,   /* sum of w dnu (g + s - t) */
+    RETRAX_STEP_CONSTRAINT_TERM, /* sum of w dnu (g + s - t) */
     RETRAX_STEP_ENTRIES /* their number */
 };
 
@@ -602,17 +604,17 @@ enum {
     RETRAX_EXCESS,          /* of t = 0 */
     RETRAX_COMPLEMENTARITY, /* of nu s = 0 */
     RETRAX_CENTRING,        /* of nu s = mu */
-    RETRAX_STEADY,          /* the largest that the barrier does not move: defect, stationarity, violation */
-    RETRAX_FINAL,           /* the largest of the problem itself */
-    RETRAX_LARGEST,         /* the largest of the problem with its barrier */
-    RETRAX_INFEASIBILITY,   /* sum of what all nodes, points and inequalities lack, in units of steps */
-    RETRAX_MERIT,           /* cost with its barrier, in its unit */
-    RETRAX_HELD,            /* sum of the multipliers times what is lacking, in the unit of the cost */
-    RETRAX_SHORTFALL,       /* the most that a node or point lacks in a coordinate, in units of steps */
+    RETRAX_ERROR_WITHOUT_COMPLEMENTARITY, /* the largest of defect, stationarity and violation, which a lower barrier keeps */
+    RETRAX_KKT_ERROR,       /* E_0: the largest of that, excess and complementarity; the error of the problem itself */
+    RETRAX_BARRIER_ERROR,   /* E_mu: the largest of that and centring; the error of the problem with its barrier */
+    RETRAX_INFEASIBILITY,   /* sum of the defects of all nodes and points and of the violations, in units of the scaling */
+    RETRAX_BARRIER_OBJECTIVE, /* cost with its barrier, in its unit */
+    RETRAX_CONSTRAINT_TERM, /* sum of the multipliers times the defects and violations, in the unit of the cost */
+    RETRAX_MAX_SCALED_DEFECT, /* the largest defect of a node or point in a coordinate, in units of the scaling */
     RETRAX_RESIDUALS        /* their number */
 };
 
-/* Natural sizes of a trajectory: those that success is judged by, and those of steps. */
+/* Scaling factors of a trajectory: those that success is judged by, and those of steps. */
 typedef struct {
     const double *judging_nodes;    /* [n] */
     const double *judging_unknowns; /* [z] */
@@ -630,7 +632,7 @@ RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *tr
                                          const retrax_residual_scale *scale, const retrax_limit_scale *limits);
 
 /* ------------------------------------------------------------------------------------------------------ 9. Scaling:
- * natural sizes of a trajectory, free of the units that its problem is written in
+ * scaling factors of a trajectory, free of the units that its problem is written in
  *
  * A coordinate of the state is measured by what the controls reach in it over the horizon. The cheapest way from rest
  * to a deviation e costs e' G^-1 e / 2 with the Gramian G_{k+1} = A G_k A' + B W B' of the linearised steps, where W is
@@ -640,14 +642,14 @@ RETRAX_API void retrax_measure_residuals(const retrax_layout *layout, double *tr
  * beside what each step makes of the sizes of others, nor beside what costs as much as all others do.
  * ------------------------------------------------------------------------------------------------------ */
 
-/* Natural sizes; the arrays belong to the caller. */
+/* Scaling factors; the arrays belong to the caller. */
 typedef struct {
     double *unknowns; /* [z] of a step */
     double *nodes;    /* [n] */
     double cost;      /* of a step */
 } retrax_scale;
 
-/* Of what the natural sizes of a trajectory are made beside its linear system; the arrays are only read. */
+/* Of what the scaling factors of a trajectory are made beside its linear system; the arrays are only read. */
 typedef struct {
     const double *sizes;  /* [z] what states move by along the trajectory, and sizes of controls */
     const double *values; /* [z] sizes of coordinates that nothing moves */
@@ -655,7 +657,7 @@ typedef struct {
     bool curved;          /* whether the curvature of the cost in the controls is more than rounding */
 } retrax_scale_data;
 
-/* Writes the natural sizes of an assembled trajectory. */
+/* Writes the scaling factors of an assembled trajectory. */
 RETRAX_API void retrax_measure_scale(const retrax_layout *layout, const double *trajectory,
                                      const retrax_scale_data *data, void *workspace,
                                      retrax_instruction_set set, retrax_scale *scale);
@@ -714,7 +716,7 @@ typedef struct {
     retrax_index number;  /* trials so far, but for the guess */
     double cost;
     double defect, stationarity;
-    double shift;         /* of the Hessian, relative to its diagonal */
+    double regularisation;         /* of the Hessian, relative to its diagonal */
     double fraction;      /* of the step that is tried next */
     bool descends;        /* whether that step has positive curvature */
     double violation;     /* of the inequalities, relative */
@@ -726,8 +728,8 @@ typedef struct {
     double tolerance;            /* of the residuals, relative */
     retrax_index max_iterations; /* at least 1 */
     double width;                /* infeasibility that the funnel lets pass at first; 1 is usual */
-    double firm;                 /* times the usual first penalty of excesses; 1 is usual */
-    bool looks;                  /* whether a guess may be called degenerate; else the search sets out from any */
+    double penalty_scale;        /* times the usual first penalty of excesses; 1 is usual */
+    bool detect_degenerate;      /* whether a guess may be called degenerate; else the search sets out from any */
     bool (*report)(void *context, const retrax_iteration *iteration); /* asks to stop by true; NULL: nothing is told */
     void *context;
 } retrax_options;
@@ -765,26 +767,26 @@ RETRAX_API retrax_search_status retrax_search_run(retrax_search *search);
 typedef struct {
     const double *trajectory;   /* the last iterate */
     const double *first;        /* the guess with its first multipliers and slacks: the arrays before POINT_CENTRES */
-    retrax_scale judging;       /* natural sizes that success was judged by */
+    retrax_scale judging;       /* scaling factors that success was judged by */
     retrax_scale steps;         /* those of steps */
     const double *limits;       /* [c + d] of the inequalities */
     double rate;                /* unit of the barrier */
     const double *residuals;    /* [RETRAX_RESIDUALS] of all trajectories together */
-    const double *equations;    /* [r] natural sizes of the equations between the ends; NULL where nothing couples them */
+    const double *equations;    /* [r] scaling factors of the equations between the ends; NULL where nothing couples them */
     const double *values;       /* [r] of these equations */
     const double *jacobian;     /* [r][Z] their derivatives by coordinates of all ends */
     retrax_index iterations;
-    bool limited;               /* whether it has made as many iterations as it may */
+    bool iteration_limit_reached; /* whether it has made as many iterations as it may */
     bool claimed;               /* whether the iterate is an extremal */
     bool strict;                /* whether it is a strict minimum: Newton's next step was small, and the Hessian of the
                                  * Lagrangian is positive definite on the null space of the constraints */
-    bool convex;                /* whether its cost is strictly convex in the controls, at each point by itself */
-    bool solvable;              /* whether the last step is finite, with a shift that is not too large */
+    bool legendre_holds;        /* whether its cost is strictly convex in the controls, at each point by itself */
+    bool solvable;              /* whether the last step is finite, with a regularisation that is not too large */
     bool infeasible;            /* whether inequalities contradict each other, or the ends */
-    bool falls;                 /* whether it is no extremal and the cost falls as if it had no lower bound */
+    bool diverging;              /* whether it is no extremal and the cost falls as if it had no lower bound */
     bool stopped;               /* whether the report has asked to stop, be it in the last iteration */
-    bool right_inertia;         /* where it is limited and no extremal: whether the linear system of the iterate has,
-                                 * without a shift, the inertia of a minimum; else false */
+    bool inertia_correct;       /* where the iteration limit ended the search at no extremal: whether the linear system of
+                                 * the iterate has, without a regularisation, the inertia of a minimum; else false */
 } retrax_search_result;
 
 /* Returns what the last run has found, with the arrays of a phase. */
@@ -829,7 +831,7 @@ typedef enum {
     RETRAX_ROWS_STEP_SIZE,  /* 1 */
     RETRAX_ROWS_STATE,      /* S */
     RETRAX_ROWS_FIRST,      /* m: prediction of the unknowns */
-    RETRAX_ROWS_SIZES,      /* m: natural sizes of the unknowns, more than 0 */
+    RETRAX_ROWS_SIZES,      /* m: scaling factors of the unknowns, more than 0 */
     RETRAX_ROWS_RESIDUAL,   /* m */
     RETRAX_ROWS_NEXT_STATE, /* S */
     RETRAX_ROWS_CONTROL,    /* U */

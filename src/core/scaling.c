@@ -1,5 +1,5 @@
 /*
- * Scaling: natural sizes of a trajectory from what its controls reach.
+ * Scaling: scaling factors of a trajectory from what its controls reach.
  */
 #include "dense.h"
 #include "layout.h"

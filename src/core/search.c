@@ -18,7 +18,7 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
         scales[i]->unknowns = retrax_take(block, z, 1, sizeof(double));
         scales[i]->nodes = retrax_take(block, n, 1, sizeof(double));
     }
-    to->limit_sizes = retrax_take(block, c, 1, sizeof(double));
+    to->constraint_scales = retrax_take(block, c, 1, sizeof(double));
     to->curvatures = retrax_take(block, z, 1, sizeof(double));
     to->largest = retrax_take(block, z, 1, sizeof(double));
     to->sizes = retrax_take(block, z, 1, sizeof(double));
@@ -29,7 +29,7 @@ static void take_phase(const retrax_layout *layout, bool coupled, retrax_block *
     to->control_work = retrax_take(block, points + 1, m, sizeof(double));
     to->limit_curvatures = retrax_take(block, retrax_curved_limits(problem) * points, m, sizeof(double));
     to->square = retrax_take(block, z, z, sizeof(double));
-    to->steady = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
+    to->constant_norm = retrax_take(block, E + problem->control_numbers, 1, sizeof(bool));
     if (coupled) {
         retrax_take_response(layout, block, &to->response);
     }
@@ -120,11 +120,11 @@ retrax_search *retrax_search_make(const retrax_multiphase *problem, const retrax
     search->problem = problem;
     search->options = *options;
     search->set = set;
-    search->firm = options->firm;
-    search->limited = false;
+    search->penalty_scale = options->penalty_scale;
+    search->has_inequalities = false;
     EACH_PHASE(phase) {
-        search->limited = search->limited || retrax_is_limited(phase->layout->problem);
-        phase->limits = (retrax_limit_scale){0.0, phase->limit_sizes};
+        search->has_inequalities = search->has_inequalities || retrax_has_inequalities(phase->layout->problem);
+        phase->limits = (retrax_limit_scale){0.0, phase->constraint_scales};
     }
     const bool coupled = retrax_is_coupled(search);
     const retrax_index *const first = search->phases->layout->first;
@@ -152,21 +152,21 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
         .first = search->first + own->guess_place,
         .judging = own->judging,
         .steps = own->steps,
-        .limits = own->limit_sizes,
+        .limits = own->constraint_scales,
         .rate = own->limits.rate,
         .residuals = search->at + search->residuals,
         .equations = coupled ? search->coupling.sizes : NULL,
         .values = coupled ? search->at + first[RETRAX_COUPLED_VALUES] : NULL,
         .jacobian = coupled ? search->at + first[RETRAX_COUPLED_JACOBIAN] : NULL,
         .iterations = search->trials - 1,
-        .limited = search->trials > search->options.max_iterations,
+        .iteration_limit_reached = search->trials > search->options.max_iterations,
         .claimed = extremal,
         .strict = search->strict,
-        .convex = search->convex,
-        .solvable = step->finite && step->shift < RETRAX_LARGEST_SHIFT,
+        .legendre_holds = search->legendre_holds,
+        .solvable = step->finite && step->regularisation < RETRAX_LARGEST_REGULARISATION,
         .infeasible = retrax_is_infeasible(search),
-        .falls = !extremal && retrax_cost_falls(search),
+        .diverging = !extremal && retrax_cost_diverges(search),
         .stopped = search->stopped,
-        .right_inertia = search->right_inertia,
+        .inertia_correct = search->inertia_correct,
     };
 }

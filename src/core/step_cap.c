@@ -20,7 +20,7 @@ typedef struct {
     const double *support;                /* [dimension][numbers] largest entries of frame vectors */
     const double *moves;                  /* coordinates of the steps: those of point i of step k are at */
     retrax_index each, stride, inner;     /* k stride + i inner, where a step has `each` points */
-    bool *steady;                         /* [numbers] columns that keep their sizes */
+    bool *constant_norm;                         /* [numbers] columns that keep their sizes */
 } moving_points;
 
 /* The sum of the squares of the entries of a point that belong to a column, or to an array. */
@@ -33,7 +33,7 @@ static double square_of(const moving_points *own, const double *point, const ret
 }
 
 /* Whether a group of entries has one size at all points. */
-static bool is_steady(const moving_points *own, const double *points, const retrax_index *groups, retrax_index group) {
+static bool has_constant_norm(const moving_points *own, const double *points, const retrax_index *groups, retrax_index group) {
     double least = INFINITY, most = 0.0;
     for (retrax_index k = 0; k < own->points; k++) {
         const double size = sqrt(square_of(own, points + k * own->numbers, groups, group));
@@ -56,12 +56,12 @@ static bool is_kept(const moving_points *own, const double *before, const double
     return true;
 }
 
-/* Whether coordinate a moves steady columns of an array and nothing else. */
+/* Whether coordinate a moves columns of constant norm of an array and nothing else. */
 static bool moves_alone(const moving_points *own, retrax_index a, retrax_index array) {
     bool touches = false;
     for (retrax_index e = 0; e < own->numbers; e++) {
         if (own->support[a * own->numbers + e] > RETRAX_ROOT_EPS) {
-            if (own->arrays[e] != array || !own->steady[own->columns[e]]) {
+            if (own->arrays[e] != array || !own->constant_norm[own->columns[e]]) {
                 return false;
             }
             touches = true;
@@ -70,7 +70,7 @@ static bool moves_alone(const moving_points *own, retrax_index a, retrax_index a
     return touches;
 }
 
-/* The largest motion of an array of the points relative to the size of its steady columns. */
+/* The largest motion of an array of the points relative to the size of its columns of constant norm. */
 static double farthest_motion(const moving_points *own, const double *points) {
     double farthest = 0.0;
     for (retrax_index array = 0; array < own->numbers; array++) {
@@ -83,7 +83,7 @@ static double farthest_motion(const moving_points *own, const double *points) {
             }
             for (retrax_index e = 0; e < own->numbers; e++) {
                 const double entry = points[k * own->numbers + e];
-                square += own->arrays[e] == array && own->steady[own->columns[e]] ? entry * entry : 0.0;
+                square += own->arrays[e] == array && own->constant_norm[own->columns[e]] ? entry * entry : 0.0;
             }
             length = fmax(length, moved);
             size = fmax(size, square);
@@ -117,19 +117,19 @@ static bool all_small(const retrax_layout *layout, const double *trajectory, con
 }
 
 /* Marks the columns that keep their sizes along the trajectory, by themselves or as a whole array. */
-static void mark_steady(moving_points *own, const double *points) {
-    memset(own->steady, 0, sizeof(bool) * (size_t)own->numbers);
+static void mark_constant_norm(moving_points *own, const double *points) {
+    memset(own->constant_norm, 0, sizeof(bool) * (size_t)own->numbers);
     for (retrax_index e = 0; e < own->numbers; e++) {
-        own->steady[own->columns[e]] = is_steady(own, points, own->columns, own->columns[e]) ||
-                                       is_steady(own, points, own->arrays, own->arrays[e]);
+        own->constant_norm[own->columns[e]] = has_constant_norm(own, points, own->columns, own->columns[e]) ||
+                                       has_constant_norm(own, points, own->arrays, own->arrays[e]);
     }
 }
 
 /* Of these, keeps those that have the sizes that they had. */
 static void mark_kept(moving_points *own, const double *before, const double *after) {
     for (retrax_index e = 0; e < own->numbers; e++) {
-        own->steady[own->columns[e]] =
-            own->steady[own->columns[e]] && (is_kept(own, before, after, own->columns, own->columns[e]) ||
+        own->constant_norm[own->columns[e]] =
+            own->constant_norm[own->columns[e]] && (is_kept(own, before, after, own->columns, own->columns[e]) ||
                                              is_kept(own, before, after, own->arrays, own->arrays[e]));
     }
 }
@@ -145,15 +145,15 @@ static void write_control_support(const retrax_layout *layout, double *trajector
 }
 
 double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
-                       bool *steady) {
+                       bool *constant_norm) {
     const retrax_problem *const problem = layout->problem;
     const retrax_index E = problem->state_numbers, n = problem->state_size, m = problem->control_size;
     const retrax_index z = layout->count[RETRAX_ARRAY_PARTS], s = problem->points;
     static const retrax_array arrays[] = {RETRAX_ARRAY_CENTRES, RETRAX_ARRAY_CONTROLS};
     moving_points parts[] = {{problem->steps, E, n, problem->columns, problem->arrays, ARRAY(SUPPORT), ARRAY(STEPS), 1, z,
-                              0, steady},
+                              0, constant_norm},
                              {problem->steps * s, problem->control_numbers, m, problem->control_columns,
-                              problem->control_arrays, ARRAY(CONTROL_SUPPORT), ARRAY(STEPS) + n, s, z, m, steady + E}};
+                              problem->control_arrays, ARRAY(CONTROL_SUPPORT), ARRAY(STEPS) + n, s, z, m, constant_norm + E}};
     const int count = problem->curved_controls ? 2 : 1;
     double farthest = 0.0, kept = 0.0;
     if (problem->curved_controls) {
@@ -162,7 +162,7 @@ double retrax_step_cap(const retrax_layout *layout, double *trajectory, const do
         return 1.0;
     }
     for (int i = 0; i < count; i++) {
-        mark_steady(&parts[i], trajectory + layout->first[arrays[i]]);
+        mark_constant_norm(&parts[i], trajectory + layout->first[arrays[i]]);
         farthest = fmax(farthest, farthest_motion(&parts[i], trajectory + layout->first[arrays[i]]));
     }
     if (!(farthest > DIAMETER)) {

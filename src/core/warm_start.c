@@ -2,8 +2,9 @@
  * Warm start: first slacks and multipliers near to those that a guess knows.
  *
  * Newton's step from them tells which inequalities will hold, and which will pull: where it makes a slack or a multiplier
- * negative, the barrier has to begin as high as the square of a share of that, in natural sizes, else as low as it was for
- * the step. A low barrier holds what it begins with, a higher one lets go of it: the one that has to begin lowest counts.
+ * negative, the barrier has to begin as high as the square of a share of that, in units of the scaling, else as low as it
+ * was for the step. A low barrier holds what it begins with, a higher one lets go of it: the one that has to begin lowest
+ * counts.
  */
 #include "search.h"
 
@@ -22,36 +23,36 @@ static void write_near(const retrax_search *search, const retrax_phase *phase, c
     const double mu = barrier * phase->limits.rate;
     *ARRAY(BARRIER) = mu;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const bool kept = retrax_is_kept(phase, i);
+        const bool never_elastic = retrax_is_never_elastic(phase, i);
         const double multiplier = known[layout->first[RETRAX_ARRAY_LIMIT_MULTIPLIERS] + i];
-        const double unit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
-        const double k = kept ? 0.0 : unit * unit / (phase->limits.rate * search->firm);
-        const double apart = kept ? -retrax_limit_inside(phase, trajectory, i)
+        const double unit = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
+        const double k = never_elastic ? 0.0 : unit * unit / (phase->limits.rate * search->penalty_scale);
+        const double apart = never_elastic ? -retrax_limit_inside(phase, trajectory, i)
                                   : known[layout->first[RETRAX_ARRAY_SLACKS] + i] - k * multiplier;
         const double more = (sqrt(apart * apart + 4.0 * k * mu) + fabs(apart)) / 2.0;
         const bool asked = ARRAY(LIMIT_WEIGHTS)[i] > 0.0;
         const double slack = asked ? (apart > 0.0 ? more : k * mu / more) : 1.0;
         ARRAY(SLACKS)[i] = slack;
-        ARRAY(LIMIT_MULTIPLIERS)[i] = asked ? fmax(mu / slack, kept ? multiplier : 0.0) : 0.0;
+        ARRAY(LIMIT_MULTIPLIERS)[i] = asked ? fmax(mu / slack, never_elastic ? multiplier : 0.0) : 0.0;
         ARRAY(EXCESSES)[i] = 0.0;
         ARRAY(PENALTIES)[i] = INFINITY;
     }
 }
 
-/* By how much a slack or a multiplier is below zero after the whole Newton step, in its natural size. */
-static double lacking(const retrax_phase *phase, const double *trajectory) {
+/* By how much a slack or a multiplier is below zero after the whole Newton step, in units of its scaling. */
+static double negative_part(const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
-    double lacks = 0.0;
+    double negative = 0.0;
     for (retrax_index i = 0; i < layout->count[RETRAX_ARRAY_LIMITS]; i++) {
-        const double unit = phase->limit_sizes[retrax_limit_of(layout->problem, i).limit];
+        const double unit = phase->constraint_scales[retrax_limit_of(layout->problem, i).limit];
         const double slack = ARRAY(SLACKS)[i] + ARRAY(SLACK_STEPS)[i];
         const double multiplier = ARRAY(LIMIT_MULTIPLIERS)[i] + ARRAY(LIMIT_MULTIPLIER_STEPS)[i];
         if (ARRAY(LIMIT_WEIGHTS)[i] > 0.0) {
-            lacks = retrax_larger(lacks, -slack / unit);
-            lacks = retrax_larger(lacks, -multiplier * unit / phase->limits.rate);
+            negative = retrax_larger(negative, -slack / unit);
+            negative = retrax_larger(negative, -multiplier * unit / phase->limits.rate);
         }
     }
-    return lacks;
+    return negative;
 }
 
 /* Writes slacks and multipliers of the iterate after the whole Newton step to the trial. */
@@ -96,12 +97,12 @@ bool retrax_warm_start(retrax_search *search) {
         write_all_near(search, false, levels[i]);
         retrax_evaluate(search, search->at);
         retrax_newton_step(search, 0.0);
-        double lacks = 0.0;
+        double negative = 0.0;
         EACH_PHASE(phase) {
-            lacks = phase->knows ? retrax_larger(lacks, lacking(phase, search->at + phase->place)) : lacks;
+            negative = phase->knows ? retrax_larger(negative, negative_part(phase, search->at + phase->place)) : negative;
         }
-        const double needed = fmax(FOLLOWED * FOLLOWED * lacks * lacks, levels[i]);
-        if (search->direction.finite && isfinite(lacks) && needed < least) {
+        const double needed = fmax(FOLLOWED * FOLLOWED * negative * negative, levels[i]);
+        if (search->direction.finite && isfinite(negative) && needed < least) {
             follow(search);
             least = needed;
         }

@@ -33,7 +33,7 @@ class ResidualScaleStruct(Structure):
 
 
 class LimitScale(NamedTuple):
-    """Natural sizes of the inequalities; ``retrax_core.h`` explains them."""
+    """Scaling factors of the inequalities; ``retrax_core.h`` explains them."""
 
     rate: float
     limits: np.ndarray  # (c,)
@@ -69,13 +69,13 @@ def core() -> Any:
 def measure(at: Trajectory, judging: Scale, steps: Scale, limits: LimitScale, least_part: float) -> None:
     """Measure how far a trajectory is from its conditions, and survey its inequalities.
 
-    ``judging``, ``steps``: natural sizes that success is judged by, and those of steps; ``least_part``: the cost that
+    ``judging``, ``steps``: scaling factors that success is judged by, and those of steps; ``least_part``: the cost that
     sets the scale of slopes where their parts vanish, 0 where their curvature does.
     """
     vectors = [judging.nodes, judging.unknowns, steps.nodes]
-    places = [address_of(own, FLOAT, own.shape, "natural sizes") for own in vectors]
+    places = [address_of(own, FLOAT, own.shape, "scaling factors") for own in vectors]
     scale = ResidualScaleStruct(*places[:2], least_part, places[2], steps.cost)
-    place = address_of(limits.limits, FLOAT, limits.limits.shape, "natural sizes of inequalities")
+    place = address_of(limits.limits, FLOAT, limits.limits.shape, "scaling factors of inequalities")
     of_limits = byref(LimitScaleStruct(limits.rate, place))
     here = byref(at._layout), at._address
     core().retrax_survey_inequalities(*here, of_limits)

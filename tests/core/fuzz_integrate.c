@@ -21,7 +21,7 @@
 /* A system, and the function that a context is of. */
 typedef struct {
     double matrix[LARGEST][LARGEST], cube, control;
-    double sizes[LARGEST]; /* natural sizes of the unknowns */
+    double sizes[LARGEST]; /* scaling factors of the unknowns */
     double usable;
     retrax_index m, controls;
 } system_of;
@@ -51,7 +51,7 @@ static double slope_of(const system_of *own, const double *c, const double *d, r
     return sum;
 }
 
-/* Size of the parts of equation i, at unknowns as large as their natural sizes: rounding is relative to that. */
+/* Size of the parts of equation i, at unknowns as large as their scaling factors: rounding is relative to that. */
 static double parts_of(const system_of *own, const double *c, double state, double h, retrax_index i) {
     const double x = fabs(c[i]) + own->sizes[i];
     double sum = x + fabs(state) + 3.0 * fabs(h * own->cube * x * x * x);

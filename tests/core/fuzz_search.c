@@ -87,7 +87,7 @@ static void make_phase(generator *g, phase *own, bool coupled) {
     own->problem.weights = own->weights;
     own->problem.columns = own->problem.arrays = own->columns;
     own->problem.control_columns = own->problem.control_arrays = own->control_columns;
-    own->problem.kept = own->kept;
+    own->problem.never_elastic = own->kept;
     own->problem.bounds = below(g, own->problem.inequalities + 1);
     const int smooth = below(g, 2) == 0;
     for (int name = 0; name < RETRAX_FUNCTIONS; name++) {
@@ -197,7 +197,7 @@ static int try_search(generator *g) {
     const bool restores = below(g, 3) == 0;
     for (retrax_index k = 0; k < count; k++) {
         const retrax_search_result found = retrax_search_read(search, k);
-        const double final = found.trajectory[layouts[k]->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_FINAL];
+        const double final = found.trajectory[layouts[k]->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_KKT_ERROR];
         broken = found.claimed && !(final <= TOLERANCE) ? 2 : broken;
         broken = found.iterations < 0 || found.iterations > options.max_iterations + 5 ? 3 : broken;
     }

@@ -24,7 +24,7 @@ from .trajectories import CASES, posed, put
 SETS = range(best_instruction_set() + 1)
 NAMES = list(CASES)
 SHARE = 0.9  # of the way to the boundary that slacks may go
-AWAY = 0.1  # size of the random steps from a solution, in natural sizes
+AWAY = 0.1  # size of the random steps from a solution, in units of the scaling
 
 
 def compare(found: Trajectory, expected: dict[str, np.ndarray], rtol: float = 1e-9) -> None:
@@ -279,7 +279,7 @@ def test_searches_end_where_the_first_and_second_order_conditions_hold(name):
 
 
 def sizes_of_unknowns(equations: DiscreteEquations, scale: Scale) -> np.ndarray:
-    """Natural sizes of all unknowns of a step."""
+    """Scaling factors of all unknowns of a step."""
     velocities = np.tile(scale.nodes, equations.s if equations.collocates else 0)
     return np.concatenate([scale.unknowns[: equations.n], velocities, scale.unknowns[equations.n :]])
 

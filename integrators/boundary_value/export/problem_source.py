@@ -196,7 +196,7 @@ def _constants_text(posed: PosedProblem, name: str) -> str:
         constant("double", "tableau_weights", weights, "Weights of the points of a step."),
         constant(place, "columns", own.groups[0], "Columns of matrices that the entries of a state belong to."),
         constant(place, "arrays", own.groups[1], "Arrays that they belong to."),
-        constant("double", "kept", own.kept, "1 for a bound that no iterate leaves."),
+        constant("double", "never_elastic", own.kept, "1 for a bound that no iterate leaves."),
         constant("double", "draws", wave_amplitudes(sizes).ravel(), "Waves by which a degenerate guess is perturbed."),
     ]
     if own.control_groups is not None:
@@ -236,7 +236,7 @@ def _problem_text(posed: PosedProblem) -> str:
     if curved:
         fields |= {"curved_controls": "true", "control_columns": "control_columns", "control_arrays": "control_arrays"}
     if len(own.kept):
-        fields["kept"] = "kept"
+        fields["never_elastic"] = "never_elastic"
     fields["bounds"] = str(own.bounds)
     return "\n".join(f"        .{name} = {value}," for name, value in fields.items())
 

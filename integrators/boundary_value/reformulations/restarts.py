@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from ....compute.binding.structs import Residual
 from ....compute.threads import each_in_threads
 from ....manifolds.numerics.ambient import taken
 from ..inputs.arguments import Options
@@ -15,7 +16,7 @@ from ..transcription.discrete_phase import LinkedPhases
 from ..transcription.iterate import LinkedIterate
 from ..transcription.member_search import MemberSearch, Watch
 from ..transcription.rollout import rollout
-from ..transcription.search_record import LARGEST, MemberIterate, SearchRecord
+from ..transcription.search_record import MemberIterate, SearchRecord
 
 LARGER = 1e2  # times the usual first penalty of excesses
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
@@ -67,7 +68,7 @@ def from_slow_convergence(member: MemberSearch, first: SearchRecord, found: Sear
 
     A new search begins without regularisation, with which steps converge only linearly.
     """
-    return _better(member, found, found.iterate) if _is_near(found) and not found.facts.right_inertia else found
+    return _better(member, found, found.iterate) if _is_near(found) and not found.facts.inertia_correct else found
 
 
 def from_feasible_trajectory(member: MemberSearch, first: SearchRecord, found: SearchRecord) -> SearchRecord:
@@ -79,7 +80,7 @@ def from_feasible_trajectory(member: MemberSearch, first: SearchRecord, found: S
     """
     controlled = any(phase.transcription.controls.dimension for phase in member.problem.phases)
     settled = found.facts.claimed or _is_near(found) if controlled else found.facts.claimed and found.facts.strict
-    if settled or found.facts.falls:
+    if settled or found.facts.diverging:
         return found
     restored, iterate = member.restore(member.guess.bare)
     found = found.with_facts(iterations=found.facts.iterations + restored.trials)
@@ -108,7 +109,7 @@ def with_larger_penalty(member: MemberSearch, first: SearchRecord, found: Search
     """Larger penalty and barrier: with small values the cost may drive free quantities to their bounds before the
     equations hold, and the excesses grow."""
     limited = any(phase.transcription.inequalities for phase in member.problem.phases)
-    return _better(member, found, member.guess.bare, firm=LARGER) if limited and _is_open(found) else found
+    return _better(member, found, member.guess.bare, penalty_scale=LARGER) if limited and _is_open(found) else found
 
 
 # In their order, with tests that need them.
@@ -128,13 +129,13 @@ def _better(
     start: MemberIterate,
     anything: bool = False,
     width: float = 1.0,
-    firm: float = 1.0,
+    penalty_scale: float = 1.0,
 ) -> SearchRecord:
     """The result of a search from an iterate if it is an extremal that costs less, or ``anything``; else the result so
     far."""
     if member.watch.stopped:
         return found
-    again = member.from_iterate(start, width, firm)
+    again = member.from_iterate(start, width, penalty_scale)
     anything = anything and not member.watch.stopped  # a search that was stopped may not have begun
     better = anything or (again.facts.claimed and not (found.facts.claimed and again.cost >= found.cost))
     return (again if better else found).with_facts(iterations=found.facts.iterations + again.facts.iterations)
@@ -147,9 +148,13 @@ def _says_nothing(found: SearchRecord) -> bool:
 
 def _is_near(found: SearchRecord) -> bool:
     """Whether the iteration limit came near to an extremal."""
-    return not found.facts.claimed and found.facts.limited and bool(found.residuals[LARGEST] <= NEAR)
+    return (
+        not found.facts.claimed
+        and found.facts.iteration_limit_reached
+        and bool(found.residuals[Residual.BARRIER_ERROR] <= NEAR)
+    )
 
 
 def _is_open(found: SearchRecord) -> bool:
     """Whether no search came near to an extremal, and the cost has a lower bound."""
-    return not (found.facts.claimed or _is_near(found) or found.facts.falls)
+    return not (found.facts.claimed or _is_near(found) or found.facts.diverging)

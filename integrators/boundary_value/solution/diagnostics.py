@@ -201,7 +201,7 @@ class Statistics:
     Attributes
     ----------
     iterations : int
-        Newton iterations of the search that found the result, and of the failed searches before it.
+        Trial points of the search that found the result, and of the failed searches before it.
     compile_seconds : float
         Seconds to trace and compile.
     run_seconds : float

@@ -9,6 +9,7 @@ import numpy as np
 
 from ....compute.binding.multiphase import CoupledEnds
 from ....compute.binding.problem_functions import CallbackFunction
+from ....compute.binding.structs import Residual
 from ....compute.binding.tape_machine import MachineProgram
 from ....compute.binding.transcription import IterateNumbers, Sizes, Trajectory, Transcription
 from ....manifolds.numerics.ambient import joined
@@ -19,8 +20,16 @@ from .functions.linked_ends import LinkageFunctions
 from .functions.steps import AtStages
 from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
 from .kkt_system import KKTSystem
-from .search_record import LARGEST, PhaseRecord, SearchRecord
+from .search_record import PhaseRecord, SearchRecord
 
+JUDGED = [
+    Residual.DEFECT,
+    Residual.STATIONARITY,
+    Residual.VIOLATION,
+    Residual.EXCESS,
+    Residual.COMPLEMENTARITY,
+    Residual.BARRIER_ERROR,
+]  # the fields of Residuals
 KEPT_MESHES = 4  # transcriptions of one problem and thread, of meshes with other numbers of steps
 
 
@@ -185,7 +194,7 @@ def extremals_of(
         nodes.reshape(shape),
         costates.reshape(shape),
         totals[:, 0],
-        Residuals(*_rows([own.residuals for own in records]).T[[*range(5), LARGEST]]),
+        Residuals(*_rows([own.residuals for own in records]).T[JUDGED]),
         _rows([own.missing for own in records]),
         _inequalities(conditions, iterate.slacks, members),
         strict,

@@ -30,7 +30,7 @@ class Watch:
         """Show an iteration of a member to the callback; whether the search is to end."""
         if self.stopped or self.callback is None:
             return self.stopped
-        names = "cost", "defect", "stationarity", "shift", "fraction", "descends", "violation", "barrier"
+        names = "cost", "defect", "stationarity", "regularisation", "fraction", "descends", "violation", "barrier"
         seen = (np.array([getattr(iteration, name)]) for name in names)
         return stops(self.callback(Iteration(iteration.number, np.array([k]), *seen)))
 
@@ -62,18 +62,18 @@ class MemberSearch:
 
     def from_guess(self) -> SearchRecord:
         """The result of a search from the guess, or from a perturbed one where the guess is degenerate."""
-        search = self._search(looks=True)
+        search = self._search(detect_degenerate=True)
         for j, (phase, part) in enumerate(zip(self.problem.phases, self.parts, strict=True)):
             put(search.phase(j), phase, part, self.k)
         search.multipliers()[...] = self._multipliers
         return self._record(search, self._run(search) is SearchStatus.DEGENERATE)
 
-    def from_iterate(self, start: MemberIterate, width: float = 1.0, firm: float = 1.0) -> SearchRecord:
+    def from_iterate(self, start: MemberIterate, width: float = 1.0, penalty_scale: float = 1.0) -> SearchRecord:
         """The result of a search from an iterate.
 
-        ``width``, ``firm``: see ``Search``.
+        ``width``, ``penalty_scale``: see ``Search``.
         """
-        search = self._search(start, width, firm)
+        search = self._search(start, width, penalty_scale)
         self._run(search)
         return self._record(search, False)
 
@@ -92,10 +92,21 @@ class MemberSearch:
         return found, self._iterate(search)
 
     def _search(
-        self, start: MemberIterate | None = None, width: float = 1.0, firm: float = 1.0, looks: bool = False
+        self,
+        start: MemberIterate | None = None,
+        width: float = 1.0,
+        penalty_scale: float = 1.0,
+        detect_degenerate: bool = False,
     ) -> Search:
         """A search that begins at an iterate, if there is one."""
-        search = Search(self._multiphase, *self._options, width, firm, looks, partial(self.watch.report, self.k))
+        search = Search(
+            self._multiphase,
+            *self._options,
+            width,
+            penalty_scale,
+            detect_degenerate,
+            partial(self.watch.report, self.k),
+        )
         if start is not None:
             for j, own in enumerate(start.phases):
                 search.phase(j).set_iterate(own)
@@ -129,7 +140,7 @@ class MemberSearch:
         found = results[0]
         if found.facts.stopped:
             self.watch.stop()
-        missing = [own.trajectory["LACKING"] / own.judging.nodes for own in results]
+        missing = [own.trajectory["MAX_DEFECTS"] / own.judging.nodes for own in results]
         if self.problem.coupling is not None:
             missing.append(np.abs(found.values) / found.equations)
         first = None

@@ -7,8 +7,6 @@ import numpy as np
 from ....compute.binding.search import SearchFacts
 from ....compute.binding.transcription import IterateNumbers, Scale
 
-LARGEST = 8  # place of the largest residual
-
 
 class MemberIterate(NamedTuple):
     """An iterate of a member in the order of the core: of each phase, and the multipliers of what couples the ends."""

@@ -86,7 +86,7 @@ static bool is_spent(void *context, const retrax_iteration *iteration) {
 /* Makes a search in a workspace; returns NULL if that is too small. */
 static retrax_search *make_search(@name@_workspace *workspace, budget *limit, head **found) {
     const retrax_options options = {
-        .tolerance = tolerance, .max_iterations = @NAME@_MAX_ITERATIONS, .width = 1.0, .firm = 1.0, .looks = true,
+        .tolerance = tolerance, .max_iterations = @NAME@_MAX_ITERATIONS, .width = 1.0, .penalty_scale = 1.0, .detect_degenerate = true,
         .report = limit->most > 0 ? is_spent : NULL, .context = limit};
     unsigned char *const base = (unsigned char *)workspace->numbers;
     size_t used = (ALIGNMENT - (size_t)((uintptr_t)base % ALIGNMENT)) % ALIGNMENT;

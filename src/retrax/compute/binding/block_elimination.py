@@ -52,7 +52,7 @@ def solve_blocks(
 ) -> BlockResult:
     """Return the solution of a linear system.
 
-    ``cost_scale``, ``regularisation``: the natural size of the cost of a stage, and the factor of the diagonal
+    ``cost_scale``, ``regularisation``: the scaling factor of the cost of a stage, and the factor of the diagonal
     ``regularised``.
     """
     if arrays.left.ndim != 3 or arrays.slope.ndim != 3 or not arrays.left.size * arrays.slope.shape[2]:

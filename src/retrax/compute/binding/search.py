@@ -39,15 +39,15 @@ class SearchFacts(NamedTuple):
     """Facts on the end of a search, of all phases together; ``retrax_core.h`` explains the fields."""
 
     iterations: int
-    limited: bool
+    iteration_limit_reached: bool
     claimed: bool
     strict: bool
-    convex: bool
+    legendre_holds: bool
     solvable: bool
     infeasible: bool
-    falls: bool
+    diverging: bool
     stopped: bool
-    right_inertia: bool
+    inertia_correct: bool
 
 
 read_facts = attrgetter(*SearchFacts._fields)
@@ -84,8 +84,9 @@ class Feasibility(NamedTuple):
 class Search:
     """Newton's method on the conditions of one trajectory, or of phases whose ends are coupled.
 
-    ``width``: the infeasibility that the funnel lets pass first; ``firm``: times the usual first penalty of excesses;
-    ``looks``: whether a guess may be called degenerate; ``report``: called after each evaluation, asks to stop by True.
+    ``width``: the first width of the funnel; ``penalty_scale``: times the usual first penalty of excesses;
+    ``detect_degenerate``: whether a guess may be called degenerate; ``report``: called after each trial point, asks to
+    stop by True.
     The memory is that of the first transcription: one search at a time, and a result holds until the next one begins.
     """
 
@@ -95,8 +96,8 @@ class Search:
         tolerance: float,
         max_iterations: int,
         width: float = 1.0,
-        firm: float = 1.0,
-        looks: bool = True,
+        penalty_scale: float = 1.0,
+        detect_degenerate: bool = True,
         report: Callable[[IterationStruct], bool] | None = None,
     ) -> None:
         own = self._library = library()
@@ -109,7 +110,9 @@ class Search:
         self._place = address_of(self._memory, FLOAT, self._memory.shape, "memory of a search")
         self._report, self._interrupted = report, False
         self._callback = REPORT(partial(_report, ref(self)))  # C calls it
-        options = OptionsStruct(tolerance, max_iterations, width, firm, looks, self._callback, None)
+        options = OptionsStruct(
+            tolerance, max_iterations, width, penalty_scale, detect_degenerate, self._callback, None
+        )
         best = self._of[0].instruction_set
         self._search = own.retrax_search_make(self._phases.address, byref(options), best, self._place)
 
@@ -208,7 +211,7 @@ class Search:
         return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, facts)
 
     def _coupling_arrays(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Natural sizes, values and derivatives of the equations between the ends."""
+        """Scaling factors, values and derivatives of the equations between the ends."""
         r, coordinates = self._phases.equations, 2 * sum([of.sizes.state_size for of in self._of])
         if not found.equations:
             return np.zeros(0), np.zeros(0), np.zeros((0, coordinates))

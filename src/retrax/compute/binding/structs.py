@@ -1,6 +1,7 @@
 """The structs of ``src/core/retrax_core.h``, and the type of the report that the core calls."""
 
 from ctypes import CFUNCTYPE, POINTER, Structure, c_bool, c_double, c_int, c_ssize_t, c_void_p
+from enum import IntEnum
 from typing import final
 
 
@@ -159,7 +160,7 @@ class ProblemStruct(Structure):
         ("curved_controls", c_bool),
         ("control_columns", c_void_p),
         ("control_arrays", c_void_p),
-        ("kept", c_void_p),
+        ("never_elastic", c_void_p),
         ("bounds", c_ssize_t),
         ("coupled", c_bool),
         ("functions", FunctionStruct * FUNCTIONS),
@@ -212,6 +213,25 @@ class ScaleStruct(Structure):
 
 
 @final
+class Residual(IntEnum):
+    """Places of the residuals of an iterate; ``retrax_core.h`` explains these."""
+
+    DEFECT = 0
+    STATIONARITY = 1
+    VIOLATION = 2
+    EXCESS = 3
+    COMPLEMENTARITY = 4
+    CENTRING = 5
+    ERROR_WITHOUT_COMPLEMENTARITY = 6
+    KKT_ERROR = 7
+    BARRIER_ERROR = 8
+    INFEASIBILITY = 9
+    BARRIER_OBJECTIVE = 10
+    CONSTRAINT_TERM = 11
+    MAX_SCALED_DEFECT = 12
+
+
+@final
 class IterationStruct(Structure):
     """``retrax_iteration``."""
 
@@ -220,7 +240,7 @@ class IterationStruct(Structure):
         ("cost", c_double),
         ("defect", c_double),
         ("stationarity", c_double),
-        ("shift", c_double),
+        ("regularisation", c_double),
         ("fraction", c_double),
         ("descends", c_bool),
         ("violation", c_double),
@@ -239,8 +259,8 @@ class OptionsStruct(Structure):
         ("tolerance", c_double),
         ("max_iterations", c_ssize_t),
         ("width", c_double),
-        ("firm", c_double),
-        ("looks", c_bool),
+        ("penalty_scale", c_double),
+        ("detect_degenerate", c_bool),
         ("report", REPORT),
         ("context", c_void_p),
     )
@@ -264,9 +284,18 @@ class SearchResultStruct(Structure):
         ("iterations", c_ssize_t),
         *(
             (fact, c_bool)
-            for fact in ("limited", "claimed", "strict", "convex", "solvable", "infeasible", "falls", "stopped")
+            for fact in (
+                "iteration_limit_reached",
+                "claimed",
+                "strict",
+                "legendre_holds",
+                "solvable",
+                "infeasible",
+                "diverging",
+                "stopped",
+            )
         ),
-        ("right_inertia", c_bool),
+        ("inertia_correct", c_bool),
     )
 
 

@@ -54,7 +54,7 @@ class Sizes(NamedTuple):
 
 @final
 class Scale(NamedTuple):
-    """Natural sizes: of the unknowns of a step, shape ``(z,)``, of the nodes, ``(n,)``, and of the cost of a step."""
+    """Scaling factors: of the unknowns of a step, shape ``(z,)``, of the nodes, ``(n,)``, and of the cost of a step."""
 
     unknowns: np.ndarray
     nodes: np.ndarray
