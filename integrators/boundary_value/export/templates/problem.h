@@ -64,7 +64,7 @@ typedef struct {
     /* Residuals, relative to the size of their parts: of the dynamics, of the derivatives of the Lagrangian, of the
      * inequalities, and of multipliers times slacks. */
     double defect, stationarity, violation, complementarity;
-@gains_field@    bool strict_minimum; /* whether the second-order conditions hold too; false where there are inequalities */
+@gains_field@    bool strict_minimum; /* whether the second-order conditions hold too */
 } @name@_output;
 
 /* Memory that a solve works in, of any content; it may be static. */
