@@ -60,5 +60,5 @@ def test_without_a_compiler_pip_builds_the_core_from_the_source_distribution(tmp
 def test_places_of_residuals_are_those_of_the_header():
     header = (ROOT / "src" / "core" / "retrax_core.h").read_text()
     (names,) = re.findall(r"enum \{\s*(RETRAX_DEFECT,.*?)\};", header, re.DOTALL)
-    found = re.findall(r"^ +RETRAX_(\w+)", names, re.MULTILINE)
+    found = re.findall(r"^ *RETRAX_(\w+)", names, re.MULTILINE)
     assert found == [*(own.name for own in Residual), "RESIDUALS"]
