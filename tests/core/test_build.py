@@ -2,6 +2,7 @@
 
 import ctypes
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from retrax.compute.binding.library import HEADER_VERSION
+from retrax.compute.binding.structs import Residual
 
 ROOT = Path(__file__).parents[2]
 SDIST = "import backend, sys; print(backend.build_sdist(sys.argv[1]))"
@@ -53,3 +55,10 @@ def test_without_a_compiler_pip_builds_the_core_from_the_source_distribution(tmp
     assert core.retrax_core_version() == HEADER_VERSION
     core.retrax_tape_instruction_name.restype = ctypes.c_char_p
     assert core.retrax_tape_instruction_name(4) == b"MUL_ADD"
+
+
+def test_places_of_residuals_are_those_of_the_header():
+    header = (ROOT / "src" / "core" / "retrax_core.h").read_text()
+    (names,) = re.findall(r"enum \{\s*(RETRAX_DEFECT,.*?)\};", header, re.DOTALL)
+    found = re.findall(r"^ *RETRAX_(\w+)", names, re.MULTILINE)
+    assert found == [*(own.name for own in Residual), "RESIDUALS"]
