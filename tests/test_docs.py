@@ -149,7 +149,7 @@ def test_the_glossary_has_the_quantities_of_the_solver_once_each():
     assert len(terms) == len(set(terms)) > 100
     needed = (
         "defect, tangential defect, constraint values, elastic excess, penalty, elastic mode, slack, fraction to the "
-        "boundary, step cap, trial point, Newton iteration, regularisation, inertia correction, scaling, rescaling, "
+        "boundary, step cap, trial point, iteration, regularisation, inertia correction, scaling, rescaling, "
         "control range, magnitudes, transcription, transcribed problem, boundary data, reformulation, termination "
         "status, audit, constraint qualification, linkage, bordered system, condensing, pullback, pushforward, "
         "globalisation, predicted reduction, perturbed guess, diverging, converged, batch"
