@@ -11,8 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from retrax.compute.automatic import AutomaticEvaluator
-from retrax.integrators import SymplecticIntegrator, classify, solve
-from retrax.integrators.boundary_value.audit.discretization_error import Propagator, _AtOnce, _tableau
+from retrax.integrators import SymplecticIntegrator, classify
 from retrax.integrators.boundary_value.shooting.least_squares import least_squares
 from retrax.integrators.boundary_value.transcription.chart import Chart
 from retrax.integrators.initial_value.step import StepEquations
@@ -25,7 +24,7 @@ from retrax.manifolds.level_set import GAUSS_NEWTON_STEPS, positive_norms
 from retrax.manifolds.numerics import ambient as vec
 from retrax.manifolds.numerics.precision import default_tolerance
 from retrax.manifolds.numerics.root import approach_root, find_root
-from retrax.problems import SINGULAR, get
+from retrax.problems import SINGULAR
 from retrax.retractions import Cayley, CotangentLift, Exponential, Gauss, Midpoint, Projection, ProjectionByNewton
 from retrax.retractions.retraction import miss
 
@@ -290,53 +289,6 @@ def centres():
     return Case("Chart.centres", pose, {"easy": start_at((0.1, 0.3)), "hard": start_at((1.0, 3.0))}, host=host)
 
 
-def propagation():
-    """The states of a slew of 20 steps to which its controls lead, all steps at once: 120 unknowns in blocks of 6."""
-    known, (table, weights, places) = get("rest-to-rest-slew"), _tableau()
-    retraction = Cayley(known.problem.manifold)
-    found = solve(known.problem, known.start, known.end, known.horizon, method=Midpoint(retraction), steps=20)
-    discrete = found.times, found.states, found.stage_times, found.controls, None
-    propagator = Propagator(known.problem, retraction)
-    given = propagator._given(*discrete)
-    count, n = len(given.steps), len(given.scales)
-
-    def end(c, x, begin, step, base, offset):
-        def slope(slopes, at):
-            row, place, i = at
-            time = jnp.reshape(begin + step * place, 1)
-            found = propagator._rate_of(x, c + step * row @ slopes, base, offset, time, jnp.zeros(0))[0]
-            return slopes.at[i].set(found), None
-
-        stages = jnp.asarray(table), jnp.asarray(places), jnp.arange(len(places))
-        slopes, _ = jax.lax.scan(slope, jnp.zeros((len(places), n)), stages)
-        c = c + step * weights @ slopes
-        return propagator._chart_of(x, c)[0]
-
-    def pose(data, mark):
-        def residual(c):
-            c = given.scales * (data + mark(c).reshape(count, n))
-            first = jnp.concatenate([jnp.zeros((1, n)), c[:-1]])
-            fixed = map(jnp.asarray, (given.states[:-1], given.begins, given.steps, given.bases, given.offsets[:, 0]))
-            ends = jax.vmap(end)(first, *fixed)
-            there = jax.vmap(lambda x, c: propagator._chart_of(x, c)[0])(jnp.asarray(given.states[1:]), c)
-            return (jnp.einsum("kne,ke->kn", given.frames[1:], ends - there) / given.scales).ravel()
-
-        return Posed(residual, jnp.zeros(count * n))
-
-    def host():
-        own = Propagator(known.problem, retraction)
-        own._given(*discrete)
-
-        def found(data):
-            at_once = _AtOnce(own, given)
-            nodes = at_once(1)
-            return at_once.coordinates[None, 1:] / given.scales, np.array([nodes is not None])
-
-        return found
-
-    return Case("_AtOnce", pose, {"easy": jnp.zeros((1, count, n))}, host=host)
-
-
 CASES: dict[str, Callable[[], Case]] = {
     "inverse, sphere": lambda: inverse_retraction(Exponential(Sphere(2)), (0.1, 1.5), (1.5, 3.1)),
     "inverse, ellipsoid": lambda: inverse_retraction(ProjectionByNewton(Ellipsoid((3,))), (0.05, 0.3), (0.3, 1.5)),
@@ -350,5 +302,4 @@ CASES: dict[str, Callable[[], Case]] = {
     "costates at an end": costates_at_an_end,
     "consistent points": consistent_points,
     "centres of steps": centres,
-    "states of controls": propagation,
 }
