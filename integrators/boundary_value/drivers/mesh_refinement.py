@@ -30,7 +30,7 @@ FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most
 SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
 # The most iterations of a solution in arcs, whose guess is near: times those of the first mesh, or of so few.
-MOST_ITERATIONS, FEWEST_ITERATIONS = 3, 10
+MOST_ITERATIONS, FEWEST_ITERATIONS = 4, 20
 SLOW_REFINEMENT, REFINEMENT_PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
 
