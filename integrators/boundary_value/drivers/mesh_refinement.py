@@ -29,8 +29,6 @@ MOST_REFINED_STEPS, MOST_STAGES = 5000, 6
 FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most
 SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
-# The most iterations of a solution in arcs, whose guess is near: times those of the first mesh, or of so few.
-MOST_ITERATIONS, FEWEST_ITERATIONS = 4, 20
 SLOW_REFINEMENT, REFINEMENT_PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
 HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
 
@@ -101,8 +99,7 @@ class MeshRefinement:
                 "the problem is singular, and only the mesh of a regular problem is refined; give a method and steps, "
                 "such as method=Midpoint(retraction), steps=50, and no accuracy"
             )
-        most = min(self._options.max_iterations, MOST_ITERATIONS * max(self._effort[0], FEWEST_ITERATIONS))
-        self._arc_options = self._options._replace(max_iterations=most, restarts=False)
+        self._arc_options = self._options._replace(restarts=False)  # their guess is near
         try:
             best = self._estimate(solution)
         except KeyboardInterrupt:
