@@ -79,7 +79,7 @@ class MeshRefinement:
             options = options._replace(callback=self._report)
             self.inputs = replace(self.inputs, options=options)
         looser = min(SHARE * self.accuracy, LOOSEST) if self.loosely else 0.0
-        self._options = self._arc_options = options._replace(tolerance=max(options.tolerance, looser))
+        self._options = options._replace(tolerance=max(options.tolerance, looser))
 
     def _report(self, iteration: Iteration) -> bool:
         """Whether the callback stops the iteration, which then holds for all later meshes."""
@@ -99,7 +99,6 @@ class MeshRefinement:
                 "the problem is singular, and only the mesh of a regular problem is refined; give a method and steps, "
                 "such as method=Midpoint(retraction), steps=50, and no accuracy"
             )
-        self._arc_options = self._options._replace(restarts=False)  # their guess is near
         try:
             best = self._estimate(solution)
         except KeyboardInterrupt:
@@ -157,7 +156,8 @@ class MeshRefinement:
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
         arcs = problem is not self.problem
-        inputs = replace(self.inputs, options=self._arc_options if arcs else self._options)
+        options = self._options._replace(restarts=not arcs)  # the guess of arcs is near
+        inputs = replace(self.inputs, options=options)
         return self._solve(solver, inputs.again(solver._reader, given, guess))
 
     def _solve(self, solver: Solver, inputs: Inputs) -> Solution:
