@@ -5,10 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
-import retrax
 from retrax.hooks import Hook
-
-ROOT = Path(retrax.__file__).parents[2]
 
 
 def hooks() -> dict[str, Hook]:
@@ -26,7 +23,8 @@ def test_every_hook_is_defined_by_the_file_that_it_names():
     assert len(hooks()) >= 6
     for name, hook in hooks().items():
         assert hook.work is not None, name
-        assert Path(inspect.getsourcefile(hook.work)).resolve() == ROOT / hook.place, name
+        # The last parts of the path: a wheel and an editable installation have the folders at different places.
+        assert Path(inspect.getsourcefile(hook.work)).as_posix().endswith(f"/{hook.place}"), name
 
 
 def test_a_call_before_the_import_names_the_file():
