@@ -411,8 +411,8 @@ def test_curved_spaces(name):
     assert abs(entry.distance(found.cost)) < 1e-9
 
 
-@pytest.mark.long("horizon3-constraints3-0-1e-06")
-@pytest.mark.parametrize("accuracy", [None, 1e-6])
+@pytest.mark.long("horizon3-constraints3-0-0.0001")
+@pytest.mark.parametrize("accuracy", [None, 1e-4])
 @pytest.mark.parametrize(
     ("horizon", "constraints", "count"),
     [
