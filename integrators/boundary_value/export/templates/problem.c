@@ -207,8 +207,10 @@ static void read_output(const head *own, const retrax_search *search, const @nam
         retrax_search_perturb(search, draws);
         status = retrax_search_run(search);
     }
-    const bool solved = status == RETRAX_CONVERGED && retrax_search_read(search, 0).claimed;
     read_output(own, search, input, output);
+    if (retrax_search_read(search, 0).claimed) { /* also where the last iteration of a budget has led there */
+        return output->status = @NAME@_SOLVED;
+    }
     switch (status) {
         case RETRAX_INFEASIBLE:
             output->status = @NAME@_INFEASIBLE;
@@ -218,7 +220,7 @@ static void read_output(const head *own, const retrax_search *search, const @nam
             output->status = @NAME@_ITERATION_LIMIT;
             break;
         default:
-            output->status = solved ? @NAME@_SOLVED : @NAME@_SINGULAR;
+            output->status = @NAME@_SINGULAR;
             break;
     }
     return output->status;
