@@ -267,24 +267,6 @@ def test_a_bound_that_becomes_inactive():
         assert (held > 1e-2) == (limit < 6)
 
 
-@pytest.mark.slow
-def test_what_is_violated_between_the_points():
-    """The largest excess along the polynomials, and none of it at the points; refinement sees what depends on states
-    alone."""
-    low = {"ceiling": lambda q, u: q[0] - 1 / 9}
-    problem = OptimalControlProblem(PLANE, cart, energy, 1, constraints=low)
-    given, method = (problem, np.array([0.0, 1.0]), np.array([0.0, -1.0]), 1.0), Gauss(3, Addition(PLANE))
-    for steps in (7, 20):
-        found = solve(*given, method=method, steps=steps)
-        errors = step_errors(problem, found)
-        along = found(np.linspace(0, 1, 20_001)).states[:, 0] - 1 / 9
-        assert found.checks.violation < 1e-9 < np.max(along)
-        np.testing.assert_allclose(np.max(errors.violations["ceiling"]), np.max(along), rtol=0.2)
-    found = solve(*given, method=method, steps=7, accuracy=1e-6)
-    assert found.checks.between["ceiling"] < 1e-6
-    assert abs(found.cost - 4) < 1e-5
-
-
 def test_stages_are_added_where_all_steps_err_and_steps_where_few_do():
     smooth = solve(REGULATOR, np.ones(1), None, 1.0, method=Gauss(2, Addition(LINE)), steps=4, accuracy=1e-9)
     assert (smooth.steps, len(smooth.stage_times) > 8) == (4, True)
@@ -409,29 +391,3 @@ def test_curved_spaces(name):
     entry = problems.get(name)
     found = entry.solve(6, Gauss(2, entry.discretization.retraction), accuracy=1e-9)
     assert abs(entry.distance(found.cost)) < 1e-9
-
-
-@pytest.mark.long("horizon3-constraints3-0-0.0001")
-@pytest.mark.parametrize("accuracy", [None, 1e-4])
-@pytest.mark.parametrize(
-    ("horizon", "constraints", "count"),
-    [
-        (Free(3.0), None, 1),
-        (Free(3.0, lower=0.5), None, 1),
-        (Free(3.0, lower=2.5), None, 1),
-        (Free(3.0), {"slow": lambda q, u: q[1] - 0.8}, 0),
-    ],
-)
-def test_bounds_of_durations_and_horizons_break_no_symmetry(horizon, constraints, count, accuracy, capsys):
-    """The price of the place is constant; a constraint of states may change that of another component."""
-    bounds = {"control_bounds": (-1, 1), "constraints": constraints}
-    problem = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, **bounds)
-    ends = np.zeros(2), np.array([1.0, 0.0])
-    found = solve(problem, *ends, horizon, method=Gauss(2, Addition(PLANE)), steps=12, accuracy=accuracy)
-    assert found.checks.conserved == {"R^2": count}
-    if count:
-        assert np.ptp(found.momenta["R^2"][:, 0]) < 1e-9
-    found.report()
-    lengths = np.diff(found.times)
-    words = f"{lengths[0]:.6g}" if np.ptp(lengths) < 1e-9 else f"{lengths.min():.3g} to {lengths.max():.3g}"
-    assert f"steps of {words}\n" in capsys.readouterr().out

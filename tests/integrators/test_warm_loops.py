@@ -78,8 +78,8 @@ NAMES = [own.name for own in problems.all() if own.problem._limits.any and own.n
 # Where a hundredth of the time has gone, a robot has another minimum, dearer by 1e-5; and these two take fewer
 # iterations without any guess than from the states and controls of the plan, which they still outdo.
 ELSEWHERE, WORSE_GUESSES = {"free-flying-robot"}, {"keep-out-cone", "bryson-denham"}
-# Without a guess, what is left of a plan ends in another minimum, dearer by 1.5e-4.
-DEARER_WITHOUT_A_GUESS = {"bilimoria-wie"}
+# Without a guess, what is left of this plan ends in another minimum, dearer by 1.5e-4.
+DEARER_WITHOUT_A_GUESS = {("bilimoria-wie", 1e-3)}
 
 
 CASES = [(name, share) for name in NAMES for share in (0.0, 1e-3, 1e-2) if share < 1e-2 or name not in ELSEWHERE]
@@ -103,7 +103,7 @@ def test_a_neighbour_s_solution_is_a_guess_that_saves_iterations(name, share):
     cold = solver.solve(start, known.end, horizon, guess=known.guess) if share else plan
     warm, bare = (solver.solve(start, known.end, horizon, guess=one) for one in (plan, Guess(own.states, own.controls)))
     assert warm.cost <= cold.cost + 1e-9 * abs(cold.cost)
-    if name not in DEARER_WITHOUT_A_GUESS:
+    if (name, share) not in DEARER_WITHOUT_A_GUESS:
         assert warm.cost == pytest.approx(cold.cost, rel=1e-9)
     assert warm.statistics.iterations <= bare.statistics.iterations + 1
     if share < 1e-2 or name not in WORSE_GUESSES:
