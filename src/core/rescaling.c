@@ -55,9 +55,11 @@ static bool moves(const retrax_layout *layout, const double *trajectory) {
     return false;
 }
 
-/* Whether its controls move it by more than rounding of its states, or it has none: else no success is what it seems
- * [test_a_wild_guess_does_not_set_the_measure_of_success]. */
-static bool acts(const retrax_phase *phase, const double *trajectory) {
+/* Whether its controls move it by more than rounding of its states: else no success is what it seems
+ * [test_a_wild_guess_does_not_set_the_measure_of_success]. A trajectory without controls moves by itself, but of several
+ * phases one may rest, and then has no size
+ * [test_an_arc_that_rests_between_two_that_do_not]. */
+static bool acts(const retrax_search *search, const retrax_phase *phase, const double *trajectory) {
     const retrax_layout *const layout = phase->layout;
     const retrax_index n = layout->problem->state_size, z = layout->count[RETRAX_ARRAY_PARTS];
     retrax_measure_motion(layout, trajectory, phase->work, phase->sizes, phase->values);
@@ -74,7 +76,7 @@ static bool acts(const retrax_phase *phase, const double *trajectory) {
             return true;
         }
     }
-    return z == n;
+    return z == n && !retrax_is_coupled(search);
 }
 
 /* Whether the sizes in use are far larger than those of the iterate, phase->fresh. */
@@ -91,7 +93,7 @@ static bool are_outgrown(const retrax_search *search) {
         }
     }
     EACH_PHASE(phase) {
-        pushes = pushes || (less && acts(phase, search->at + phase->place));
+        pushes = pushes || (less && acts(search, phase, search->at + phase->place));
         goes = goes || moves(phase->layout, search->at + phase->place);
     }
     return less && pushes && (more || goes);
