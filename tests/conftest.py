@@ -44,8 +44,8 @@ LEAST_SECONDS = 0.03
 def pytest_addoption(parser):
     parser.addoption(
         "--part",
-        help="K/M: of the slow tests the K-th of M parts, K from 0, a function's cases together; of those whose other "
-        "cases are run by default the K-th of 4, case by case",
+        help="K/M: of the slow tests the K-th of M parts, K from 0, a function's cases together; where its other cases "
+        "are run by default, case by case",
     )
 
 
@@ -123,14 +123,11 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [item for item in items if item not in set(left)]
 
 
-QUARTERS = 4  # runs that have all cases of a test between them
-
-
 def in_part(item, number, parts):
     """Whether a slow test is in a part; cases have programs of their own, a function's cases often share one."""
-    if item.get_closest_marker("other_case"):
-        return crc32(item.nodeid.encode()) % QUARTERS == number % QUARTERS
-    return crc32(item.nodeid.split("[")[0].encode()) % parts == number % parts
+    alone = item.get_closest_marker("other_case")
+    name = item.nodeid if alone else item.nodeid.split("[")[0]
+    return crc32(name.encode()) % parts == number % parts
 
 
 @pytest.fixture(autouse=True, scope="module")
