@@ -155,11 +155,6 @@ def refute(solution: Solution, reason: str) -> Solution:
 # ----------------------------------------------------------------------------------- free horizons and durations
 
 
-def stop(record: Record) -> Record:
-    """The record of a computation that was stopped before it was verified."""
-    return fail(record, sentence("stopped"))
-
-
 def fail_at_zero(record: Record, name: str, horizon: float) -> Record:
     """The record without success: a horizon of this name tends to zero."""
     return fail(
@@ -168,15 +163,6 @@ def fail_at_zero(record: Record, name: str, horizon: float) -> Record:
         "so that no horizon is best, and the infimum of the cost is its limit at zero. Expected a running cost that "
         "grows faster than the velocity, as 1 + u @ u; try such a cost, a lower bound of the horizon, or "
         "control_bounds.",
-    )
-
-
-def fail_far_from_guess(solution: Solution) -> Solution:
-    """The solution without success: its horizon is so far from each guess that its conditions vanish."""
-    return fail(
-        solution,
-        f"The horizon tends to {solution.horizon:.3g}, where the conditions vanish and say nothing; try another guess "
-        "of it, a lower or an upper bound, or a guess of the trajectory.",
     )
 
 

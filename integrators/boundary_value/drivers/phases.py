@@ -22,7 +22,7 @@ from ..audit import status
 from ..audit.independence_of_boundary_conditions import equation_words
 from ..inputs.arguments import Method, Options, check_problem
 from ..iteration import Iteration
-from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
+from ..reformulations.free_quantity_solver import MAGNITUDES
 from ..reformulations.reformulation import Reformulation
 from ..regular_extremals import find_phases
 from ..solution.diagnostics import add_compile_time
@@ -174,7 +174,7 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
 
     def solve_at_any_magnitude(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, from durations of another magnitude if there is none from the guessed durations."""
-        first = self._reject_vanishing(phases, self._in_own_units(phases))
+        first = self._solve(phases)
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
         if not free or status.is_final(first):
             return first
@@ -183,10 +183,16 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
             if all(duration is not None for duration in durations):
                 pairs = zip(phases, durations, strict=True)
                 scaled_phases = [phase._replace(duration=duration) for phase, duration in pairs]
-                found = self._reject_vanishing(phases, self._in_own_units(scaled_phases))
+                found = self._solve(scaled_phases)
                 if status.is_final(found) and not (found.success and _find_far_durations(phases, found, FARTHEST)):
                     return found
         return first
+
+    def _solve(self, phases: Sequence[Phase]) -> PhasedSolution:
+        """The extremal from guesses of all phases, without success where durations vanish or grow without bound."""
+        solution = self.solve(phases, self._search)
+        lost = _find_far_durations(phases, solution, FARTHEST if solution.success else TOO_FAR)
+        return self._reject_vanishing(phases, status.fail_of_durations(solution, _names(lost)) if lost else solution)
 
     def _reject_vanishing(self, phases: Sequence[Phase], solution: PhasedSolution) -> PhasedSolution:
         """The solution, without success where durations tend to zero that nothing but their costs determines."""
@@ -197,28 +203,6 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         if not lost:
             return solution
         return status.fail_at_zero(solution, f"The duration of {_names(lost)}", solution.phases[lost[0]].horizon)
-
-    def _in_own_units(self, phases: Sequence[Phase]) -> PhasedSolution:
-        """The extremal, found again from itself where durations are far from their guesses, in whose units it was
-        judged."""
-        solution, given = self._solve(phases), phases
-        for _ in range(AGAIN):
-            if not (solution.success and _find_far_durations(phases, solution, RESTART)) or _find_far_durations(
-                given, solution, FARTHEST
-            ):
-                break
-            if solution.statistics.stopped:
-                return status.stop(solution)
-            phases = [_with_near_guess(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
-            solution = self._solve(phases)
-        lost = _find_far_durations(phases, solution, RESTART if solution.success else TOO_FAR) or _find_far_durations(
-            given, solution, FARTHEST
-        )
-        return status.fail_of_durations(solution, _names(lost)) if lost else solution
-
-    def _solve(self, phases: Sequence[Phase]) -> PhasedSolution:
-        """The extremal from guesses of all phases."""
-        return self.solve(phases, self._search)
 
     def apply(self, data: Sequence[Phase]) -> _PosedPhases:
         """The phases as equations, each from its guess."""
