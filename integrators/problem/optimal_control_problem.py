@@ -214,10 +214,10 @@ class OptimalControlProblem(ProblemStatement):
     ) -> "OptimalControlProblem":
         """The problem with every function replaced by ``change(function, kind)``."""
         given: dict[str, Any] = {name: change(function, kind) for name, function, kind in self._functions()}
-        own, ends = self._limits, self._boundary
-        functions = tuple(given[constraint_words(name)] for name in own.names)
-        at_nodes = tuple(given[node_words(name)] for name in own.node_names)
-        limits = own.with_functions(functions, at_nodes)
+        limits, ends = self._limits, self._boundary
+        functions = tuple(given[constraint_words(name)] for name in limits.names)
+        at_nodes = tuple(given[node_words(name)] for name in limits.node_names)
+        limits = limits.with_functions(functions, at_nodes)
         between = tuple(given[boundary_words(name)] for name in ends.names)
         boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor, ends.closed)
         names = "dynamics", "running_cost", "terminal_cost", "initial_cost", "node_cost"

@@ -32,16 +32,18 @@ class PointLayout:
         self.shapes: list[tuple[int, ...]] = [tuple(kind.shape) for kind in self._kinds]
         # Of each array.
         self.places: list[slice[int, int, None]] = [slice(*pair) for pair in pairwise(ends)]
-        own = [_columns(kind.shape, is_complex) for kind, is_complex in zip(self._kinds, self._complex, strict=True)]
-        counts = [1 + np.max(column, initial=-1) for column in own]
-        self.array_of_columns: np.ndarray = np.repeat(np.arange(len(own)), counts)
+        columns = [
+            _columns(kind.shape, is_complex) for kind, is_complex in zip(self._kinds, self._complex, strict=True)
+        ]
+        counts = [1 + np.max(column, initial=-1) for column in columns]
+        self.array_of_columns: np.ndarray = np.repeat(np.arange(len(columns)), counts)
         numbers = np.concatenate(
-            [np.zeros(0, int), *(a + b for a, b in zip(own, np.cumsum([0, *counts]), strict=False))]
+            [np.zeros(0, int), *(a + b for a, b in zip(columns, np.cumsum([0, *counts]), strict=False))]
         )
         # Of matrices, or whole arrays.
         self.columns: np.ndarray = numbers  # of the entries
         self.arrays: np.ndarray = self.array_of_columns[numbers]  # of the entries
-        self.in_arrays: np.ndarray = np.equal(self.arrays, np.arange(len(own))[:, None]).astype(float)
+        self.in_arrays: np.ndarray = np.equal(self.arrays, np.arange(len(columns))[:, None]).astype(float)
         self.in_columns: np.ndarray = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)
 
     @classmethod

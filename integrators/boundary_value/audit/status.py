@@ -77,9 +77,10 @@ def termination_statuses(found: DiscreteExtremals, tolerance: float) -> list[Sta
     }
     first = np.select(list(ways.values()), range(len(ways)), len(ways))
     names = [*ways, "no_improvement"]
-    reached = [f" Its largest residual is {own:.1e}, and the tolerance {tolerance:.1e}." for own in left]
+    reached = [f" Its largest residual is {residual:.1e}, and the tolerance {tolerance:.1e}." for residual in left]
     more = [words if names[k] == "nearly_converged" else "" for k, words in zip(first, reached, strict=True)]
-    return [Status(bool(own), sentence(names[k]) + words) for own, k, words in zip(success, first, more, strict=True)]
+    each = zip(success, first, more, strict=True)
+    return [Status(bool(holds), sentence(names[k]) + words) for holds, k, words in each]
 
 
 def concave_status(where: str) -> Status:

@@ -237,9 +237,9 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         with np.errstate(all="ignore"), Stopwatch() as watch:
             pairs, seconds = zip(posed.parts, extremals, strict=True), (posed.seconds + compiling, running)
             free = any(is_free(part.inputs.given.horizon) for part in posed.parts)
-            solutions = [part.recover(own, seconds, free) for part, own in pairs]
+            solutions = [part.recover(extremal, seconds, free) for part, extremal in pairs]
             solutions = [add_compile_time(solution, watch.seconds()[0]) for solution in solutions]
-        first = sum(sum(own.sizes.values()) for own in posed.owns)
+        first = sum(sum(phase_problem.sizes.values()) for phase_problem in posed.owns)
         cuts = first + np.cumsum([0, *posed.sizes.values()])
         named = {name: multipliers[0, a:b] for name, a, b in zip(posed.sizes, cuts[:-1], cuts[1:], strict=True)}
         return PhasedSolution.of(solutions, named, *status.phases_status(solutions))
@@ -248,17 +248,17 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         """Whether a phase begins at the last node of one with the same problem and parameters."""
         if not k and len(self.links) < len(phases):  # the last one is not linked with the first
             return False
-        before, own = phases[k - 1], phases[k]
-        return self.links[k - 1] is True and before.problem is own.problem and before.parameters is own.parameters
+        before, phase = phases[k - 1], phases[k]
+        return self.links[k - 1] is True and before.problem is phase.problem and before.parameters is phase.parameters
 
     def _links(self, parts: list[TranscribedPhase]) -> list[Link]:
         """The links between phases."""
-        found = []
+        between = []
         for k, link in enumerate(self.links):
             if link is not False:
                 after = (k + 1) % len(parts)
-                found.append(_link(k, after, link, parts))
-        return found
+                between.append(_link(k, after, link, parts))
+        return between
 
     def _equations(
         self, parts: list[TranscribedPhase], sizes: dict[str, int], ends: list[Any], given: list[Any]
@@ -267,7 +267,7 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         each = [part.ends(a, b) for part, a, b in zip(parts, ends[::2], ends[1::2], strict=True)]
         values = {name: boundary_values(name, function(each)) for name, function in self.constraints.items()}
         if self.horizon is not None:
-            values[HORIZON_NAME] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
+            values[HORIZON_NAME] = jnp.reshape(sum(phase_ends.duration for phase_ends in each) - self.horizon, 1)
         passed: Any = 0.0
         for k, (part, own) in enumerate(zip(parts, each, strict=True)):
             if k and part.solver.problem.time_dependent:
@@ -317,7 +317,7 @@ def _check_phases(phases: Any, guess: Any) -> list[Phase]:
             f"guess must be a PhasedSolution of {plural(len(phases), 'phase')}, got {brief(guess)}; try what "
             "solve_phases returned for phases like these"
         )
-    return [_with_near_guess(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]
+    return [_with_near_guess(phase, solution) for phase, solution in zip(phases, guess.phases, strict=True)]
 
 
 def _with_near_guess(phase: Phase, solution: Any) -> Phase:

@@ -61,11 +61,14 @@ class GuessReader:
     """Reads guesses with some steps and stages in each."""
 
     def __init__(self, problem: OptimalControlProblem, steps: int, stages: int) -> None:
-        own = (problem.manifold, PointLayout.of(problem.manifold)), (problem.controls, PointLayout.of(problem.controls))
+        spaces = (
+            (problem.manifold, PointLayout.of(problem.manifold)),
+            (problem.controls, PointLayout.of(problem.controls)),
+        )
         at_stages, at_nodes = steps * stages, steps + 1
         places = (0, at_stages), (1, at_stages), (0, at_nodes), (0, at_nodes), (0, at_stages)
         self._parts = [
-            _GuessPart(name, own[of][0], length, own[of][1])
+            _GuessPart(name, spaces[of][0], length, spaces[of][1])
             for name, (of, length) in zip(Guess._fields[: len(places)], places, strict=True)
         ]
         limits, added = problem._limits, (HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER)
@@ -86,7 +89,7 @@ class GuessReader:
                 )
         columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
         stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
-        at_stages, at_nodes = (tuple(map(own, guesses)) for own in (self._at_stages, self._at_nodes))
+        at_stages, at_nodes = (tuple(map(read, guesses)) for read in (self._at_stages, self._at_nodes))
         return FlatGuess(*stacked, multipliers=at_stages, node_multipliers=at_nodes)
 
     def _at_stages(self, guess: Guess) -> dict[str, np.ndarray]:
@@ -97,9 +100,9 @@ class GuessReader:
 
     def keep_multipliers(self, guess: Guess) -> Guess:
         """A guess with the multipliers of inequalities that the problem has, as far as their names tell."""
-        own = {name: rows for name, rows in (guess.multipliers or {}).items() if name in self._names}
+        known = {name: rows for name, rows in (guess.multipliers or {}).items() if name in self._names}
         at_nodes = {name: rows for name, rows in (guess.node_multipliers or {}).items() if name in self._node_names}
-        return guess._replace(multipliers=own, node_multipliers=at_nodes)
+        return guess._replace(multipliers=known, node_multipliers=at_nodes)
 
     def one(self, guess: Any) -> Guess:
         """A guess as arrays with its costates filled in; raises where something is wrong."""

@@ -81,10 +81,10 @@ class FreeQuantitySolver:
             guess = with_scaled_guess(horizon, factor)
             if guess is not None:
                 again = inputs.again(self.reader, inputs.given._replace(horizon=guess), inputs.guess)
-                found = self._reject_vanishing(again, self._solve(again))
-                effort = _sum(effort, found.statistics)
-                if status.is_final(found):
-                    return self._with_effort(found, effort)
+                other = self._reject_vanishing(again, self._solve(again))
+                effort = _sum(effort, other.statistics)
+                if status.is_final(other):
+                    return self._with_effort(other, effort)
         return self._with_effort(self._explain(horizon, first), effort)
 
     def _explain(self, horizon: Free, solution: Solution) -> Solution:
@@ -157,8 +157,8 @@ class FreeQuantitySolver:
         """The extremals of a batch."""
         formulation, solver = self.of(inputs.each[0].horizon, inputs.each[0].parameters)
         posed, solutions, stopped = formulation.apply(inputs), list[Solution](), False
-        found = solver._find_all(inputs.again(solver._reader, posed, formulation.guess(inputs, posed)))
-        for k, one in enumerate(found):
+        extremals = solver._find_all(inputs.again(solver._reader, posed, formulation.guess(inputs, posed)))
+        for k, one in enumerate(extremals):
             solution, member = formulation.recover(posed, one), inputs.member(k)
             self._found[solution] = formulation, solver
             if stopped:  # in a search of a member before
