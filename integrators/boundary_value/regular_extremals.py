@@ -67,5 +67,5 @@ def search_all(problem: LinkedPhases, guess: LinkedIterate, options: Options, wa
 
     count = len(guess.parts[0].costates)
     if count == 1 or watch.callback is not None:
-        return [run(k) for k in range(count)]
+        return list(map(run, range(count)))
     return each_in_threads(run, count, watch.stop)

@@ -95,6 +95,16 @@ class PointLayout:
         rows = self._rows(leaves, axes)
         return rows if np.isfinite(rows).all() else None
 
+    def fits(self, points: Any, axes: int) -> bool:
+        """Whether arrays with some leading axes have the shapes of points, and are complex only where points may be."""
+        leaves, structure = jax.tree.flatten(points)
+        if structure != self._structure:
+            return False
+        for leaf, shape, is_complex in zip(leaves, self.shapes, self._complex, strict=True):
+            if np.shape(leaf)[axes:] != shape or (np.iscomplexobj(leaf) and not is_complex):
+                return False
+        return True
+
     def points(self, rows: Any, join: Callable[[Any, Any], Any] = _complex) -> Ambient:
         """Points with the leading axes of an array that has their entries along the last one."""
         leaves, leading = [], rows.shape[:-1]

@@ -39,6 +39,8 @@ class FlatGuess(NamedTuple):
 
     def of(self, count: int) -> "FlatGuess":
         """The guesses of so many members, in arrays that are not to be written to."""
+        if len(self.states) == count:
+            return self
         parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in self.arrays)
         return FlatGuess(*parts, multipliers=self.multipliers, node_multipliers=self.node_multipliers)
 
@@ -87,10 +89,12 @@ class GuessReader:
                 raise InvalidInputError(
                     "guess: nodes and stage_costates come together, and one of them is None; give both or neither"
                 )
-        columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
-        stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
-        at_stages, at_nodes = (tuple(map(read, guesses)) for read in (self._at_stages, self._at_nodes))
-        return FlatGuess(*stacked, multipliers=at_stages, node_multipliers=at_nodes)
+        stacked: list[Any] = []
+        for part in self._parts:
+            rows = [_rows(getattr(guess, part.name), part) for guess in guesses]
+            known = [row for row in rows if row is not None]
+            stacked.append(np.stack(known) if len(known) == len(rows) else None)
+        return FlatGuess(*stacked, tuple(map(self._at_stages, guesses)), tuple(map(self._at_nodes, guesses)))
 
     def _at_stages(self, guess: Guess) -> dict[str, np.ndarray]:
         return _multipliers("multipliers", guess.multipliers or {}, self._names, (self._stages, "stage"))
@@ -120,17 +124,18 @@ class GuessReader:
         """Raise if states are off the manifold, by at least ``violations``, a number for each of
         ``states_to_check``."""
         begin, size, manifold = 0, self._parts[0].layout.size, self._parts[0].manifold
+        tolerance = default_tolerance()
         for name in ("states", "nodes"):
             rows = getattr(flat, name)
             if rows is None:
                 continue
             points = rows.reshape(-1, size)
-            far = ~(violations[begin : begin + len(points)] <= default_tolerance())
+            far = ~(violations[begin : begin + len(points)] <= tolerance)
             begin += len(points)
             if np.any(far):
                 found = violations_at(manifold, self._parts[0].layout.points(points[far]))
                 for equation, values in found.items():
-                    if not np.max(values) <= default_tolerance():
+                    if not np.max(values) <= tolerance:
                         worst = f"{equation} reaches {np.max(values):.3g}"
                         raise InvalidInputError(f"guess: {name} are not on {manifold}: {worst}, expected 0")
 

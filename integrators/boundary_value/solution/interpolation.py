@@ -127,21 +127,17 @@ class Interpolant:
 
     def require_fits(self, what: str, states: Any, controls: Any) -> None:
         """Raise unless these are points of its manifolds, along a leading axis."""
-        for name, manifold, given in (
-            ("states", self.retraction.manifold, states),
-            ("controls", self.controls, controls),
-        ):
-            expected, got = (
-                jax.tree.map(lambda s: s.shape, manifold.ambient),
-                jax.tree.map(lambda a: np.shape(a)[1:], given),
-            )
+        for name, layout, given in (("states", self.state, states), ("controls", self.control, controls)):
+            if layout.fits(given, 1):
+                continue
+            manifold = self.retraction.manifold if name == "states" else self.controls
+            expected = jax.tree.map(lambda s: s.shape, manifold.ambient)
+            got = jax.tree.map(lambda a: np.shape(a)[1:], given)
             if expected != got:
                 raise InvalidInputError(
                     f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}"
                 )
-            for s, a in zip(jax.tree.leaves(manifold.ambient), jax.tree.leaves(given), strict=True):
-                if np.iscomplexobj(a) and not np.issubdtype(s.dtype, np.complexfloating):
-                    raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
+            raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
 
     def __call__(self, record: ExtremalArrays, t: Any) -> Sample:
         """The extremal at a time, or at an array of times.

@@ -9,6 +9,7 @@ import numpy as np
 
 from ....compute.binding.multiphase import CoupledEnds
 from ....compute.binding.problem_functions import CallbackFunction
+from ....compute.binding.search import SearchFacts
 from ....compute.binding.structs import Residual
 from ....compute.binding.tape_machine import MachineProgram
 from ....compute.binding.transcription import IterateNumbers, Sizes, Trajectory, Transcription
@@ -187,29 +188,25 @@ def extremals_of(
     def system(k: int) -> KKTSystem:
         return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].steps)
 
-    flags = [np.array(flag) for flag in zip(*(record.facts for record in records), strict=True)]
-    iterations, limited, claimed, strict, convex, solvable, infeasible, falling, *_ = flags
-    nodes, costates, totals = map(
-        _rows, zip(*((member.nodes, member.costates, member.totals) for member in members), strict=True)
-    )
+    facts = SearchFacts(*map(np.array, zip(*[record.facts for record in records], strict=True)))
     return DiscreteExtremals(
-        nodes.reshape(shape),
-        costates.reshape(shape),
-        totals[:, 0],
-        Residuals(*_rows([record.residuals for record in records]).T[JUDGED]),
-        _rows([record.missing for record in records]),
-        _inequalities(conditions, iterate.slacks, members),
-        strict,
-        convex,
-        iterations,
-        limited,
-        claimed,
-        solvable,
-        infeasible,
-        falling,
-        at_stages,
-        system,
-        stopped,
+        nodes=_rows([member.nodes for member in members]).reshape(shape),
+        costates=_rows([member.costates for member in members]).reshape(shape),
+        cost=_rows([member.totals for member in members])[:, 0],
+        residuals=Residuals(*_rows([record.residuals for record in records]).T[JUDGED]),
+        missing=_rows([record.missing for record in records]),
+        inequalities=_inequalities(conditions, iterate.slacks, members),
+        strict_minimum=facts.strict,
+        convex=facts.legendre_holds,
+        iterations=facts.iterations,
+        limited=facts.iteration_limit_reached,
+        claimed=facts.claimed,
+        solvable=facts.solvable,
+        infeasible=facts.infeasible,
+        falling=facts.diverging,
+        at_stages=at_stages,
+        system=system,
+        stopped=stopped,
     )
 
 

@@ -29,7 +29,7 @@ class Inequalities(NamedTuple):
     weights: np.ndarray  # zero where nothing is asked for
     slacks: np.ndarray
     multipliers: np.ndarray
-    sizes: np.ndarray  # natural ones, shape (B, 1, 1, c)
+    sizes: np.ndarray  # scaling, shape (B, 1, 1, c)
     rate: np.ndarray  # scaling of the cost rate, shape (B,)
 
     @property
