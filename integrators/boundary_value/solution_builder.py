@@ -12,7 +12,7 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.path_constraints import LOWER, UPPER
 from ..problem.point_layout import PointLayout
 from ..problem.quantities import Quantities
-from ..reporting.results import sentence
+from ..reporting.result_sentences import sentence
 from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
 from .audit.status import Status, concave_status, termination_statuses
 from .audit.unmoved_entries import unmoved_words

@@ -17,7 +17,7 @@ from .drivers.waypoints import join_phases, phases_through
 from .guess import Guess
 from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem, require_refinable
 from .inputs.inputs import Inputs
-from .iteration import Iteration
+from .iteration_reports import Iteration
 from .solution.differentiable_solution import INSTEAD
 from .solution.record import Solution
 from .solver import Solver

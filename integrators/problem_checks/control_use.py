@@ -7,7 +7,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ...index_bounds import place_of
 from ..problem.quantities import Quantities
-from ..reporting.results import callers
+from ..reporting.result_sentences import callers
 
 
 def warn_of_broadcast(program: ClosedJaxpr) -> None:

@@ -9,7 +9,7 @@ from ....manifolds import Euclidean
 from ....tracing import one_tracing
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.smoothness.derivative_check import DerivativeCheck
-from ...reporting.results import reasons, sentence
+from ...reporting.result_sentences import reasons, sentence
 from ..inputs.arguments import structure_of
 from ..inputs.boundary_data import PrescribedEnd
 from ..solution.diagnostics import RegularChecks

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar, final
 import numpy as np
 
 from ...problem.optimal_control_problem import OptimalControlProblem
-from ...reporting.results import Result, reasons, sentence
+from ...reporting.result_sentences import Result, reasons, sentence
 from ..solution.diagnostics import RegularChecks, Statistics
 from ..solution.multiphase_solution import PhasedSolution
 from ..solution.record import Solution

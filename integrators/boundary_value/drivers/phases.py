@@ -21,7 +21,7 @@ from ...reporting.text import brief, plural
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import equation_words
 from ..inputs.arguments import Method, Options, check_problem
-from ..iteration import Iteration
+from ..iteration_reports import Iteration
 from ..reformulations.free_quantity_solver import MAGNITUDES
 from ..reformulations.reformulation import Reformulation
 from ..regular_extremals import find_phases

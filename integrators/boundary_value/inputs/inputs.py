@@ -27,7 +27,7 @@ from ...problem.free_quantities import guess_of, guesses_of, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...problem_checks.requirements import require_retraction
-from ...reporting.results import callers
+from ...reporting.result_sentences import callers
 from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
 from ..guess import Guess, Mesh, MeshGuess

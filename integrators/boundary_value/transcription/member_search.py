@@ -8,7 +8,7 @@ import numpy as np
 
 from ....compute.binding.multiphase import Multiphase
 from ....compute.binding.search import Feasibility, Search, SearchResult, SearchStatus
-from ..iteration import Iteration, stops
+from ..iteration_reports import Iteration, stops
 from .core_transcription import coupled_ends, numbers_of, put, transcription_of
 from .discrete_phase import DiscretePhase, LinkedPhases
 from .iterate import Iterate, LinkedIterate
