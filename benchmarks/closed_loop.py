@@ -21,71 +21,35 @@ import json
 import shutil
 import statistics
 import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import casadi as ca
 import jax
-import jax.numpy as jnp
 import numpy as np
 import retrax as rx
 from scipy.spatial.transform import Rotation
 
 jax.config.update("jax_enable_x64", True)
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
-J = np.array([120.0, 100.0, 70.0])  # mN m s^2
-OWN = J * np.array([1.1, 0.9, 1.05])  # of the plant
-AXES = np.array([[1, -1, 0, 0], [0, 0, 1, -1], [0.8, 0.8, 0.8, 0.8]])
-AXES = AXES / np.linalg.norm(AXES, axis=0)
-TORQUE, RATE, CONE = 2.0, np.deg2rad(2.5), np.deg2rad(25)  # mN m, rad/s, rad
-CAMERA = np.array([1.0, 0.0, 0.0])
-SUN = Rotation.from_rotvec([0, 0, 55], degrees=True).apply([1, 0, 0.15])
-SUN /= np.linalg.norm(SUN)
-GOAL = Rotation.from_rotvec([0, 0, 120], degrees=True)
-STEPS = np.geomspace(0.1, 2.0, 12)
-HORIZON, SAMPLE, TOLERANCE = 12.0, 0.1, 1e-6  # s
-SOFT = {"rate": 50.0, "sun": 1000.0}
-START = np.eye(3), np.zeros(3), np.array([3.0, -2.0, 1.0, 4.0])
-Q = rx.SO(3) * rx.Euclidean(3) * rx.Euclidean(4)
+from tests.support import satellite  # noqa: E402
+
+STEPS, HORIZON, SAMPLE, TOLERANCE = satellite.STEPS, satellite.HORIZON, satellite.SAMPLE, 1e-6
+AXES, CAMERA, CONE, J, RATE = satellite.AXES, satellite.CAMERA, satellite.CONE, satellite.J, satellite.RATE
+SOFT, SUN, TORQUE = satellite.SOFT, satellite.SUN, satellite.TORQUE
 BARRIERS = 1e-1, 1e-2, 1e-3, 1e-4  # first ones of FATROP
 TRIED = 30  # samples of each
 COST_UNIT = 100.0  # of the cost that FATROP is given: in units of one its residuals stall at 1e-5
-
-
-def move(q, u, inertia):
-    """The motion of the satellite."""
-    R, w, h = q
-    return R @ rx.hat(w), (-AXES @ u - jnp.cross(w, inertia * w + AXES @ h)) / inertia, u
-
-
-def controller():
-    """The controller in Python."""
-
-    def off(q):
-        return 3 - jnp.trace(GOAL.as_matrix().T @ q[0])
-
-    problem = rx.OptimalControlProblem(
-        Q,
-        lambda q, u: move(q, u, J),
-        lambda q, u: 20 * off(q) + 300 * q[1] @ q[1] + u @ u / 10,
-        controls=4,
-        terminal_cost=lambda q: 200 * off(q) + 2000 * q[1] @ q[1],
-        control_bounds=(-TORQUE, TORQUE),
-        constraints={
-            "rate": lambda q, u: q[1] @ q[1] / RATE**2 - 1,
-            "sun": lambda q, u: q[0] @ CAMERA @ SUN - np.cos(CONE),
-        },
-    )
-    solver = rx.Solver(problem, rx.Gauss(2, rx.Cayley(Q)), steps=STEPS)
-    return rx.RecedingHorizon(solver, None, horizon=HORIZON, soft=SOFT, hold=SAMPLE, tolerance=TOLERANCE)
 
 
 class Compiled:
     """The controller in C."""
 
     def __init__(self, python, folder, compiler):
-        python.export_c(folder / "satellite", "satellite", START)
+        python.export_c(folder / "satellite", "satellite", satellite.START)
         own = folder / "satellite"
         (own / "sizes.c").write_text(
             '#include "satellite_controller.h"\n'
@@ -165,7 +129,7 @@ class Fatrop:
     def _functions():
         """The step, and the soft constraints."""
         x, v, h = ca.SX.sym("x", 11), ca.SX.sym("v", 6), ca.SX.sym("h")
-        goal, axes = ca.DM(GOAL.as_matrix()), ca.DM(AXES)
+        goal, axes = ca.DM(satellite.TARGET), ca.DM(AXES)
 
         def off(x):
             return 3 - ca.trace(ca.mtimes(goal.T, attitude(x[:4])))
@@ -239,20 +203,6 @@ class Fatrop:
         return shifted.ravel()[:-6]
 
 
-def plant():
-    """The satellite with another inertia and a ripple of its wheels."""
-    return rx.OptimalControlProblem(
-        Q, lambda q, u, ripple: move(q, u + ripple, OWN), lambda q, u: u @ u / 2, controls=4
-    )
-
-
-def measure(q, t, rng):
-    """The state with the noise of its sensors."""
-    R, w, h = q
-    turn = Rotation.from_rotvec(rng.normal(size=3) * 20 / 3600, degrees=True)
-    return R @ turn.as_matrix(), w + np.deg2rad(2e-3) * rng.normal(size=3), h
-
-
 def flown(sides, samples):
     """Seconds, iterations and controls of each side at each sample; the first side flies."""
     seconds = {name: [] for name in sides}
@@ -267,8 +217,8 @@ def flown(sides, samples):
             controls[name].append(control)
         return controls[next(iter(sides))][-1]
 
-    noise = {"parameters": lambda t, rng: 0.02 * rng.normal(size=4), "measure": measure}
-    rx.simulate(plant(), fly, START, samples * SAMPLE, SAMPLE, **noise)
+    noise = {"parameters": satellite.ripple, "measure": satellite.measure}
+    rx.simulate(satellite.plant(), fly, satellite.START, samples * SAMPLE, SAMPLE, **noise)
     return seconds, iterations, controls
 
 
@@ -283,7 +233,7 @@ def main():
     best = min(medians, key=medians.get)
     folder = Path(tempfile.mkdtemp())
     try:
-        python = controller()
+        python = satellite.controller(max_iterations=None, tolerance=TOLERANCE)
         sides = {"compiled": Compiled(python, folder, given.compiler), "python": Python(python), "fatrop": Fatrop(best)}
         seconds, iterations, controls = flown(sides, given.samples)
     finally:

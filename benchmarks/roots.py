@@ -261,36 +261,15 @@ def trajectories(name, seconds, compilations):
     optimistix."""
     system, integrator = SYSTEMS[name]
     starts = states(integrator)
-
-    def steps(solver, start, tolerance):
-        def step(z, _):
-            posed, equations = pose_step(system, integrator, (*z, jnp.asarray(STEP)), unmarked)
-            if solver == OURS:
-                c, _ = posed.ours()
-            else:
-                method = SOLVERS[solver](tolerance)
-                c = optimistix.root_find(lambda c, _: posed.residual(c), method, posed.start, throw=False).value
-            q, p, _ = equations.end(equations.sizes * c)
-            q = integrator.manifold.restore(q)
-            return (q, integrator.manifold.projection(q, p)), None
-
-        return jax.lax.scan(step, start, length=STEPS)[0]
-
-    first = []
-    for _ in range(compilations):
-        forgotten()
-        began = time.perf_counter()
-        flow = Flow(system, integrator)
-        flow.integrate(taken(starts, 0), STEP, STEPS, save_every=STEPS)
-        first.append(time.perf_counter() - began)
+    flow, first_call = time_first_calls(system, integrator, taken(starts, 0), compilations)
     calls = {
         1: {"compiled core": lambda: flow.integrate(taken(starts, 0), STEP, STEPS, save_every=STEPS)},
         COUNT: {"compiled core": lambda: flow.integrate_many(starts, STEP, STEPS, save_every=STEPS)},
     }
     ends = flow.integrate_many(starts, STEP, STEPS, save_every=STEPS)
-    rows = {"compiled core": {"first call, s": round(statistics.median(first), 3)}}
+    rows = {"compiled core": {"first call, s": first_call}}
     for solver in (OURS, "Newton", "Chord"):
-        run = partial(steps, solver)
+        run = partial(steps_under_xla, system, integrator, solver)
         batch, _ = prepared(jax.vmap(run, (0, None)), (starts, 0.0))
         for tolerance in TOLERANCES if solver != OURS else TOLERANCES[:1]:
             q, p = batch(starts, tolerance)
@@ -310,6 +289,35 @@ def trajectories(name, seconds, compilations):
             row[f"microseconds a step, {count}"] = round(1e6 * times[solver] / STEPS / count, 3)
             row[f"over ours, {count}"] = round(times[solver] / times["compiled core"], 2)
         yield row
+
+
+def time_first_calls(system, integrator, start, compilations):
+    """A flow on the compiled core, and the median time of its first call, in seconds."""
+    first = []
+    for _ in range(compilations):
+        forgotten()
+        began = time.perf_counter()
+        flow = Flow(system, integrator)
+        flow.integrate(start, STEP, STEPS, save_every=STEPS)
+        first.append(time.perf_counter() - began)
+    return flow, round(statistics.median(first), 3)
+
+
+def steps_under_xla(system, integrator, solver, start, tolerance):
+    """The end of a trajectory whose steps are solved in a loop under XLA."""
+
+    def step(z, _):
+        posed, equations = pose_step(system, integrator, (*z, jnp.asarray(STEP)), unmarked)
+        if solver == OURS:
+            c, _ = posed.ours()
+        else:
+            method = SOLVERS[solver](tolerance)
+            c = optimistix.root_find(lambda c, _: posed.residual(c), method, posed.start, throw=False).value
+        q, p, _ = equations.end(equations.sizes * c)
+        q = integrator.manifold.restore(q)
+        return (q, integrator.manifold.projection(q, p)), None
+
+    return jax.lax.scan(step, start, length=STEPS)[0]
 
 
 def in_units(a, b):

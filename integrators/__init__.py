@@ -19,7 +19,7 @@ from .problem.free_quantities import Free
 from .problem.optimal_control_problem import OptimalControlProblem
 from .problem.quantities import Quantities, Quantity
 from .problem.table import Table, tabulated
-from .reporting.results import Result
+from .reporting.result_sentences import Result
 from .singular import Classification, SingularIntegrator, classify, singular_integrator
 from .stages import *
 

@@ -31,7 +31,7 @@ FLOORS = (
     ("initial value", "integrators.initial_value"),
     ("dirac", "integrators.dirac"),
     ("singular", "integrators.singular"),
-    ("inputs", f"{VALUE}.inputs {VALUE}.guess {VALUE}.iteration"),
+    ("inputs", f"{VALUE}.inputs {VALUE}.guess {VALUE}.iteration_reports"),
     ("transcription", f"{VALUE}.transcription"),
     ("solution", f"{VALUE}.solution"),
     ("reformulations and audit", " ".join(

@@ -228,11 +228,11 @@ class DefaultGuess:
         The states go through flat points, shape (B, P, E), at these shares of the horizon.
         """
         places, (count, through, size) = stage_places(self.method, fractions), points.shape
-        own = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, through - 2)
+        segments = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, through - 2)
         states = np.empty((count, len(places), size))
-        for k in np.unique(own):
-            inside = (places[own == k] - shares[k]) / (shares[k + 1] - shares[k])
-            states[:, own == k] = self._curve.states(points[:, k], points[:, k + 1], inside)
+        for k in np.unique(segments):
+            inside = (places[segments == k] - shares[k]) / (shares[k + 1] - shares[k])
+            states[:, segments == k] = self._curve.states(points[:, k], points[:, k + 1], inside)
         controls = np.empty((count, len(places), self._control.size))
         controls[...] = self._first_control
         return states, controls, np.zeros((count, len(fractions) + 1, size))

@@ -5,15 +5,17 @@ from typing import Any
 
 import numpy as np
 
+from ...compute.threads import each_in_threads
 from .audit.independence_of_boundary_conditions import dependence_notes, equation_words, require_independent
 from .inputs.arguments import Options
-from .reformulations.restarts import search_all
+from .reformulations.restarts import search_member
 from .transcription.core_transcription import extremals_of
 from .transcription.discrete_extremals import DiscreteExtremals
 from .transcription.discrete_phase import LinkedPhases
-from .transcription.iterate import Iterate
+from .transcription.iterate import Iterate, LinkedIterate
 from .transcription.linkages import PhaseProblem
-from .transcription.member_search import Watch
+from .transcription.member_search import MemberSearch, Watch
+from .transcription.search_record import SearchRecord
 
 
 def find_extremals(transcribed: Any, options: Options) -> DiscreteExtremals:
@@ -28,7 +30,7 @@ def find_extremals(transcribed: Any, options: Options) -> DiscreteExtremals:
 def find_phases(
     problem: LinkedPhases,
     parts: tuple[Iterate, ...],
-    owns: Sequence[PhaseProblem],
+    phase_problems: Sequence[PhaseProblem],
     names: Sequence[str],
     options: Options,
 ) -> tuple[list[DiscreteExtremals], np.ndarray]:
@@ -43,13 +45,27 @@ def find_phases(
     if problem.coupling is not None:
         notes = dependence_notes(problem, records, names)
         pairs = zip(records, notes, strict=True)
-        records = [own.with_facts(strict=own.facts.strict and not words) for own, words in pairs]
-    multipliers, found, begin = np.stack([own.multipliers for own in records]), list[DiscreteExtremals](), 0
-    for j, (phase, part, own) in enumerate(zip(problem.phases, parts, owns, strict=True)):
+        records = [record.with_facts(strict=record.facts.strict and not words) for record, words in pairs]
+    multipliers, begin = np.stack([record.multipliers for record in records]), 0
+    extremals = list[DiscreteExtremals]()
+    for j, (phase, part, phase_problem) in enumerate(zip(problem.phases, parts, phase_problems, strict=True)):
         boundary = dict[str, np.ndarray]()
-        for name, size in own.sizes.items() if problem.coupling is not None else ():
+        for name, size in phase_problem.sizes.items() if problem.coupling is not None else ():
             boundary[name] = multipliers[:, begin : begin + size]
             begin += size
-        extremals = extremals_of(phase, part, records, watch.stopped, j)
-        found.append(extremals._replace(boundary=boundary or None, notes=notes))
-    return found, multipliers
+        found = extremals_of(phase, part, records, watch.stopped, j)
+        extremals.append(found._replace(boundary=boundary or None, notes=notes))
+    return extremals, multipliers
+
+
+def search_all(problem: LinkedPhases, guess: LinkedIterate, options: Options, watch: Watch) -> list[SearchRecord]:
+    """The results for all members, in threads side by side, or one after the other where a callback watches them."""
+
+    def run(k: int) -> SearchRecord:
+        member = MemberSearch(problem, guess, k, (options.tolerance, options.max_iterations), watch)
+        return search_member(member) if options.restarts else member.from_guess()
+
+    count = len(guess.parts[0].costates)
+    if count == 1 or watch.callback is not None:
+        return list(map(run, range(count)))
+    return each_in_threads(run, count, watch.stop)

@@ -14,10 +14,10 @@ from ..problem_checks.control_use import unread_controls
 from ..problem_checks.costs import is_steep, require_cost
 from ..problem_checks.inspection import inspect_problem, probes
 from ..problem_checks.requirements import require_values
-from ..reporting.results import callers
+from ..reporting.result_sentences import callers
 from ..singular import Classification, classify
 from .inputs.inputs import Inputs
-from .iteration import say
+from .iteration_reports import say
 from .solution.record import Solution
 from .transcription.transcribed_problem import Transcription
 

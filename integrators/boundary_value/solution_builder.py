@@ -12,7 +12,7 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.path_constraints import LOWER, UPPER
 from ..problem.point_layout import PointLayout
 from ..problem.quantities import Quantities
-from ..reporting.results import sentence
+from ..reporting.result_sentences import sentence
 from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
 from .audit.status import Status, concave_status, termination_statuses
 from .audit.unmoved_entries import unmoved_words
@@ -106,8 +106,8 @@ class ExtremalRecords:
         return {
             **self._arrays(...),
             "cost": self.found.cost,
-            "success": np.array([own.success for own in self._statuses]),
-            "result": [own.result for own in self._statuses],
+            "success": np.array([status.success for status in self._statuses]),
+            "result": [status.result for status in self._statuses],
             "statistics": [self._statistics(k) for k in range(len(self._statuses))],
             "parameters": self._parameters,
         }
@@ -116,14 +116,14 @@ class ExtremalRecords:
         """The status of each member, with reasons."""
         transcribed, found = self.transcribed, self.found
         statuses, notes = termination_statuses(found, tolerance), found.notes or [""] * len(found.cost)
-        success = np.array([own.success for own in statuses])
+        success = np.array([status.success for status in statuses])
         concave = find_concave_directions(transcribed, found, self._stages, self._held, success)
-        for k, own in enumerate(statuses):
+        for k, status in enumerate(statuses):
             if k in concave:
                 statuses[k] = concave_status(self._where(concave[k], k))
-            elif notes[k] or not own.success:
-                more = self._dependent_entries(k) if own.result.startswith(STUCK_RESULTS) else ""
-                statuses[k] = own.because(more + _violation_words(transcribed, found, k, tolerance), notes[k])
+            elif notes[k] or not status.success:
+                more = self._dependent_entries(k) if status.result.startswith(STUCK_RESULTS) else ""
+                statuses[k] = status.because(more + _violation_words(transcribed, found, k, tolerance), notes[k])
         return statuses
 
     def _dependent_entries(self, k: int) -> str:
@@ -133,10 +133,10 @@ class ExtremalRecords:
 
     def _where(self, one: ConcaveDirection, k: int) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""
-        own, times, formulation = self._of.names_for_user, self._stage_times[k], self._of.formulation
+        quantities, times, formulation = self._of.names_for_user, self._stage_times[k], self._of.formulation
         if formulation is not None:
             times = times * float(formulation.rate(self._of.state.points(self.found.nodes[k, 0])))
-        names = [name for quantity in own.controls for name in quantity.columns]
+        names = [name for quantity in quantities.controls for name in quantity.columns]
         return concave_words(self._of.problem, one, names, self._stages[1][k], times)
 
     def _statistics(self, k: int) -> Statistics:
@@ -161,7 +161,7 @@ class ExtremalRecords:
             "stage_costates": state.points(covectors[k]),
             "controls": self._of.control.points(controls[k]),
             "hamiltonians": self._along.hamiltonians[k],
-        } | {field: {name: rows[k] for name, rows in own.items()} for field, own in named.items()}
+        } | {field: {name: rows[k] for name, rows in arrays_by_name.items()} for field, arrays_by_name in named.items()}
 
 
 @final
@@ -178,12 +178,12 @@ class _LaterDiagnostics:
     @cached_property
     def found(self) -> Diagnostics:
         with np.errstate(all="ignore"):
-            found = self._find()
+            diagnostics = self._find()
         if not self._active:
-            return found
-        held = [any(count for name, count in own.items() if name not in (LOWER, UPPER)) for own in self._active]
+            return diagnostics
+        held = [any(count for name, count in counts.items() if name not in (LOWER, UPPER)) for counts in self._active]
         free = np.where(held, np.inf, 0.0)[:, None]
-        return found._replace(brackets={name: rates + free for name, rates in found.brackets.items()})
+        return diagnostics._replace(brackets={name: rates + free for name, rates in diagnostics.brackets.items()})
 
 
 def _figures(later: _LaterDiagnostics, k: int) -> dict[str, Any]:
@@ -196,12 +196,12 @@ def _between_nodes(find: Callable[[], Diagnostics]) -> Diagnostics:
 
     The Hamiltonian is constant in each step alone, and no momentum is conserved.
     """
-    found = find()
-    size, nodes = found.hamiltonians.shape, next(iter(found.momenta.values())).shape[1]
-    steps = found.hamiltonians.reshape(size[0], nodes - 1, -1)
-    return found._replace(
+    diagnostics = find()
+    size, nodes = diagnostics.hamiltonians.shape, next(iter(diagnostics.momenta.values())).shape[1]
+    steps = diagnostics.hamiltonians.reshape(size[0], nodes - 1, -1)
+    return diagnostics._replace(
         hamiltonians=(steps - steps[:, :, :1] + steps[:, :1, :1]).reshape(size),
-        brackets={name: rates + np.inf for name, rates in found.brackets.items()},
+        brackets={name: rates + np.inf for name, rates in diagnostics.brackets.items()},
     )
 
 
@@ -218,7 +218,7 @@ def _active(transcribed: TranscribedProblem, held: np.ndarray | None) -> list[di
     if held is None:
         return [{} for _ in transcribed.conditions.data.steps]
     named = {**rows.at_stages(held), **rows.at_nodes(held)}
-    return [{name: int(np.sum(np.any(own[k], axis=1))) for name, own in named.items()} for k in range(len(held))]
+    return [{name: int(np.sum(np.any(sides[k], axis=1))) for name, sides in named.items()} for k in range(len(held))]
 
 
 def _multipliers(transcribed: TranscribedProblem, found: DiscreteExtremals) -> dict[str, dict[str, np.ndarray]]:
@@ -239,10 +239,11 @@ def _violation_words(transcribed: TranscribedProblem, found: DiscreteExtremals, 
     limits, rows = found.inequalities, transcribed.traced.rows
     if limits is None or found.claimed[k]:
         return ""
-    own = slice(k, k + 1)
-    excess = np.where(limits.weights[own] > 0, np.maximum(limits.values[own], 0.0), 0.0)
-    if not np.max(excess / limits.sizes[own], initial=0.0) > (tolerance if found.infeasible[k] else VIOLATED):
+    member = slice(k, k + 1)
+    excess = np.where(limits.weights[member] > 0, np.maximum(limits.values[member], 0.0), 0.0)
+    if not np.max(excess / limits.sizes[member], initial=0.0) > (tolerance if found.infeasible[k] else VIOLATED):
         return ""
-    worst = {name: np.max(own) for name, own in {**rows.at_stages(excess), **rows.at_nodes(excess)}.items() if own.size}
+    named = {**rows.at_stages(excess), **rows.at_nodes(excess)}
+    worst = {name: np.max(excesses) for name, excesses in named.items() if excesses.size}
     named = [f"{name} by up to {most:.3g}" for name, most in worst.items() if most > SMALL * np.max(excess)]
     return f" {'It' if found.infeasible[k] else 'Where this ended, it'} violates {', '.join(named)}." if named else ""

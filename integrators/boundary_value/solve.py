@@ -17,7 +17,7 @@ from .drivers.waypoints import join_phases, phases_through
 from .guess import Guess
 from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem, require_refinable
 from .inputs.inputs import Inputs
-from .iteration import Iteration
+from .iteration_reports import Iteration
 from .solution.differentiable_solution import INSTEAD
 from .solution.record import Solution
 from .solver import Solver
@@ -129,10 +129,8 @@ def solve(
         require_refinable(problem)
     if steps is None:
         steps, accuracy = DEFAULT_STEPS, DEFAULT_ACCURACY if accuracy is None else accuracy
-    method, given = (
-        _default_method(problem) if method is None else method,
-        BoundaryData(start, end, horizon, parameters, start_time),
-    )
+    method = _default_method(problem) if method is None else method
+    given = BoundaryData(start, end, horizon, parameters, start_time)
     if through:
         _require_fixed_mesh(accuracy, classification, integrator)
         phases = phases_through(problem, method, steps, given, through, guess)
@@ -142,11 +140,10 @@ def solve(
     solver = Solver(problem, method, steps)
     options = Options.of(tolerance, max_iterations, callback, verbose)
     inputs = Inputs.of(solver._reader, given, guess, options, 0, classification, integrator)
-    found = (
-        solver._solve(inputs)
-        if accuracy is None
-        else MeshRefinement(solver, inputs, accuracy, tolerance is None).solve()
-    )
+    if accuracy is None:
+        found = solver._solve(inputs)
+    else:
+        found = MeshRefinement(solver, inputs, accuracy, tolerance is None).solve()
     return found.require_success() if throw else found
 
 

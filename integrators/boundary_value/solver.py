@@ -28,7 +28,7 @@ from .export.c_export import export_c
 from .guess import Guess, Mesh
 from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
 from .inputs.inputs import InputReader, Inputs
-from .iteration import Iteration
+from .iteration_reports import Iteration
 from .reformulations.free_quantities import FreeQuantities
 from .reformulations.free_quantity_solver import SINGULAR_WORDS, FreeQuantitySolver
 from .regular_extremals import find_extremals

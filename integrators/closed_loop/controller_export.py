@@ -63,8 +63,8 @@ def export_c(self: Any, folder: str | Path, name: str, start: Any, time: float =
     posed = pose(
         begun.solver, found, begun.plan, Options.of(self._tolerance, max(ITERATIONS, budget or 0), None, False)
     )
-    own = _pose_controller(begun, found, time, control)
-    return write_folder(where, files(posed, name, ("loop.c",)) | controller_files(posed, own, name))
+    controller = _pose_controller(begun, found, time, control)
+    return write_folder(where, files(posed, name, ("loop.c",)) | controller_files(posed, controller, name))
 
 
 def _require_exportable(controller: Any) -> None:
@@ -120,7 +120,7 @@ def _samples(begun: Any, time: float, control: Any) -> tuple[np.ndarray, np.ndar
 
 def _groups(rows: Any) -> np.ndarray:
     """The ends of the columns of the inequalities of one name."""
-    sizes = [len(side) for side in rows.limits.bounded.values() if side] + [count(own) for own in rows.sizes.values()]
+    sizes = [len(side) for side in rows.limits.bounded.values() if side] + [count(size) for size in rows.sizes.values()]
     return np.cumsum([0, *sizes])
 
 

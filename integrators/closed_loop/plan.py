@@ -8,7 +8,7 @@ import numpy as np
 
 from ...manifolds import DomainError
 from ..boundary_value.guess import Guess
-from ..boundary_value.iteration import Iteration
+from ..boundary_value.iteration_reports import Iteration
 from ..boundary_value.solution.record import Solution
 
 

@@ -99,9 +99,9 @@ class Plant:
         inside = np.clip(times[:, None] + h * places, begin + INSIDE * (end - begin), end - INSIDE * (end - begin))
         controls = self._control.rows(signal(inside), 2)
         with np.errstate(all="ignore"):  # the error is NaN where the state is not finite
-            for t, own in zip(times, controls, strict=True):
+            for t, control in zip(times, controls, strict=True):
                 step = np.array([[t]]), np.array([[h]])
-                c = method.step(q, rest, *step, lambda place, own=own: (own[at[place]][None], turn), parameters[None])
+                c = method.step(q, rest, *step, lambda place, u=control: (u[at[place]][None], turn), parameters[None])
                 q = method.points(q, c)
         return q[0]
 

@@ -41,14 +41,16 @@ class ReferencePath:
     @classmethod
     def of_states(cls, solution: Solution, outside: Outside) -> Self:
         """The states of a solution: the polynomials of its method."""
-        own = solution._between_nodes
-        return cls(own.retraction, solution.times, own.polynomials(solution), outside)
+        interpolant = solution._between_nodes
+        return cls(interpolant.retraction, solution.times, interpolant.polynomials(solution), outside)
 
     @classmethod
     def of_controls(cls, solution: Solution, outside: Outside) -> Self:
         """The controls of a solution: the polynomials through its stages."""
-        own = solution._between_nodes
-        return cls(default_retraction(own.controls), solution.times, own.control_polynomials(solution), outside)
+        interpolant = solution._between_nodes
+        return cls(
+            default_retraction(interpolant.controls), solution.times, interpolant.control_polynomials(solution), outside
+        )
 
     @classmethod
     def through(cls, name: str, retraction: Retraction, table: tuple[Any, Any], outside: Outside) -> Self:

@@ -99,10 +99,10 @@ def simulate(
         seen = q if measure is None else measure(q, float(begin), rng)
         controls.append(_check_control(plant, controller(seen, float(begin))))
         sent.send(begin + delay, _signal_of(controller, controls[-1]))
-        own = parameters(float(begin), rng) if callable(parameters) else parameters
-        check_parameters(plant, own)
+        parameters_now = parameters(float(begin), rng) if callable(parameters) else parameters
+        check_parameters(plant, parameters_now)
         for signal, first, last in sent.between(begin, end):
-            q = moved.advance(q, signal, first, last, own)
+            q = moved.advance(q, signal, first, last, parameters_now)
         states.append(q)
         measured.append(jax.tree.map(np.asarray, seen))
     solves = controller.statistics if isinstance(controller, RecedingHorizon) else None

@@ -49,7 +49,7 @@ def soften(problem: OptimalControlProblem, weights: Mapping[str, float]) -> Opti
     Euclidean(shape=(2,))
     """
     _require(problem, weights)
-    own, names, prices = problem._limits, list(weights), [float(weight) for weight in weights.values()]
+    hard, names, prices = problem._limits, list(weights), [float(weight) for weight in weights.values()]
     m = problem.controls.dimension
 
     def without_slacks(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -64,12 +64,12 @@ def soften(problem: OptimalControlProblem, weights: Mapping[str, float]) -> Opti
 
     functions = tuple(
         with_slack(function, m + names.index(name)) if name in weights else without_slacks(function)
-        for name, function in zip(own.names, own.functions, strict=True)
+        for name, function in zip(hard.names, hard.functions, strict=True)
     )
     infinite = (float("inf"),) * m
-    lower = (*(own.lower or tuple(-bound for bound in infinite)), *(0.0 for _ in names))
-    upper = (*(own.upper or infinite), *(float("inf") for _ in names))
-    limits = Inequalities(lower, upper, own.names, functions, own.at_first, own.node_names, own.node_functions)
+    lower = (*(hard.lower or tuple(-bound for bound in infinite)), *(0.0 for _ in names))
+    upper = (*(hard.upper or infinite), *(float("inf") for _ in names))
+    limits = Inequalities(lower, upper, hard.names, functions, hard.at_first, hard.node_names, hard.node_functions)
     controls = Euclidean(m + len(names))
     unnamed = Quantities.of(problem.manifold, controls, None, None)
     return problem._with_arguments(

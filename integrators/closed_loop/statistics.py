@@ -76,10 +76,10 @@ class ControllerStatistics:
         """
         begin = len(self.sources) - count
         times = self.times[begin:]
-        own = {t: words for t, words in self.failures.items() if t in times}
+        kept = {t: words for t, words in self.failures.items() if t in times}
         return replace(
             self, times=times, iterations=self.iterations[begin:], milliseconds=self.milliseconds[begin:],
-            sources=self.sources[begin:], failures=own,
+            sources=self.sources[begin:], failures=kept,
         )  # fmt: skip
 
     @property

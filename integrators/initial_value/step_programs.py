@@ -61,8 +61,8 @@ def _on_core(program: Program, read: np.ndarray, written: np.ndarray) -> StepFun
     """A program between rows of a memory, without the inputs that it does not need."""
     here, values = program.codes == CODES["INPUT"], program.values.copy()
     used, values[here] = np.unique(values[here].astype(int), return_inverse=True)
-    own = MachineProgram(program.codes, program.registers, values, len(used), program.outputs, program.size)
-    return StepFunction(own, read[used], written)
+    machine_program = MachineProgram(program.codes, program.registers, values, len(used), program.outputs, program.size)
+    return StepFunction(machine_program, read[used], written)
 
 
 MOST_KNOWN = 64  # step methods that are kept, so that memory has a bound

@@ -20,7 +20,7 @@ from ...tracing import reads_once
 from ..problem.user_functions import require_concrete
 from ..problem_checks.smoothness.hamiltonian_jumps import Energy, PassedJump, Segments
 from ..reporting.records import Along, RecordFile, not_finite, shapes
-from ..reporting.results import Result, warn_about_precision
+from ..reporting.result_sentences import Result, warn_about_precision
 from ..reporting.text import brief
 from .evaluator_choice import tape_steps
 from .integrator import Integrator

@@ -103,12 +103,7 @@ class OptimalControlProblem(ProblemStatement):
         self.terminal_cost, self.initial_cost, self.node_cost = terminal_cost, initial_cost, node_cost
         self.controls = Euclidean(int(controls)) if isinstance(controls, int | np.integer) else controls
         self.abnormal, self.time_dependent = abnormal, time_dependent
-        for name, value, example in (("manifold", manifold, "SO(3)"), ("controls", self.controls, "Euclidean(3)")):
-            if not isinstance(value, Manifold):
-                raise InvalidInputError(f"{name} must be a Manifold, got {value!r}; try {example}")
-        for name, flag in (("abnormal", abnormal), ("time_dependent", time_dependent)):
-            if not isinstance(flag, bool | np.bool_):
-                raise InvalidInputError(f"{name} must be True or False, got {flag!r}")
+        self._require_types()
         given: Any = constraints
         is_made = isinstance(given, Inequalities)
         self._limits = given if is_made else Inequalities.of(control_bounds, given, node_constraints, self.controls)
@@ -121,6 +116,15 @@ class OptimalControlProblem(ProblemStatement):
         each = self._functions()
         takes = [require_arguments(n, f, (*expected, "(q, k)")[kind], more="parameters") for n, f, kind in each]
         self.takes_parameters = any(takes)
+
+    def _require_types(self) -> None:
+        """Raise if an argument that is no function has another type than expected."""
+        for name, example in (("manifold", "SO(3)"), ("controls", "Euclidean(3)")):
+            if not isinstance(getattr(self, name), Manifold):
+                raise InvalidInputError(f"{name} must be a Manifold, got {getattr(self, name)!r}; try {example}")
+        for name in ("abnormal", "time_dependent"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise InvalidInputError(f"{name} must be True or False, got {getattr(self, name)!r}")
 
     def _functions(self) -> Iterator[tuple[str, Callable[..., Any], int]]:
         """Names of the functions, the functions, and the kinds of their arguments.
@@ -214,10 +218,10 @@ class OptimalControlProblem(ProblemStatement):
     ) -> "OptimalControlProblem":
         """The problem with every function replaced by ``change(function, kind)``."""
         given: dict[str, Any] = {name: change(function, kind) for name, function, kind in self._functions()}
-        own, ends = self._limits, self._boundary
-        functions = tuple(given[constraint_words(name)] for name in own.names)
-        at_nodes = tuple(given[node_words(name)] for name in own.node_names)
-        limits = own.with_functions(functions, at_nodes)
+        limits, ends = self._limits, self._boundary
+        functions = tuple(given[constraint_words(name)] for name in limits.names)
+        at_nodes = tuple(given[node_words(name)] for name in limits.node_names)
+        limits = limits.with_functions(functions, at_nodes)
         between = tuple(given[boundary_words(name)] for name in ends.names)
         boundary = BoundaryConditions(ends.names, between, given.get(PERIODIC), ends.factor, ends.closed)
         names = "dynamics", "running_cost", "terminal_cost", "initial_cost", "node_cost"

@@ -32,16 +32,18 @@ class PointLayout:
         self.shapes: list[tuple[int, ...]] = [tuple(kind.shape) for kind in self._kinds]
         # Of each array.
         self.places: list[slice[int, int, None]] = [slice(*pair) for pair in pairwise(ends)]
-        own = [_columns(kind.shape, is_complex) for kind, is_complex in zip(self._kinds, self._complex, strict=True)]
-        counts = [1 + np.max(column, initial=-1) for column in own]
-        self.array_of_columns: np.ndarray = np.repeat(np.arange(len(own)), counts)
+        columns = [
+            _columns(kind.shape, is_complex) for kind, is_complex in zip(self._kinds, self._complex, strict=True)
+        ]
+        counts = [1 + np.max(column, initial=-1) for column in columns]
+        self.array_of_columns: np.ndarray = np.repeat(np.arange(len(columns)), counts)
         numbers = np.concatenate(
-            [np.zeros(0, int), *(a + b for a, b in zip(own, np.cumsum([0, *counts]), strict=False))]
+            [np.zeros(0, int), *(a + b for a, b in zip(columns, np.cumsum([0, *counts]), strict=False))]
         )
         # Of matrices, or whole arrays.
         self.columns: np.ndarray = numbers  # of the entries
         self.arrays: np.ndarray = self.array_of_columns[numbers]  # of the entries
-        self.in_arrays: np.ndarray = np.equal(self.arrays, np.arange(len(own))[:, None]).astype(float)
+        self.in_arrays: np.ndarray = np.equal(self.arrays, np.arange(len(columns))[:, None]).astype(float)
         self.in_columns: np.ndarray = np.equal(numbers, np.arange(sum(counts))[:, None]).astype(float)
 
     @classmethod
@@ -92,6 +94,16 @@ class PointLayout:
                 return None
         rows = self._rows(leaves, axes)
         return rows if np.isfinite(rows).all() else None
+
+    def fits(self, points: Any, axes: int) -> bool:
+        """Whether arrays with some leading axes have the shapes of points, and are complex only where points may be."""
+        leaves, structure = jax.tree.flatten(points)
+        if structure != self._structure:
+            return False
+        for leaf, shape, is_complex in zip(leaves, self.shapes, self._complex, strict=True):
+            if np.shape(leaf)[axes:] != shape or (np.iscomplexobj(leaf) and not is_complex):
+                return False
+        return True
 
     def points(self, rows: Any, join: Callable[[Any, Any], Any] = _complex) -> Ambient:
         """Points with the leading axes of an array that has their entries along the last one."""

@@ -134,7 +134,7 @@ class Quantities:
         return cls(own("q", states), own("u", controls))
 
     def bounded(self, lower: tuple[float, ...], upper: tuple[float, ...]) -> Self:
-        """These quantities with the bounds of the entries of the control.
+        """The quantities, with bounds of the control entries.
 
         Parameters
         ----------
@@ -217,9 +217,11 @@ class Quantities:
     def lines(self) -> list[str]:
         """The names in words: a line for the states and a line for the controls, if they have names."""
         rows = {"q": self.states, "u": self.controls}
-        defaults = {symbol: _names(symbol, own) for symbol, own in rows.items()}
-        named = {s for s, own in rows.items() if [q.name for q in own] != defaults[s] or any(q.is_named for q in own)}
-        return [f"{symbol}: {', '.join(map(_words, own))}" for symbol, own in rows.items() if symbol in named]
+        defaults = {symbol: _names(symbol, each) for symbol, each in rows.items()}
+        named = {
+            s for s, each in rows.items() if [q.name for q in each] != defaults[s] or any(q.is_named for q in each)
+        }
+        return [f"{symbol}: {', '.join(map(_words, each))}" for symbol, each in rows.items() if symbol in named]
 
 
 def with_unit(name: str, unit: str) -> str:

@@ -17,7 +17,7 @@ from jaxtyping import Array
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.ambient import is_traced, is_transformed
 from ...manifolds.numerics.precision import working_precision
-from ..reporting.results import warn_of_coarse_values
+from ..reporting.result_sentences import warn_of_coarse_values
 from .argument_errors import takes_more
 
 LIBRARIES = frozenset(

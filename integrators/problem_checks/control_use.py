@@ -7,7 +7,7 @@ from jax.extend.core import ClosedJaxpr, jaxpr_as_fun
 
 from ...index_bounds import place_of
 from ..problem.quantities import Quantities
-from ..reporting.results import callers
+from ..reporting.result_sentences import callers
 
 
 def warn_of_broadcast(program: ClosedJaxpr) -> None:
@@ -35,7 +35,7 @@ def unread_controls(program: ClosedJaxpr, quantities: Quantities) -> list[str]:
         function = Tape.trace(jaxpr_as_fun(program), *zeros).to_casadi()
     except NotTraceableError:
         return []
-    names = [name for own in quantities.controls for name in own.columns]
+    names = [name for quantity in quantities.controls for name in quantity.columns]
     last, read = function.n_in() - 1, np.zeros(len(names), bool)
     for k in range(function.n_out()):
         read |= np.diff(function.jac_sparsity(k, last).colind()) > 0

@@ -115,7 +115,7 @@ struct retrax_search {
 /* Whether the ends of the trajectories are coupled. */
 static inline bool retrax_is_coupled(const retrax_search *search) { return search->problem->function.evaluate != NULL; }
 
-/* step_cap.c: returns the fraction of the step in which points that keep their size move by no more than a diameter.
+/* rotation_cap.c: returns the fraction of the step in which points that keep their size move by no more than a diameter.
  * largest: [z] steps of the unknowns; trial: a trajectory that is overwritten; steady: [E + U] workspace. */
 double retrax_step_cap(const retrax_layout *layout, double *trajectory, const double *largest, double *trial,
                        bool *constant_norm);

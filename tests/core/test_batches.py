@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from retrax.compute import threads
 from retrax.integrators import Result
-from retrax.integrators.boundary_value.reformulations import restarts
+from retrax.integrators.boundary_value import regular_extremals
 
 from ..integrators.test_parts_of_a_batch import COUNT, HORIZON, START, slews
 
@@ -17,13 +17,13 @@ from ..integrators.test_parts_of_a_batch import COUNT, HORIZON, START, slews
 @pytest.fixture
 def seen(monkeypatch):
     """The threads of the searches."""
-    names, alone = list[str](), restarts.search_member
+    names, alone = list[str](), regular_extremals.search_member
 
     def search(member: Any) -> Any:
         names.append(threading.current_thread().name)
         return alone(member)
 
-    monkeypatch.setattr(restarts, "search_member", search)
+    monkeypatch.setattr(regular_extremals, "search_member", search)
     monkeypatch.setattr("os.cpu_count", lambda: 3)
     return names
 
@@ -37,7 +37,7 @@ def test_members_are_searched_in_several_threads(seen):
 
 
 def test_an_interrupt_leaves_every_member_with_what_it_has(seen, monkeypatch):
-    begun, alone = threading.Event(), restarts.search_member
+    begun, alone = threading.Event(), regular_extremals.search_member
 
     def search(member: Any) -> Any:
         begun.set()
@@ -49,7 +49,7 @@ def test_an_interrupt_leaves_every_member_with_what_it_has(seen, monkeypatch):
         begun.wait()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(restarts, "search_member", search)
+    monkeypatch.setattr(regular_extremals, "search_member", search)
     monkeypatch.setattr(threads, "wait", interrupted)
     solver, ends = slews()
     found = solver.solve_many(START, ends, HORIZON)
@@ -60,7 +60,7 @@ def test_an_interrupt_leaves_every_member_with_what_it_has(seen, monkeypatch):
 
 
 def test_an_error_of_a_member_is_raised_when_all_have_ended(seen, monkeypatch):
-    ended, alone = list[int](), restarts.search_member
+    ended, alone = list[int](), regular_extremals.search_member
 
     def search(member: Any) -> Any:
         if member.k == 4:
@@ -68,7 +68,7 @@ def test_an_error_of_a_member_is_raised_when_all_have_ended(seen, monkeypatch):
         ended.append(member.k)
         return alone(member)
 
-    monkeypatch.setattr(restarts, "search_member", search)
+    monkeypatch.setattr(regular_extremals, "search_member", search)
     solver, ends = slews()
     with pytest.raises(FloatingPointError, match="of one member"):
         solver.solve_many(START, ends, HORIZON)

@@ -10,7 +10,6 @@ from retrax.compute.binding.multiphase import CoupledEnds, Multiphase
 from retrax.compute.binding.transcription import Transcription
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
 from retrax.integrators.boundary_value import regular_extremals
-from retrax.integrators.boundary_value.reformulations import restarts
 from retrax.integrators.boundary_value.transcription.core_transcription import coupled_ends, transcription_of
 from retrax.integrators.boundary_value.transcription.discrete_phase import LinkedPhases
 from retrax.integrators.boundary_value.transcription.member_search import MemberSearch, Watch
@@ -176,7 +175,7 @@ COSTS: dict[str, tuple[Callable[[], float], float]] = {  # and relative differen
 
 def posed(case: str, monkeypatch: Any) -> tuple[LinkedPhases, Any]:
     """The phases of a problem, and its guess."""
-    seen, search = [], restarts.search_all
+    seen, search = [], regular_extremals.search_all
 
     def searched(*given: Any) -> Any:
         seen.append(given[:2])

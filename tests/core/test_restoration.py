@@ -6,6 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from retrax.compute.binding import search
 from retrax.compute.binding.search import Feasibility, Search
 from retrax.integrators import OptimalControlProblem, Phase, Solver, solve_phases
 from retrax.manifolds import Euclidean
@@ -162,7 +163,12 @@ def test_it_makes_no_more_trials_than_it_may(most, monkeypatch):
 
 def test_a_report_stops_it(monkeypatch):
     seen = []
-    monkeypatch.setattr(Search, "_reports", lambda own, one: seen.append(one.number) or one.number == 2)
+
+    def report(_search, _context, iteration):
+        seen.append(iteration.contents.number)
+        return seen[-1] == 2
+
+    monkeypatch.setattr(search, "_report", report)
     phases = two_phases(1.5, monkeypatch)
     assert phases.found is not None
     assert phases.found.stopped

@@ -14,7 +14,16 @@ from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 
 from tests.integrators.problems import IDENTITY, REST, RIGID, SLEW, SLEW_END, SPHERE, half_square, rotation, spacecraft
-from tests.support.exported import ARITHMETIC, STATUSES, WARNINGS, Flown, loop_of_the_page, needs, ran
+from tests.support.exported import (
+    ARITHMETIC,
+    STATUSES,
+    WARNINGS,
+    Flown,
+    built_and_tested,
+    compile_loop_of_the_page,
+    ran,
+    require,
+)
 
 PLANE = Euclidean(2)
 NORTH, EAST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0])
@@ -183,20 +192,13 @@ def slew(tmp_path_factory):
 @pytest.mark.usual("gcc")
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_a_folder_builds_and_passes_its_test_without_warnings(compiler, tmp_path, slew):
-    for command in (compiler, "cmake"):
-        if reason := needs(command):
-            pytest.skip(reason)
-    options = f"-DCMAKE_C_COMPILER={compiler}", "-DCMAKE_BUILD_TYPE=Debug", f"-DCMAKE_C_FLAGS={' '.join(WARNINGS)}"
-    ran("cmake", "-S", slew[2], "-B", tmp_path, *options)
-    ran("cmake", "--build", tmp_path, "-j2")
-    said = ran("ctest", "--test-dir", tmp_path, "--output-on-failure", "--verbose")
+    said = built_and_tested(slew[2], tmp_path, compiler)
     assert "status 0 after" in said
     assert "from the solution: status 0" in said
 
 
 def test_the_control_loop_of_the_page_compiles(tmp_path, slew):
-    (tmp_path / "loop.c").write_text(loop_of_the_page("slew.h"))
-    ran("gcc", *WARNINGS, f"-I{slew[2]}", "-c", "loop.c", folder=tmp_path)
+    compile_loop_of_the_page("slew.h", slew[2], tmp_path)
 
 
 def unlimited() -> OptimalControlProblem:
@@ -317,9 +319,7 @@ PROCESSORS = {
 def test_the_example_runs_on_other_processors(name, tmp_path, slew):
     """The size of the workspace is that of pointers of 64 bits, and enough for shorter ones."""
     compiler, emulator = PROCESSORS[name]
-    for command in (compiler, emulator):
-        if reason := needs(command):
-            pytest.skip(reason)
+    require(compiler, emulator)
     sources = [*slew[2].glob("*.c"), *(slew[2] / "core").glob("*.c")]
     flags = [*WARNINGS, *ARITHMETIC, "-O2", "-static"]
     ran(compiler, *flags, *sources, "-lm", "-o", tmp_path / "example", folder=slew[2])
@@ -335,8 +335,7 @@ M7 = ["-mcpu=cortex-m7", "-mthumb", "-mfpu=fpv5-d16", "-mfloat-abi=hard"]
 @pytest.mark.slow
 def test_a_microcontroller_has_room_for_the_frames(tmp_path, slew):
     """No function needs much stack, none an amount that is not known, and the code has no recursion."""
-    if reason := needs("arm-none-eabi-gcc"):
-        pytest.skip(reason)
+    require("arm-none-eabi-gcc")
     sources = sorted([slew[2] / "slew.c", slew[2] / "slew_functions.c", *(slew[2] / "core").glob("*.c")])
     options = [*WARNINGS, *ARITHMETIC, "-O2", *M7, f"-I{slew[2]}", f"-I{slew[2] / 'core'}", "-fstack-usage"]
     ran("arm-none-eabi-gcc", *options, "-c", *sources, folder=tmp_path)

@@ -15,8 +15,8 @@ from retrax.integrators.closed_loop.plant import Plant, Signal
 from retrax.manifolds import InvalidInputError
 from scipy.spatial.transform import Rotation
 
-from tests.integrators import satellite
-from tests.support.exported import STATUSES, WARNINGS, FlownController, loop_of_the_page, needs, ran
+from tests.support import satellite
+from tests.support.exported import STATUSES, FlownController, built_and_tested, compile_loop_of_the_page
 
 S2, BODY = rx.Sphere(2), rx.SO(3) * rx.Euclidean(3)
 NORTH, EAST, REST = np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]), np.zeros(3)
@@ -156,20 +156,13 @@ def test_a_failure_is_said_and_the_control_of_the_plan_stays(pointing, core):
 
 
 def test_the_control_loop_of_the_page_compiles(tmp_path, pointing):
-    (tmp_path / "loop.c").write_text(loop_of_the_page("pilot_controller.h"))
-    ran("gcc", *WARNINGS, f"-I{pointing[1]}", "-c", "loop.c", folder=tmp_path)
+    compile_loop_of_the_page("pilot_controller.h", pointing[1], tmp_path)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_a_controller_builds_and_passes_its_tests_without_warnings(compiler, tmp_path, pointing):
-    for command in (compiler, "cmake"):
-        if reason := needs(command):
-            pytest.skip(reason)
-    options = f"-DCMAKE_C_COMPILER={compiler}", "-DCMAKE_BUILD_TYPE=Debug", f"-DCMAKE_C_FLAGS={' '.join(WARNINGS)}"
-    ran("cmake", "-S", pointing[1], "-B", tmp_path, *options)
-    ran("cmake", "--build", tmp_path, "-j2")
-    said = ran("ctest", "--test-dir", tmp_path, "--output-on-failure", "--verbose")
+    said = built_and_tested(pointing[1], tmp_path, compiler)
     assert "status 0 after" in said
     assert "source 0 after" in said
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Solver, solve
-from retrax.integrators.reporting.results import sentence
+from retrax.integrators.reporting.result_sentences import sentence
 from retrax.manifolds import SO, Euclidean, Product, hat
 from retrax.retractions import Cayley, Exponential, Gauss, Midpoint
 from scipy.spatial.transform import Rotation

@@ -50,8 +50,7 @@ def checks(monkeypatch):
 ONCE = {"check_parameters": 1, "_require_horizon": 1}
 
 
-def test_a_horizon_found_again_is_not_checked_again(checks):
-    """From 1e-3 the horizon is found in several solves, each guessed by the one before."""
+def test_a_problem_whose_horizon_is_far_from_its_guess_is_checked_once(checks):
     found = Solver(QUICK, METHOD, 6).solve(REST, AHEAD, Free(1e-3))
     assert found.horizon > 1.0
     assert checks == ONCE
@@ -65,7 +64,7 @@ def test_meshes_are_refined_after_one_check(checks):
 
 
 def test_phases_are_checked_once_each(checks):
-    """The second duration is found again from itself, far from its guess."""
+    """The second duration is far from its guess."""
     phases = [Phase(QUICK, METHOD, 4, 1.0, REST), Phase(QUICK, METHOD, 4, Free(1e-2), None, AHEAD)]
     found = solve_phases(phases)
     assert found.success

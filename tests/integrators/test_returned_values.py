@@ -16,7 +16,7 @@ from retrax.integrators import (
     integrate,
     solve,
 )
-from retrax.integrators.reporting.results import warn_of_coarse_values
+from retrax.integrators.reporting.result_sentences import warn_of_coarse_values
 from retrax.manifolds import Euclidean, InvalidInputError, NotOnManifoldError
 from retrax.retractions import Addition, CotangentLift, Midpoint
 

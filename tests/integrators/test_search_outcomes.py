@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.reporting.results import Result
+from retrax.integrators.reporting.result_sentences import Result
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 

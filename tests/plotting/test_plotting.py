@@ -1,6 +1,7 @@
 """Pictures hold the numbers of the record, under the names and units of the problem, on the axes that are given."""
 
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import matplotlib as mpl
@@ -207,7 +208,16 @@ def test_controls_of_several_arrays_have_the_names_of_these():
     assert axis.get_ylabel() == "controls"
 
 
-def test_every_picture_takes_axes_and_makes_no_figure_of_its_own_then(solved):
+class Pictures(NamedTuple):
+    """Functions that draw, by their names: on flat axes, on axes of three dimensions, and on several axes."""
+
+    flat: dict[str, Any]
+    spatial: dict[str, Any]
+    panels: dict[str, tuple[int, Any]]  # with the numbers of axes
+
+
+@pytest.fixture
+def pictures(solved):
     solution, iterations = solved
     sphere = made_by_hand(q=Rotation.from_rotvec(np.linspace(0, 1, 5)[:, None] * [1, 0, 0]).as_matrix()[:, 1])
     discrete = to_casadi(PROBLEM, METHOD, START, END, 3.0, 2)
@@ -234,31 +244,48 @@ def test_every_picture_takes_axes_and_makes_no_figure_of_its_own_then(solved):
         "histories": (3, lambda ax: plotting.histories(solution, ax=ax)),
         "optimality": (3, lambda ax: plotting.optimality(solution, PROBLEM, ax=ax)),
     }
-    assert {*flat, *spatial, *panels, "to_html"} == set(plotting.__all__)
-    for draw in flat.values():
+    return Pictures(flat, spatial, panels)
+
+
+def test_every_picture_is_drawn_into_the_axes_that_are_given(pictures):
+    assert {*pictures.flat, *pictures.spatial, *pictures.panels, "to_html"} == set(plotting.__all__)
+    for draw in pictures.flat.values():
         ax = plt.figure().add_subplot()
         assert draw(ax) is ax
         assert ax.has_data()
-        plt.close("all")
-    for draw in spatial.values():
+    for draw in pictures.spatial.values():
         ax = plt.figure().add_subplot(projection="3d")
         assert draw(ax) is ax
-        with pytest.raises(InvalidInputError, match="three dimensions"):
-            draw(plt.figure().add_subplot())
-    for count, draw in panels.values():
+    for count, draw in pictures.panels.values():
         _, axes = plt.subplots(count)
         assert list(draw(axes)) == list(axes)
+    plt.close("all")
+
+
+def test_axes_of_another_kind_or_number_are_refused(pictures):
+    for draw in pictures.spatial.values():
+        with pytest.raises(InvalidInputError, match="three dimensions"):
+            draw(plt.figure().add_subplot())
+    for count, draw in pictures.panels.values():
         for wrong in (1, 2, 4):
             with pytest.raises(InvalidInputError, match=f"must be {count} axes"):
                 draw(plt.subplots(wrong)[1])
-        plt.close("all")
     with pytest.raises(InvalidInputError, match="flat axes"):
-        plotting.attitude(solution, ax=plt.figure().add_subplot(projection="3d"))
-    for draw in (*(flat[name] for name in ("attitude", "convergence", "path")), *(draw for _, draw in panels.values())):
+        pictures.flat["attitude"](plt.figure().add_subplot(projection="3d"))
+    plt.close("all")
+
+
+def test_a_picture_makes_a_figure_only_if_no_axes_are_given(pictures):
+    panels = (draw for _, draw in pictures.panels.values())
+    for draw in (*(pictures.flat[name] for name in ("attitude", "convergence", "path")), *panels):
         axes = np.ravel(draw(None))
+        assert len(plt.get_fignums()) == 1
         assert all(ax.figure is axes[0].figure for ax in axes)
         plt.close(axes[0].figure)
-    assert len(plt.get_fignums()) == 1, "that of the axes which were given"
+    for draw in pictures.flat.values():
+        draw(plt.figure().add_subplot())
+        assert len(plt.get_fignums()) == 1
+        plt.close("all")
 
 
 def test_switching_functions_are_what_the_multipliers_hold(solved):

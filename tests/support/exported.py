@@ -9,6 +9,7 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+import pytest
 
 WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 ARITHMETIC = ["-ffp-contract=off", "-fno-math-errno", "-fno-trapping-math", "-DRETRAX_ONE_INSTRUCTION_SET", "-Icore"]
@@ -18,9 +19,11 @@ STATUSES = (
 RESIDUALS = "defect", "stationarity", "violation", "complementarity"
 
 
-def needs(command: str) -> str:
-    """A reason to skip a test; empty if the command is installed."""
-    return "" if shutil.which(command) else f"{command} is not installed"
+def require(*commands: str) -> None:
+    """Skip the test if one of these commands is not installed."""
+    for command in commands:
+        if not shutil.which(command):
+            pytest.skip(f"{command} is not installed")
 
 
 def ran(*command: Any, folder: Path | None = None) -> str:
@@ -28,6 +31,15 @@ def ran(*command: Any, folder: Path | None = None) -> str:
     ended = subprocess.run([*map(str, command)], cwd=folder, capture_output=True, text=True, timeout=300, check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     return ended.stdout
+
+
+def built_and_tested(folder: Path, to: Path, compiler: str) -> str:
+    """The output of the tests of an exported folder, which are built without warnings."""
+    require(compiler, "cmake")
+    options = f"-DCMAKE_C_COMPILER={compiler}", "-DCMAKE_BUILD_TYPE=Debug", f"-DCMAKE_C_FLAGS={' '.join(WARNINGS)}"
+    ran("cmake", "-S", folder, "-B", to, *options)
+    ran("cmake", "--build", to, "-j2")
+    return ran("ctest", "--test-dir", to, "--output-on-failure", "--verbose")
 
 
 def objects_of_core(folder: Path, to: Path, *options: str, compiler: str = "gcc") -> list[Path]:
@@ -38,12 +50,13 @@ def objects_of_core(folder: Path, to: Path, *options: str, compiler: str = "gcc"
     return sorted(to.glob("*.o"))
 
 
-def loop_of_the_page(header: str) -> str:
-    """The loop in C of the page on flight code that includes a header."""
+def compile_loop_of_the_page(header: str, folder: Path, to: Path) -> None:
+    """Compile the loop in C of the page on flight code that includes a header of an exported folder."""
     page = (Path(__file__).parents[2] / "docs" / "flight.md").read_text()
     blocks = re.findall(r"^```c\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
-    (found,) = [block for block in blocks if f'#include "{header}"' in block]
-    return found
+    (loop,) = [block for block in blocks if f'#include "{header}"' in block]
+    (to / "loop.c").write_text(loop)
+    ran("gcc", *WARNINGS, f"-I{folder}", "-c", "loop.c", folder=to)
 
 
 class Flown:

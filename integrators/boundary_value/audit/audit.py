@@ -9,7 +9,7 @@ from ....manifolds import Euclidean
 from ....tracing import one_tracing
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.smoothness.derivative_check import DerivativeCheck
-from ...reporting.results import reasons, sentence
+from ...reporting.result_sentences import reasons, sentence
 from ..inputs.arguments import structure_of
 from ..inputs.boundary_data import PrescribedEnd
 from ..solution.diagnostics import RegularChecks
@@ -97,19 +97,19 @@ class Audit:
 
     def _describe_dependent_constraints(self, solution: Solution) -> str:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
-        return next(filter(None, (own(solution) for own in self._qualifications(solution))), "")
+        return next(filter(None, (qualification(solution) for qualification in self._qualifications(solution))), "")
 
     def _outside(self, solution: Solution, ends: tuple[PrescribedEnd, PrescribedEnd]) -> str:
         """A sentence on a constraint of the states that an end violates."""
         fixed = _prescription_mask(ends) if self._named else np.zeros(0)
         if not np.any(fixed):
             return ""
-        for own in self._qualifications(solution):
-            names, excess = own.at_ends(solution, fixed)
+        for qualification in self._qualifications(solution):
+            names, excess = qualification.at_ends(solution, fixed)
             for end, over in zip(("start", "end"), excess, strict=True):
                 if np.max(over, initial=0.0) > 0:
                     worst = int(np.argmax(over))
-                    return _outside_words(end, names[worst], float(over[worst]), own.at_nodes)
+                    return _outside_words(end, names[worst], float(over[worst]), qualification.at_nodes)
         return ""
 
     def _qualifications(self, solution: Solution) -> list[ConstraintQualification]:

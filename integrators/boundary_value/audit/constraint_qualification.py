@@ -50,19 +50,19 @@ class ConstraintQualification:
         are."""
         *rows, times, given = self._along(solution)
         values, slopes = self._limits(*rows, times, given)
-        own, counted = self._multipliers(solution)
-        if not (own.size and np.all(np.isfinite(slopes)) and own.shape == values.shape):
+        nu, counted = self._multipliers(solution)
+        if not (nu.size and np.all(np.isfinite(slopes)) and nu.shape == values.shape):
             return ""
         near = isinstance(solution.checks, RegularChecks) and solution.checks.violation <= SLIGHT
         extent, size = np.concatenate([np.ptp(part, axis=0) for part in rows]), solution.checks.hamiltonian_size
         lengths, bends = self._bends(*rows, times, extent[None], given)
         reach = np.max(lengths, axis=0)
-        held = counted & (own * reach**2 > size * np.abs(values))  # else the barrier leaves a multiplier all the same
-        pulling = held & (own > ACTIVE * np.max(own, axis=0)) & self._nearer(values)
-        flat = pulling & (np.max(own * lengths, axis=0) > FELT_CHANGE * size) & _is_flat(near * values, lengths, bends)
+        held = counted & (nu * reach**2 > size * np.abs(values))  # else the barrier leaves a multiplier all the same
+        pulling = held & (nu > ACTIVE * np.max(nu, axis=0)) & self._nearer(values)
+        flat = pulling & (np.max(nu * lengths, axis=0) > FELT_CHANGE * size) & _is_flat(near * values, lengths, bends)
         # What holds a trajectory everywhere does not vary along it.
         varies = np.maximum(np.ptp(values, axis=0), reach)
-        active = pulling & (np.max(own, axis=0) * varies > FELT_CHANGE * size)
+        active = pulling & (np.max(nu, axis=0) * varies > FELT_CHANGE * size)
         # Coordinates in units of what they change the inequalities by most, so that none has a unit.
         units = np.maximum(np.max(np.abs(slopes), axis=(0, 1)), np.finfo(float).tiny)
         slopes = slopes / units
@@ -149,9 +149,9 @@ class ConstraintQualification:
             equations, more = ends.get(int(k), ((), rows[k, :0]))
             if len(held) + len(equations) < 2:
                 continue
-            own, words = np.concatenate([rows[k, held], more]), [*(names[i] for i in held), *equations]
-            left, sizes, _ = np.linalg.svd(own, full_matrices=True)
-            if len(own) > len(sizes) or sizes[-1] < DEPENDENT_GRADIENTS:
+            gradients, words = np.concatenate([rows[k, held], more]), [*(names[i] for i in held), *equations]
+            left, sizes, _ = np.linalg.svd(gradients, full_matrices=True)
+            if len(gradients) > len(sizes) or sizes[-1] < DEPENDENT_GRADIENTS:
                 shares = left[:, -1]
                 involved = np.abs(shares) > ACTIVE * np.max(np.abs(shares))
                 # Forces of positive multipliers cancel: they hold from all sides.
@@ -179,13 +179,14 @@ class ConstraintQualification:
         names = [
             boundary_words(n) for n, k in zip(self.problem._boundary.names, sizes, strict=True) for _ in range(int(k))
         ]
-        found, none = dict[int, tuple[list[str], np.ndarray]](), np.zeros((len(names), self.problem.controls.dimension))
+        equations = dict[int, tuple[list[str], np.ndarray]]()
+        none = np.zeros((len(names), self.problem.controls.dimension))
         for place, own, other in ((0, *both), (len(solution.times) - 1, *both[::-1])):
             rows = np.concatenate([own, none], axis=1) / np.where(units > np.finfo(float).tiny, units, 1.0)
             lengths = np.linalg.norm(rows, axis=1)
             alone = np.flatnonzero(np.all(other == 0, axis=1) & (lengths > 0))
-            found[place] = [names[i] for i in alone], rows[alone] / lengths[alone, None]
-        return found
+            equations[place] = [names[i] for i in alone], rows[alone] / lengths[alone, None]
+        return equations
 
     def _multipliers(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
         """The multipliers of the inequalities in order, shape ``(N s, k)``, and whether each is among the largest.

@@ -101,8 +101,8 @@ def discretization_error(
         raise InvalidInputError(f"discretization_error takes a retraction, got {got}; try method.retraction")
     require_treated(problem, "discretization_error", *ALONG, *BETWEEN)
     check_parameters(problem, parameters)
-    found = solution.times, solution.states, solution.stage_times, solution.controls
-    return Propagator(problem, retraction, parameters).discretization_error(*found, parameters)
+    arrays = solution.times, solution.states, solution.stage_times, solution.controls
+    return Propagator(problem, retraction, parameters).discretization_error(*arrays, parameters)
 
 
 class _Steps(NamedTuple):

@@ -30,10 +30,10 @@ def find_undefined(problem: OptimalControlProblem, solution: Solution) -> str:
 
     points = solution.stage_states, solution.controls
     with np.errstate(all="ignore"):
-        found = evaluate_at_each(at_stage, points)
+        at_stages = evaluate_at_each(at_stage, points)
     for k in range(len(solution.stage_times)):
-        (q, u), own = vec.taken((points, found), k)
-        for name, parts_of in zip(parts, own, strict=True):
+        (q, u), functions = vec.taken((points, at_stages), k)
+        for name, parts_of in zip(parts, functions, strict=True):
             lost = [not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(part)) for part in parts_of]
             if any(lost):
                 by = "states" if lost[1] else "controls"

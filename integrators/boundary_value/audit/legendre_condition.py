@@ -73,7 +73,7 @@ def _along(
     flat = transcribed.traced.diagnosis.control.size == m
     sizes = np.abs(at[1][0]) if flat else np.ones((len(slopes), m))
     parts = np.concatenate([curvatures, limits[:, None]], axis=1)
-    of_held = [own[which] for own, which in zip(rows, active, strict=True)]
+    of_held = [limit_rows[which] for limit_rows, which in zip(rows, active, strict=True)]
     ways = [_direction(*one) for one in zip(slopes, parts, sizes, of_held, strict=True)]
     there = np.array([way is not None for way in ways], bool)
     first = next((way for way in ways if way is not None), np.zeros(m))

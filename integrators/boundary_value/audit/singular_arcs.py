@@ -101,15 +101,15 @@ def find_singular_arcs(problem: OptimalControlProblem, solution: Solution) -> li
             "time as a state, t' = 1"
         )
     structure = switching_structure(problem, solution)
-    found = list[ClassifiedArc]()
+    arcs = list[ClassifiedArc]()
     for k, sides in enumerate(structure.sides):
         begin, end = structure.times[k : k + 2]
         stages = np.flatnonzero((solution.stage_times > begin) & (solution.stage_times < end))
         singular = np.flatnonzero(np.asarray(structure.singular)[k])
         inside = _interior(problem, solution, stages, singular) if len(singular) else stages[:0]
         if len(inside):
-            found.append(_classify_arc(problem, solution, sides, inside, (float(begin), float(end), singular)))
-    return found
+            arcs.append(_classify_arc(problem, solution, sides, inside, (float(begin), float(end), singular)))
+    return arcs
 
 
 def _interior(
@@ -161,19 +161,19 @@ def _classify_arc(
     begin, end, singular = arc
     some = stages[np.unique(np.linspace(0, len(stages) - 1, MOST_STAGES).round().astype(int))]
     z = vec.taken((solution.stage_states, solution.stage_costates), some)
-    own, free = _without_bounds(problem, sides), np.flatnonzero(sides == 0)
+    without_bounds, free = _without_bounds(problem, sides), np.flatnonzero(sides == 0)
     u = _controls(solution, some, free)
     middle = vec.taken(z, len(some) // 2)
-    found = _nearest(classify(own, near=middle, exclude_zero_costate=False), middle)
+    classification = _nearest(classify(without_bounds, near=middle, exclude_zero_costate=False), middle)
     places = np.searchsorted(free, singular)
-    levels = [None if found.empty else found.stratum.determined_at[i] for i in places]
+    levels = [None if classification.empty else classification.stratum.determined_at[i] for i in places]
     order = None if None in levels else max(int(level or 0) for level in levels) // 2
     error = np.nan
-    if not (found.empty or found.gauge_controls):
-        feedback = np.asarray(jax.jit(jax.vmap(found.control))(*z))
+    if not (classification.empty or classification.gauge_controls):
+        feedback = np.asarray(jax.jit(jax.vmap(classification.control))(*z))
         error = float(np.max(np.abs(feedback - u)[:, places] / _room(problem, u[:, places], singular)))
-    words = generalised_legendre_clebsch(own, z, jnp.asarray(u), order or 1)
-    return ClassifiedArc(begin, end, tuple(map(int, singular)), order, found, error, words)
+    words = generalised_legendre_clebsch(without_bounds, z, jnp.asarray(u), order or 1)
+    return ClassifiedArc(begin, end, tuple(map(int, singular)), order, classification, error, words)
 
 
 def _nearest(found: Classification, z: Any) -> Classification:

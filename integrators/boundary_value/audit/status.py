@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeVar, final
 import numpy as np
 
 from ...problem.optimal_control_problem import OptimalControlProblem
-from ...reporting.results import Result, reasons, sentence
+from ...reporting.result_sentences import Result, reasons, sentence
 from ..solution.diagnostics import RegularChecks, Statistics
 from ..solution.multiphase_solution import PhasedSolution
 from ..solution.record import Solution
@@ -77,9 +77,10 @@ def termination_statuses(found: DiscreteExtremals, tolerance: float) -> list[Sta
     }
     first = np.select(list(ways.values()), range(len(ways)), len(ways))
     names = [*ways, "no_improvement"]
-    reached = [f" Its largest residual is {own:.1e}, and the tolerance {tolerance:.1e}." for own in left]
+    reached = [f" Its largest residual is {residual:.1e}, and the tolerance {tolerance:.1e}." for residual in left]
     more = [words if names[k] == "nearly_converged" else "" for k, words in zip(first, reached, strict=True)]
-    return [Status(bool(own), sentence(names[k]) + words) for own, k, words in zip(success, first, more, strict=True)]
+    each = zip(success, first, more, strict=True)
+    return [Status(bool(holds), sentence(names[k]) + words) for holds, k, words in each]
 
 
 def concave_status(where: str) -> Status:
@@ -155,11 +156,6 @@ def refute(solution: Solution, reason: str) -> Solution:
 # ----------------------------------------------------------------------------------- free horizons and durations
 
 
-def stop(record: Record) -> Record:
-    """The record of a computation that was stopped before it was verified."""
-    return fail(record, sentence("stopped"))
-
-
 def fail_at_zero(record: Record, name: str, horizon: float) -> Record:
     """The record without success: a horizon of this name tends to zero."""
     return fail(
@@ -168,15 +164,6 @@ def fail_at_zero(record: Record, name: str, horizon: float) -> Record:
         "so that no horizon is best, and the infimum of the cost is its limit at zero. Expected a running cost that "
         "grows faster than the velocity, as 1 + u @ u; try such a cost, a lower bound of the horizon, or "
         "control_bounds.",
-    )
-
-
-def fail_far_from_guess(solution: Solution) -> Solution:
-    """The solution without success: its horizon is so far from each guess that its conditions vanish."""
-    return fail(
-        solution,
-        f"The horizon tends to {solution.horizon:.3g}, where the conditions vanish and say nothing; try another guess "
-        "of it, a lower or an upper bound, or a guess of the trajectory.",
     )
 
 

@@ -119,9 +119,9 @@ class StepErrorEstimator:
             return StepErrors(self._states(solution, parameters), controls, alone, violations)
 
     def _states(self, solution: Solution, parameters: Any) -> np.ndarray:
-        own = solution.times, solution.states, solution.stage_times, solution.controls
+        arrays = solution.times, solution.states, solution.stage_times, solution.controls
         try:
-            gaps = np.abs(self.propagator.gaps(*own, parameters))
+            gaps = np.abs(self.propagator.gaps(*arrays, parameters))
         except DomainError:  # of the controls of a step that is too long
             return np.full(solution.steps, np.inf)
         spreads, sizes = self._sizes(solution)
@@ -157,18 +157,20 @@ class StepErrorEstimator:
         linked = np.ones(count - 1, bool)
         linked[[] if switches is None else np.asarray(switches) - 1] = False
         k = np.flatnonzero(linked)
-        found = np.full(count, np.inf)
-        for own, other in ((k, k + 1), (k + 1, k)):
-            ends = np.stack([times[own], times[own + 1]], axis=1)
-            alone = _through(at[own], rows[own], ends)
-            both = _through(np.concatenate([at[own], at[other]], 1), np.concatenate([rows[own], rows[other]], 1), ends)
+        errors = np.full(count, np.inf)
+        for step, other in ((k, k + 1), (k + 1, k)):
+            ends = np.stack([times[step], times[step + 1]], axis=1)
+            alone = _through(at[step], rows[step], ends)
+            both = _through(
+                np.concatenate([at[step], at[other]], 1), np.concatenate([rows[step], rows[other]], 1), ends
+            )
             apart = np.minimum(np.max(np.abs(alone - both), axis=1), most) / size
-            found[own] = np.minimum(found[own], np.max(weights[own] * apart**2, axis=1, initial=0.0))
+            errors[step] = np.minimum(errors[step], np.max(weights[step] * apart**2, axis=1, initial=0.0))
         ends = _through(at, rows, np.stack([times[:-1], times[1:]], axis=1))
         jumps = np.minimum(np.abs(ends[k + 1, 0] - ends[k, 1]) / 2, most)
-        for own in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
-            found[own] = np.maximum(found[own], np.max(weights[own] * (jumps / size) ** 2, axis=1, initial=0.0))
-        return found
+        for step in (k, k + 1):  # what is bent within one of two steps, near their node, shows there
+            errors[step] = np.maximum(errors[step], np.max(weights[step] * (jumps / size) ** 2, axis=1, initial=0.0))
+        return errors
 
     def _moving(self, solution: Solution, rows: np.ndarray, most: np.ndarray) -> np.ndarray:
         """1 for entries of the controls that move the states by more than rounding along the trajectory, else 0.
@@ -247,7 +249,7 @@ class StepErrorEstimator:
 
 def _through(at: np.ndarray, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
     """Polynomials through rows, shape (K, j, U), at (K, j), evaluated at times, shape (K, i)."""
-    own = np.eye(at.shape[1], dtype=bool)
-    apart = np.where(own, 1.0, at[:, :, None] - at[:, None, :])
+    same = np.eye(at.shape[1], dtype=bool)
+    apart = np.where(same, 1.0, at[:, :, None] - at[:, None, :])
     ratios = (times[:, :, None, None] - at[:, None, None, :]) / apart[:, None]
-    return np.einsum("kij,kju->kiu", np.prod(np.where(own, 1.0, ratios), axis=-1), rows)
+    return np.einsum("kij,kju->kiu", np.prod(np.where(same, 1.0, ratios), axis=-1), rows)

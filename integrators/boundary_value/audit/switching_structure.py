@@ -13,10 +13,10 @@ from ...reporting.text import brief
 from ..solution.record import Solution
 from .control_curvature import ControlCurvature
 
-CONTROL_AT_BOUND = EPS**0.25  # of the room: the barrier leaves a control at its bound nearer than that
-CONTROL_JUMP = 0.1  # of the room: a control that leaves its bound by more between two stages jumps
+CONTROL_AT_BOUND = EPS**0.25  # of the range of a control: the barrier leaves a control at its bound nearer than that
+CONTROL_JUMP = 0.1  # of the range of a control: a control that leaves its bound by more between two stages jumps
 VANISHED_ARC = 1e-6  # of the horizon: an arc that is shorter has vanished
-WEAK_PULL = 1e-2  # of the Hamiltonian: larger switching functions, times the room of their control, do not vanish
+WEAK_PULL = 1e-2  # of the Hamiltonian: larger switching functions, times the range of their control, do not vanish
 WEAK_SHARE = 0.9  # of the stages of an arc: a switching function that vanishes at so many vanishes along the arc
 SIDE_NAMES = {-1: "lower", 0: "free", 1: "upper"}
 
@@ -131,16 +131,16 @@ def singular_structure(problem: OptimalControlProblem, solution: Solution, linea
 
 
 def switching_sizes(problem: OptimalControlProblem, solution: Solution) -> np.ndarray:
-    """Sizes of the switching functions of bounded controls at the stages, times the room of the control, ``(N s,
+    """Sizes of the switching functions of bounded controls at the stages, times the ranges of the controls, ``(N s,
     m)``."""
     limits, u = problem._limits, np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
-    room, pull = np.ptp(u, axis=0), np.zeros(u.shape)
+    ranges, pull = np.ptp(u, axis=0), np.zeros(u.shape)
     if limits.lower:
         wide = np.array(limits.upper) - np.array(limits.lower)
-        room = np.where(np.isfinite(wide), wide, room)
+        ranges = np.where(np.isfinite(wide), wide, ranges)
     for name in (LOWER, UPPER):
         pull += solution.stage_multipliers.get(name, 0.0)
-    return pull * room
+    return pull * ranges
 
 
 def control_arcs(
@@ -153,27 +153,29 @@ def control_arcs(
     sides, shares = stage_sides(problem, solution)
     stages = len(sides) // solution.steps
     jumping = np.ones(sides.shape[1], bool) if linear is None else ~linear
-    runs = [_runs(*own, stages) for own in zip(sides.T, shares.T, jumping, strict=True)]
-    switches = [[_between(solution, a.end - 1, b.begin) for a, b in pairwise(own)] for own in runs]
+    runs = [_runs(*entry, stages) for entry in zip(sides.T, shares.T, jumping, strict=True)]
+    switches = [[_between(solution, a.end - 1, b.begin) for a, b in pairwise(entry_runs)] for entry_runs in runs]
     first, last = solution.times[[0, -1]]
     times = np.unique(np.concatenate([[first, last], *map(np.array, switches)]))
     middles = (times[1:] + times[:-1]) / 2
-    found = [
-        np.array([run.side for run in own])[np.searchsorted(at, middles)]
-        for own, at in zip(runs, switches, strict=True)
+    sides_of_arcs = [
+        np.array([run.side for run in entry_runs])[np.searchsorted(at, middles)]
+        for entry_runs, at in zip(runs, switches, strict=True)
     ]
-    return SwitchingStructure(times, np.stack(found, axis=1))
+    return SwitchingStructure(times, np.stack(sides_of_arcs, axis=1))
 
 
 def stage_sides(problem: OptimalControlProblem, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """The side of each entry of the control at the stages, -1, 0 or 1, and the entries in units of their room, ``(N s,
-    m)``."""
+    """Bounds that hold the control entries at the stages, and the entries relative to their ranges, both ``(N s, m)``.
+
+    A bound is -1 for the lower bound, 1 for the upper bound, and 0 for none.
+    """
     lower, upper = (np.array(side) for side in (problem._limits.lower, problem._limits.upper))
     u = np.asarray(solution.controls).reshape(len(solution.stage_times), -1)
-    room, spread = upper - lower, np.ptp(u, axis=0)
-    room = np.where(np.isfinite(room), room, np.where(spread > 0, spread, 1.0))
-    near = CONTROL_AT_BOUND * room
-    return np.where(u - lower < near, -1, np.where(upper - u < near, 1, 0)), u / room
+    ranges, spread = upper - lower, np.ptp(u, axis=0)
+    ranges = np.where(np.isfinite(ranges), ranges, np.where(spread > 0, spread, 1.0))
+    near = CONTROL_AT_BOUND * ranges
+    return np.where(u - lower < near, -1, np.where(upper - u < near, 1, 0)), u / ranges
 
 
 def _between(solution: Solution, before: int, after: int) -> float:
@@ -202,10 +204,10 @@ def _is_jump(u: np.ndarray, a: _Run, b: _Run) -> bool:
 
 def _merge(runs: list[_Run]) -> list[_Run]:
     """Runs of which neighbours on one side are one."""
-    found = runs[:1]
+    merged = runs[:1]
     for run in runs[1:]:
-        if run.side == found[-1].side:
-            found[-1] = found[-1]._replace(end=run.end)
+        if run.side == merged[-1].side:
+            merged[-1] = merged[-1]._replace(end=run.end)
         else:
-            found.append(run)
-    return found
+            merged.append(run)
+    return merged

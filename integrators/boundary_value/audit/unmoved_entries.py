@@ -34,9 +34,9 @@ def unmoved_words(system: KKTSystem, names: list[str]) -> str:
 def _end_derivatives(system: KKTSystem) -> np.ndarray:
     """The derivatives of the prescribed coordinates of an end by the controls and the free start, in units, by rows."""
     unknowns, nodes, _ = system.scale
-    own, n = unknowns / nodes[:, None], len(nodes)
+    step_unknowns, n = unknowns / nodes[:, None], len(nodes)
     moved = np.diag(1.0 - system.fixed[0])
-    for left, right in zip(system.left * own, system.right * own, strict=True):
+    for left, right in zip(system.left * step_unknowns, system.right * step_unknowns, strict=True):
         try:
             back = np.linalg.solve(left[:, :n], np.hstack([moved, -left[:, n:]]))
         except np.linalg.LinAlgError:

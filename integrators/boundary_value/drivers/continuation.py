@@ -16,11 +16,11 @@ from ....retractions import default_retraction
 from ...problem.argument_errors import require_known_options
 from ...problem.free_quantities import guess_of, is_free
 from ...problem.point_layout import PointLayout
-from ...reporting.results import Result
+from ...reporting.result_sentences import Result
 from ...reporting.text import brief
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData
-from ..iteration import stops
+from ..iteration_reports import stops
 from ..solution.batch import Solutions
 from ..solution.differentiable_solution import push_forward
 from ..solution.record import Solution

@@ -17,7 +17,7 @@ from ..audit.switching_structure import SwitchingStructure, control_arcs
 from ..guess import Guess, Mesh
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import Inputs
-from ..iteration import Iteration, stops
+from ..iteration_reports import Iteration, stops
 from ..reformulations.switching_arcs import ArcData, SwitchingArcs
 from ..solution.diagnostics import RegularChecks, Statistics
 from ..solution.record import Solution

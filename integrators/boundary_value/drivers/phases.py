@@ -21,8 +21,8 @@ from ...reporting.text import brief, plural
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import equation_words
 from ..inputs.arguments import Method, Options, check_problem
-from ..iteration import Iteration
-from ..reformulations.free_quantity_solver import AGAIN, MAGNITUDES, RESTART
+from ..iteration_reports import Iteration
+from ..reformulations.free_quantity_solver import MAGNITUDES
 from ..reformulations.reformulation import Reformulation
 from ..regular_extremals import find_phases
 from ..solution.diagnostics import add_compile_time
@@ -174,7 +174,7 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
 
     def solve_at_any_magnitude(self, phases: Sequence[Phase]) -> PhasedSolution:
         """The extremal, from durations of another magnitude if there is none from the guessed durations."""
-        first = self._reject_vanishing(phases, self._in_own_units(phases))
+        first = self._solve(phases)
         free = any(is_free(phase.duration) for phase in phases) and self.horizon is None
         if not free or status.is_final(first):
             return first
@@ -183,10 +183,16 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
             if all(duration is not None for duration in durations):
                 pairs = zip(phases, durations, strict=True)
                 scaled_phases = [phase._replace(duration=duration) for phase, duration in pairs]
-                found = self._reject_vanishing(phases, self._in_own_units(scaled_phases))
+                found = self._solve(scaled_phases)
                 if status.is_final(found) and not (found.success and _find_far_durations(phases, found, FARTHEST)):
                     return found
         return first
+
+    def _solve(self, phases: Sequence[Phase]) -> PhasedSolution:
+        """The extremal from guesses of all phases, without success where durations vanish or grow without bound."""
+        solution = self.solve(phases, self._search)
+        lost = _find_far_durations(phases, solution, FARTHEST if solution.success else TOO_FAR)
+        return self._reject_vanishing(phases, status.fail_of_durations(solution, _names(lost)) if lost else solution)
 
     def _reject_vanishing(self, phases: Sequence[Phase], solution: PhasedSolution) -> PhasedSolution:
         """The solution, without success where durations tend to zero that nothing but their costs determines."""
@@ -197,28 +203,6 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         if not lost:
             return solution
         return status.fail_at_zero(solution, f"The duration of {_names(lost)}", solution.phases[lost[0]].horizon)
-
-    def _in_own_units(self, phases: Sequence[Phase]) -> PhasedSolution:
-        """The extremal, found again from itself where durations are far from their guesses, in whose units it was
-        judged."""
-        solution, given = self._solve(phases), phases
-        for _ in range(AGAIN):
-            if not (solution.success and _find_far_durations(phases, solution, RESTART)) or _find_far_durations(
-                given, solution, FARTHEST
-            ):
-                break
-            if solution.statistics.stopped:
-                return status.stop(solution)
-            phases = [_with_near_guess(phase, own) for phase, own in zip(phases, solution.phases, strict=True)]
-            solution = self._solve(phases)
-        lost = _find_far_durations(phases, solution, RESTART if solution.success else TOO_FAR) or _find_far_durations(
-            given, solution, FARTHEST
-        )
-        return status.fail_of_durations(solution, _names(lost)) if lost else solution
-
-    def _solve(self, phases: Sequence[Phase]) -> PhasedSolution:
-        """The extremal from guesses of all phases."""
-        return self.solve(phases, self._search)
 
     def apply(self, data: Sequence[Phase]) -> _PosedPhases:
         """The phases as equations, each from its guess."""
@@ -253,9 +237,9 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         with np.errstate(all="ignore"), Stopwatch() as watch:
             pairs, seconds = zip(posed.parts, extremals, strict=True), (posed.seconds + compiling, running)
             free = any(is_free(part.inputs.given.horizon) for part in posed.parts)
-            solutions = [part.recover(own, seconds, free) for part, own in pairs]
+            solutions = [part.recover(extremal, seconds, free) for part, extremal in pairs]
             solutions = [add_compile_time(solution, watch.seconds()[0]) for solution in solutions]
-        first = sum(sum(own.sizes.values()) for own in posed.owns)
+        first = sum(sum(phase_problem.sizes.values()) for phase_problem in posed.owns)
         cuts = first + np.cumsum([0, *posed.sizes.values()])
         named = {name: multipliers[0, a:b] for name, a, b in zip(posed.sizes, cuts[:-1], cuts[1:], strict=True)}
         return PhasedSolution.of(solutions, named, *status.phases_status(solutions))
@@ -264,17 +248,17 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         """Whether a phase begins at the last node of one with the same problem and parameters."""
         if not k and len(self.links) < len(phases):  # the last one is not linked with the first
             return False
-        before, own = phases[k - 1], phases[k]
-        return self.links[k - 1] is True and before.problem is own.problem and before.parameters is own.parameters
+        before, phase = phases[k - 1], phases[k]
+        return self.links[k - 1] is True and before.problem is phase.problem and before.parameters is phase.parameters
 
     def _links(self, parts: list[TranscribedPhase]) -> list[Link]:
         """The links between phases."""
-        found = []
+        between = []
         for k, link in enumerate(self.links):
             if link is not False:
                 after = (k + 1) % len(parts)
-                found.append(_link(k, after, link, parts))
-        return found
+                between.append(_link(k, after, link, parts))
+        return between
 
     def _equations(
         self, parts: list[TranscribedPhase], sizes: dict[str, int], ends: list[Any], given: list[Any]
@@ -283,7 +267,7 @@ class LinkedTrajectory(Reformulation[Sequence[Phase], _PosedPhases, _Found, Phas
         each = [part.ends(a, b) for part, a, b in zip(parts, ends[::2], ends[1::2], strict=True)]
         values = {name: boundary_values(name, function(each)) for name, function in self.constraints.items()}
         if self.horizon is not None:
-            values[HORIZON_NAME] = jnp.reshape(sum(own.duration for own in each) - self.horizon, 1)
+            values[HORIZON_NAME] = jnp.reshape(sum(phase_ends.duration for phase_ends in each) - self.horizon, 1)
         passed: Any = 0.0
         for k, (part, own) in enumerate(zip(parts, each, strict=True)):
             if k and part.solver.problem.time_dependent:
@@ -333,7 +317,7 @@ def _check_phases(phases: Any, guess: Any) -> list[Phase]:
             f"guess must be a PhasedSolution of {plural(len(phases), 'phase')}, got {brief(guess)}; try what "
             "solve_phases returned for phases like these"
         )
-    return [_with_near_guess(phase, own) for phase, own in zip(phases, guess.phases, strict=True)]
+    return [_with_near_guess(phase, solution) for phase, solution in zip(phases, guess.phases, strict=True)]
 
 
 def _with_near_guess(phase: Phase, solution: Any) -> Phase:

@@ -98,7 +98,7 @@ def join_phases(phased: PhasedSolution) -> Solution:
     phases, one = phased.phases, phased.phases[0]
     arrays = dict[str, Any]()
     for name, hint in get_type_hints(Solution, include_extras=True).items():
-        for along in (own for own in getattr(hint, "__metadata__", ()) if isinstance(own, Along)):
+        for along in (mark for mark in getattr(hint, "__metadata__", ()) if isinstance(mark, Along)):
             parts = [getattr(phase, name) for phase in phases]
             if along.axis == "nodes":
                 parts = [*(jax.tree.map(lambda rows: rows[:-1], part) for part in parts[:-1]), parts[-1]]
@@ -116,10 +116,10 @@ def join_phases(phased: PhasedSolution) -> Solution:
 def _checks(each: list[Any], strict: bool) -> RegularChecks:
     """The worst figures of all phases; the Hamiltonian is constant in each phase alone."""
     found, of = dict[str, Any](), {"active": sum, "conserved": min}
-    for own in fields(RegularChecks):
-        values, worst = [getattr(checks, own.name) for checks in each], of.get(own.name, max)
+    for field in fields(RegularChecks):
+        values, worst = [getattr(checks, field.name) for checks in each], of.get(field.name, max)
         if isinstance(values[0], dict):
-            found[own.name] = {name: worst([value[name] for value in values]) for name in values[0]}
+            found[field.name] = {name: worst([value[name] for value in values]) for name in values[0]}
         else:
-            found[own.name] = None if values[0] is None else worst(values)
+            found[field.name] = None if values[0] is None else worst(values)
     return RegularChecks(**found | {"strict_minimum": strict, "hamiltonian": each[0].hamiltonian})

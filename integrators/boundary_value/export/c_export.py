@@ -206,8 +206,8 @@ def _shares(conditions: Any) -> tuple[np.ndarray, np.ndarray]:
 
 def _columns(solver: Any, kept: Any, formulation: Any) -> dict[str, list[str]]:
     """Names of the entries of a state, of a control, and of the inequalities of a point and of the ends of a step."""
-    own, rows = solver.problem.quantities, kept.transcribed.traced.rows
-    states = [name for quantity in own.states for name in quantity.columns]
+    quantities, rows = solver.problem.quantities, kept.transcribed.traced.rows
+    states = [name for quantity in quantities.states for name in quantity.columns]
     if formulation is not None:
         kind = formulation.kind
         states += [f"free parameter {k}" for k in range(kind.entries)]
@@ -218,7 +218,7 @@ def _columns(solver: Any, kept: Any, formulation: Any) -> dict[str, list[str]]:
     at_nodes = [f"{name}[{k}]" if size else name for name, size in rows.node_sizes.items() for k in range(size or 1)]
     return {
         "states": states,
-        "controls": [name for quantity in own.controls for name in quantity.columns],
+        "controls": [name for quantity in quantities.controls for name in quantity.columns],
         "multipliers of a point": at_points,
         "multipliers of a step, first at its end, then at its beginning": at_nodes,
     }

@@ -15,7 +15,7 @@ Programs = Mapping[FunctionName, Any]  # tapes: a problem with callbacks is not 
 
 def functions_text(programs: Programs) -> str:
     """The definitions of all functions."""
-    return "\n".join([c_head(), *(c_function(_program(own), _name(key)) for key, own in programs.items())])
+    return "\n".join([c_head(), *(c_function(_program(function), _name(key)) for key, function in programs.items())])
 
 
 def table_text(programs: Programs) -> str:
@@ -32,7 +32,7 @@ def table_text(programs: Programs) -> str:
 
 def most_numbers(programs: Programs) -> tuple[int, int]:
     """The largest numbers of inputs and of outputs."""
-    sizes = np.array([own.sizes for own in programs.values()]).max(axis=0)
+    sizes = np.array([program.sizes for program in programs.values()]).max(axis=0)
     return int(sizes[0]), int(sizes[1])
 
 

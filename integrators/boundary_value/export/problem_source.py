@@ -89,9 +89,9 @@ def files(posed: PosedProblem, name: str, loops: tuple[str, ...] = ()) -> dict[s
     values = templates(posed, name)
     values |= {"controller": f"{name}_controller.c" if loops else "", "loop": LOOP.format(name) if loops else ""}
     values["controller_row"] = CONTROLLER_ROW.format(name) if loops else ""
-    own = {f"{name}{ending}": f"problem{ending}" for ending in (".h", ".c", "_functions.h", "_functions.c")}
-    own |= {other: other for other in ("CMakeLists.txt", "README.md", "main.c")}
-    return {file: fill_template(template, values) for file, template in own.items()}
+    files = {f"{name}{ending}": f"problem{ending}" for ending in (".h", ".c", "_functions.h", "_functions.c")}
+    files |= {other: other for other in ("CMakeLists.txt", "README.md", "main.c")}
+    return {file: fill_template(template, values) for file, template in files.items()}
 
 
 def _limits(posed: PosedProblem) -> int:
@@ -133,24 +133,24 @@ def _room(posed: PosedProblem) -> tuple[int, int]:
     """Bytes of the arrays of the gains, and of their elimination."""
     if not posed.gains:
         return 0, 0
-    own = posed.transcription.sizes
-    n, z = own.state_size, own.state_size + own.points * own.control_size
-    numbers = 2 * own.steps * z * n + 2 * (own.steps + 1) * n * n + 2 * z + 2 * n
-    return -(-8 * numbers // ALIGNMENT) * ALIGNMENT, block_workspace(own.steps, n, z, n)
+    sizes = posed.transcription.sizes
+    n, z = sizes.state_size, sizes.state_size + sizes.points * sizes.control_size
+    numbers = 2 * sizes.steps * z * n + 2 * (sizes.steps + 1) * n * n + 2 * z + 2 * n
+    return -(-8 * numbers // ALIGNMENT) * ALIGNMENT, block_workspace(sizes.steps, n, z, n)
 
 
 def _sizes(posed: PosedProblem) -> dict[str, tuple[int, str]]:
     """The sizes of the problem by their names, with words."""
-    own = posed.transcription.sizes
+    sizes = posed.transcription.sizes
     return {
-        "STEPS": (own.steps, "steps"),
-        "POINTS": (own.points, "points of a step"),
+        "STEPS": (sizes.steps, "steps"),
+        "POINTS": (sizes.points, "points of a step"),
         "GIVEN_NUMBERS": (posed.given_numbers, "numbers of a state"),
-        "STATE_NUMBERS": (own.state_numbers, "the same, with what the solver adds to a state"),
-        "DIMENSION": (own.state_size, "of the manifold of states, with what the solver adds"),
-        "CONTROL_NUMBERS": (own.control_numbers, "numbers of a control"),
-        "CONTROL_DIMENSION": (own.control_size, "of the manifold of controls"),
-        "PARAMETERS": (own.parameters, "numbers of the parameters"),
+        "STATE_NUMBERS": (sizes.state_numbers, "the same, with what the solver adds to a state"),
+        "DIMENSION": (sizes.state_size, "of the manifold of states, with what the solver adds"),
+        "CONTROL_NUMBERS": (sizes.control_numbers, "numbers of a control"),
+        "CONTROL_DIMENSION": (sizes.control_size, "of the manifold of controls"),
+        "PARAMETERS": (sizes.parameters, "numbers of the parameters"),
         "MULTIPLIERS": (_limits(posed), "multipliers of the inequalities"),
         "MAX_ITERATIONS": (posed.max_iterations, "the largest number of iterations"),
     }
@@ -179,10 +179,10 @@ def _parameters_text(posed: PosedProblem, upper: str) -> str:
 
 
 def _constants_text(posed: PosedProblem, name: str) -> str:
-    own, given = posed.transcription, posed.given
-    (matrix, weights), added = own.tableau, slice(posed.given_numbers, None)
-    place, sizes = "retrax_index", own.sizes
-    found = [
+    core, given = posed.transcription, posed.given
+    (matrix, weights), added = core.tableau, slice(posed.given_numbers, None)
+    place, sizes = "retrax_index", core.sizes
+    definitions = [
         f"/* Tolerance of the residuals. */\nstatic const double tolerance = {number(posed.tolerance)};\n",
         constant("double", "step_fractions", posed.fractions, "Lengths of the steps, relative to the horizon."),
         constant("double", "start_entries", given["START_ENTRIES"], "1 where an entry of the start is prescribed."),
@@ -194,17 +194,17 @@ def _constants_text(posed: PosedProblem, name: str) -> str:
         constant(place, "limit_steps", posed.limit_steps, "Steps that the inequalities belong to."),
         constant("double", "tableau_matrix", matrix, "Tableau of the method.") if sizes.points > 1 else "",
         constant("double", "tableau_weights", weights, "Weights of the points of a step."),
-        constant(place, "columns", own.groups[0], "Columns of matrices that the entries of a state belong to."),
-        constant(place, "arrays", own.groups[1], "Arrays that they belong to."),
-        constant("double", "never_elastic", own.kept, "1 for a bound that no iterate leaves."),
+        constant(place, "columns", core.groups[0], "Columns of matrices that the entries of a state belong to."),
+        constant(place, "arrays", core.groups[1], "Arrays that they belong to."),
+        constant("double", "never_elastic", core.kept, "1 for a bound that no iterate leaves."),
         constant("double", "draws", wave_amplitudes(sizes).ravel(), "Waves by which a degenerate guess is perturbed."),
     ]
-    if own.control_groups is not None:
-        found += [
-            constant(place, "control_columns", own.control_groups[0], "Columns of the entries of a control."),
-            constant(place, "control_arrays", own.control_groups[1], "Arrays that they belong to."),
+    if core.control_groups is not None:
+        definitions += [
+            constant(place, "control_columns", core.control_groups[0], "Columns of the entries of a control."),
+            constant(place, "control_arrays", core.control_groups[1], "Arrays that they belong to."),
         ]
-    return "\n".join([*filter(None, found), _default_input(posed, name)])
+    return "\n".join([*filter(None, definitions), _default_input(posed, name)])
 
 
 def _default_input(posed: PosedProblem, name: str) -> str:
@@ -227,17 +227,17 @@ def _lines(fields: list[str]) -> str:
 
 def _problem_text(posed: PosedProblem) -> str:
     """The fields of ``retrax_problem``."""
-    own, sizes = posed.transcription, posed.transcription.sizes._asdict()
-    curved = own.control_groups is not None
+    transcription, sizes = posed.transcription, posed.transcription.sizes._asdict()
+    curved = transcription.control_groups is not None
     fields = {name: str(value) for name, value in sizes.items()}
     if sizes["points"] > 1:
         fields["matrix"] = "&tableau_matrix[0][0]"
     fields |= {"weights": "tableau_weights", "columns": "columns", "arrays": "arrays"}
     if curved:
         fields |= {"curved_controls": "true", "control_columns": "control_columns", "control_arrays": "control_arrays"}
-    if len(own.kept):
+    if len(transcription.kept):
         fields["never_elastic"] = "never_elastic"
-    fields["bounds"] = str(own.bounds)
+    fields["bounds"] = str(transcription.bounds)
     return "\n".join(f"        .{name} = {value}," for name, value in fields.items())
 
 

@@ -15,10 +15,10 @@ from ....retractions import CollocationMethod, DiscretizationMap
 from ...problem.free_quantities import is_free, with_guess
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.requirements import require_same_manifold, require_treated
-from ...reporting.results import warn_about_precision
+from ...reporting.result_sentences import warn_about_precision
 from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
-from ..iteration import Iteration, IterationTable
+from ..iteration_reports import Iteration, IterationTable
 
 DEFAULT_TOLERANCE_POWER = 0.7  # of the rounding, the tolerance by default: 1e-11 in double precision
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends

@@ -39,6 +39,8 @@ class FlatGuess(NamedTuple):
 
     def of(self, count: int) -> "FlatGuess":
         """The guesses of so many members, in arrays that are not to be written to."""
+        if len(self.states) == count:
+            return self
         parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in self.arrays)
         return FlatGuess(*parts, multipliers=self.multipliers, node_multipliers=self.node_multipliers)
 
@@ -61,11 +63,14 @@ class GuessReader:
     """Reads guesses with some steps and stages in each."""
 
     def __init__(self, problem: OptimalControlProblem, steps: int, stages: int) -> None:
-        own = (problem.manifold, PointLayout.of(problem.manifold)), (problem.controls, PointLayout.of(problem.controls))
+        spaces = (
+            (problem.manifold, PointLayout.of(problem.manifold)),
+            (problem.controls, PointLayout.of(problem.controls)),
+        )
         at_stages, at_nodes = steps * stages, steps + 1
         places = (0, at_stages), (1, at_stages), (0, at_nodes), (0, at_nodes), (0, at_stages)
         self._parts = [
-            _GuessPart(name, own[of][0], length, own[of][1])
+            _GuessPart(name, spaces[of][0], length, spaces[of][1])
             for name, (of, length) in zip(Guess._fields[: len(places)], places, strict=True)
         ]
         limits, added = problem._limits, (HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER)
@@ -84,10 +89,12 @@ class GuessReader:
                 raise InvalidInputError(
                     "guess: nodes and stage_costates come together, and one of them is None; give both or neither"
                 )
-        columns: Any = ([_rows(getattr(guess, part.name), part) for guess in guesses] for part in self._parts)
-        stacked: Any = (None if any(rows is None for rows in column) else np.stack(column) for column in columns)
-        at_stages, at_nodes = (tuple(map(own, guesses)) for own in (self._at_stages, self._at_nodes))
-        return FlatGuess(*stacked, multipliers=at_stages, node_multipliers=at_nodes)
+        stacked: list[Any] = []
+        for part in self._parts:
+            rows = [_rows(getattr(guess, part.name), part) for guess in guesses]
+            known = [row for row in rows if row is not None]
+            stacked.append(np.stack(known) if len(known) == len(rows) else None)
+        return FlatGuess(*stacked, tuple(map(self._at_stages, guesses)), tuple(map(self._at_nodes, guesses)))
 
     def _at_stages(self, guess: Guess) -> dict[str, np.ndarray]:
         return _multipliers("multipliers", guess.multipliers or {}, self._names, (self._stages, "stage"))
@@ -97,9 +104,9 @@ class GuessReader:
 
     def keep_multipliers(self, guess: Guess) -> Guess:
         """A guess with the multipliers of inequalities that the problem has, as far as their names tell."""
-        own = {name: rows for name, rows in (guess.multipliers or {}).items() if name in self._names}
+        known = {name: rows for name, rows in (guess.multipliers or {}).items() if name in self._names}
         at_nodes = {name: rows for name, rows in (guess.node_multipliers or {}).items() if name in self._node_names}
-        return guess._replace(multipliers=own, node_multipliers=at_nodes)
+        return guess._replace(multipliers=known, node_multipliers=at_nodes)
 
     def one(self, guess: Any) -> Guess:
         """A guess as arrays with its costates filled in; raises where something is wrong."""
@@ -117,17 +124,18 @@ class GuessReader:
         """Raise if states are off the manifold, by at least ``violations``, a number for each of
         ``states_to_check``."""
         begin, size, manifold = 0, self._parts[0].layout.size, self._parts[0].manifold
+        tolerance = default_tolerance()
         for name in ("states", "nodes"):
             rows = getattr(flat, name)
             if rows is None:
                 continue
             points = rows.reshape(-1, size)
-            far = ~(violations[begin : begin + len(points)] <= default_tolerance())
+            far = ~(violations[begin : begin + len(points)] <= tolerance)
             begin += len(points)
             if np.any(far):
                 found = violations_at(manifold, self._parts[0].layout.points(points[far]))
                 for equation, values in found.items():
-                    if not np.max(values) <= default_tolerance():
+                    if not np.max(values) <= tolerance:
                         worst = f"{equation} reaches {np.max(values):.3g}"
                         raise InvalidInputError(f"guess: {name} are not on {manifold}: {worst}, expected 0")
 

@@ -27,7 +27,7 @@ from ...problem.free_quantities import guess_of, guesses_of, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout, parameter_layout
 from ...problem_checks.requirements import require_retraction
-from ...reporting.results import callers
+from ...reporting.result_sentences import callers
 from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
 from ..guess import Guess, Mesh, MeshGuess
@@ -166,7 +166,7 @@ class Inputs:
             check_classification(inputs.problem, classification)
         if (
             inputs.needs_reformulation
-            and len({ReformulationKind.of(own.horizon, own.parameters) for own in inputs.each}) > 1
+            and len({ReformulationKind.of(data.horizon, data.parameters) for data in inputs.each}) > 1
         ):
             raise InvalidInputError("the members of a batch have other bounds; solve those with the same ones together")
         return inputs
@@ -231,8 +231,8 @@ class Inputs:
         tolerance = default_tolerance()
         near = beside <= max(ROUNDED_POINT, tolerance)
         for k in np.flatnonzero(~np.all(near.reshape(2, -1), axis=0)):
-            own = self.each[int(k)]
-            self.reader.ends.require_on_manifold(own.start, own.end, f", member {k}" if len(self) > 1 else "")
+            data = self.each[int(k)]
+            self.reader.ends.require_on_manifold(data.start, data.end, f", member {k}" if len(self) > 1 else "")
         if np.any(near & (beside > tolerance)):
             _warn_of_rounding(self.reader.problem.manifold, np.max(beside[near]))
         for _ in range(RESTORING):  # no trajectory ends beside its manifold

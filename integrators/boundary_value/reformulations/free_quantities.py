@@ -83,9 +83,9 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
 
         The clock starts at zero, or is free at the start and guessed to ``begin`` there.
         """
-        each = [(own, data.guess_of(k)) for k, own in enumerate(data.each)]
-        constants, horizon = np.stack([self._guesses(*own) for own in each]), data.horizons
-        times, every = horizon[:, None] + (begin or 0.0), [self.parameters(own) for own, _ in each]
+        each = [(given, data.guess_of(k)) for k, given in enumerate(data.each)]
+        constants, horizon = np.stack([self._guesses(*pair) for pair in each]), data.horizons
+        times, every = horizon[:, None] + (begin or 0.0), [self.parameters(given) for given, _ in each]
         if data.axes:
             parameters = vec.stacked(every) if self.takes else None
         else:
@@ -102,11 +102,11 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
             return None
         constants = np.reshape(posed.start[1].guess if self.constants else np.zeros(0), (len(data), self.constants))
         begin, known = guess_of(posed.start[-1]) if self.own.time_dependent else 0.0, self._known_covectors(data)
-        found = list[Guess]()
+        guesses = list[Guess]()
         for k, row in enumerate(constants):
             nodes, stages = data.reader.mesh.times(float(data.horizons[k]))
-            found.append(self._in_more_states(data.guess_of(k), row, (begin + nodes, begin + stages), known))
-        return found if data.axes else found[0]
+            guesses.append(self._in_more_states(data.guess_of(k), row, (begin + nodes, begin + stages), known))
+        return guesses if data.axes else guesses[0]
 
     def _guesses(self, given: BoundaryData, guess: Guess | None) -> np.ndarray:
         """The constants that are guessed, strictly inside their bounds; by little where a guess knows multipliers of
@@ -124,8 +124,8 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         """The guess, or a bound, of a free horizon as a value of the constant, the logarithm of the horizon over its
         guess."""
         free, none = is_free(horizon), name == "lower" and is_free(horizon) and horizon.lower <= 0
-        own = -np.inf if none else np.log(getattr(horizon, name) / horizon.guess) if free else 0.0
-        return np.full(int(free), self.at_guess + own)
+        logarithm = -np.inf if none else np.log(getattr(horizon, name) / horizon.guess) if free else 0.0
+        return np.full(int(free), self.at_guess + logarithm)
 
     def parameters(self, given: BoundaryData) -> Any:
         """The parameters of the reformulation, fixed parameters, bounds and the start time, or None without any."""
@@ -146,10 +146,10 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         known = self.recovered.get(data.guess) if isinstance(data.guess, Solution) else None
         if known is None:
             return {}
-        own = known._guess_on(data.reader.mesh._replace(interpolant=known.interpolant))
+        extended_guess = known._guess_on(data.reader.mesh._replace(interpolant=known.interpolant))
         # The clock runs to another time.
         rates = [1.0] * bool(self.constants) + [known.horizon / data.horizons[0]] * self.own.time_dependent
-        added = {name: getattr(own, name)[1:] for name in ("costates", "stage_costates")}
+        added = {name: getattr(extended_guess, name)[1:] for name in ("costates", "stage_costates")}
         return {name: tuple(rate * p for rate, p in zip(rates, parts, strict=True)) for name, parts in added.items()}
 
     def _in_more_states(
@@ -165,9 +165,9 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
                 added = known.get(name, tuple(np.zeros(np.shape(a)) for a in added))
             if getattr(guess, name) is not None:
                 changes[name] = getattr(guess, name), *added
-        own, horizon = guess.multipliers or {}, times[0][-1] - times[0][0]
-        bounds = {name: horizon * rows for name, rows in own.items() if name in (HORIZON_LOWER, HORIZON_UPPER)}
-        return guess._replace(multipliers={**own, **bounds}, **changes)
+        multipliers, horizon = guess.multipliers or {}, times[0][-1] - times[0][0]
+        bounds = {name: horizon * rows for name, rows in multipliers.items() if name in (HORIZON_LOWER, HORIZON_UPPER)}
+        return guess._replace(multipliers={**multipliers, **bounds}, **changes)
 
     @np.errstate(all="ignore")  # a horizon that vanished, or has no bound, is said in the result
     def recover(self, posed: BoundaryData, found: Solution) -> Solution:
@@ -200,9 +200,9 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
     def _multipliers(self, found: Solution, rate: float) -> dict[str, np.ndarray]:
         """The multipliers in the time of the problem, with the bounds of ``s`` as bounds of ``T``."""
         between = self.own._boundary.names
-        own = {name: values / (1.0 if name in between else rate) for name, values in found.multipliers.items()}
-        times = {name: own[name] / (rate * found.horizon) for name in (HORIZON_LOWER, HORIZON_UPPER) if name in own}
-        return {**own, **times}
+        multipliers = {name: values / (1.0 if name in between else rate) for name, values in found.multipliers.items()}
+        bounds = multipliers.keys() & {HORIZON_LOWER, HORIZON_UPPER}
+        return multipliers | {name: multipliers[name] / (rate * found.horizon) for name in bounds}
 
     def _checks(self, checks: Checks, rate: float) -> Checks:
         """The checks in the time of the problem; the Hamiltonian that is constant has the clock's part."""
@@ -214,7 +214,7 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
     def _by_name(self, values: dict[str, Any], prefix: str = OWN_FACTOR) -> dict[str, Any]:
         """Values of the factors of Q, without the added states, under the names of the problem."""
         label = partial(self.own.quantities.labelled, count=len(getattr(self.own.manifold, "factors", ())))
-        return {label(name.removeprefix(prefix)): own for name, own in values.items() if name.startswith(prefix)}
+        return {label(name.removeprefix(prefix)): value for name, value in values.items() if name.startswith(prefix)}
 
     def recover_sensitivity(self, found: Sensitivity) -> Sensitivity:
         """The derivatives of a solution of the problem; by what is free there are none."""
@@ -253,10 +253,10 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
 
     def _velocity(self, y: tuple, u: Ambient, given: Any) -> tuple:
         q, bound, rate = self._at(y, given)
-        own = bound.velocity(q, u)
+        velocity = bound.velocity(q, u)
         constants = [jnp.zeros(self.constants)] if self.constants else []
         clock = [jnp.ones(1)] if self.own.time_dependent else []
-        return vec.scale(rate, own) if self.kind.horizon else own, *constants, *clock
+        return vec.scale(rate, velocity) if self.kind.horizon else velocity, *constants, *clock
 
     def _rate(self, y: tuple, u: Ambient, given: Any) -> Array:
         q, bound, rate = self._at(y, given)
@@ -268,10 +268,10 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
 
     def _boundary(self) -> BoundaryConditions:
         """The conditions of both ends."""
-        own = self.own._boundary
-        functions = tuple(self._of_state(self._between(place), 2) for place in range(len(own.names)))
-        turn = None if own.turn is None else self._of_node(lambda bound, q: bound._periodic_end(q))
-        return BoundaryConditions(own.names, functions, turn, factor=True, closed=own.closed)
+        boundary = self.own._boundary
+        functions = tuple(self._of_state(self._between(place), 2) for place in range(len(boundary.names)))
+        turn = None if boundary.turn is None else self._of_node(lambda bound, q: bound._periodic_end(q))
+        return BoundaryConditions(boundary.names, functions, turn, factor=True, closed=boundary.closed)
 
     def _between(self, place: int) -> Callable[[tuple, tuple, Any], Any]:
         def between(first: tuple, last: tuple, given: Any) -> Any:
@@ -282,8 +282,8 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
 
     def _limits(self) -> Inequalities:
         """The inequalities of the problem, and the bounds of the horizon and of the parameters at the first point."""
-        own, kind, names = self.own._limits, self.kind, list[str]()
-        functions = [self._of_state(self._limit(place), 2) for place in range(len(own.names))]
+        limits, kind, names = self.own._limits, self.kind, list[str]()
+        functions = [self._of_state(self._limit(place), 2) for place in range(len(limits.names))]
         begin = 0
         for name, bounded, sign in zip((HORIZON_LOWER, HORIZON_UPPER), kind.horizon_bounds, (1, -1), strict=True):
             if bounded:
@@ -296,11 +296,12 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
                 functions.append(self._of_state(self._bound_of(list(entries), begin, sign), 2))
                 begin += len(entries)
         at_nodes = tuple(
-            self._of_node(lambda bound, q, k=k: bound._limits.node_functions[k](q)) for k in range(len(own.node_names))
+            self._of_node(lambda bound, q, k=k: bound._limits.node_functions[k](q))
+            for k, _ in enumerate(limits.node_names)
         )
-        held = (*own.names, *names), tuple(functions), own.at_first | frozenset(names)
+        held = (*limits.names, *names), tuple(functions), limits.at_first | frozenset(names)
         clock = not kind.horizon if self.own.time_dependent else None
-        return Inequalities(own.lower, own.upper, *held, own.node_names, at_nodes, clock)
+        return Inequalities(limits.lower, limits.upper, *held, limits.node_names, at_nodes, clock)
 
     def _limit(self, place: int) -> Callable[[tuple, Ambient, Any], Any]:
         def limit(y: tuple, u: Ambient, given: Any) -> Any:

@@ -30,7 +30,6 @@ SINGULAR_WORDS = (
 # Times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero.
 HORIZON_AT_BOUND, UNMET = 1.01, 1e-3
 LOST_HORIZON = 1e3  # times the guess, or a share of it: a horizon that is found without success, and named
-RESTART, AGAIN = 10.0, 3  # from the guess: a horizon that is found again; and how often
 # Times the guess: horizons from which it is tried again: test_a_horizon_is_found_whatever_its_guess.
 MAGNITUDES = 1e-2, 1e2, 1e-4, 1e4, 1e-6, 1e6, 1e-8, 1e8
 
@@ -82,10 +81,10 @@ class FreeQuantitySolver:
             guess = with_scaled_guess(horizon, factor)
             if guess is not None:
                 again = inputs.again(self.reader, inputs.given._replace(horizon=guess), inputs.guess)
-                found = self._reject_vanishing(again, self._solve(again))
-                effort = _sum(effort, found.statistics)
-                if status.is_final(found):
-                    return self._with_effort(found, effort)
+                other = self._reject_vanishing(again, self._solve(again))
+                effort = _sum(effort, other.statistics)
+                if status.is_final(other):
+                    return self._with_effort(other, effort)
         return self._with_effort(self._explain(horizon, first), effort)
 
     def _explain(self, horizon: Free, solution: Solution) -> Solution:
@@ -114,12 +113,13 @@ class FreeQuantitySolver:
         return float(max(np.max(np.abs(rates)), np.max(np.abs(solution.hamiltonians + rates))))
 
     def _reject_vanishing(self, inputs: Inputs, solution: Solution) -> Solution:
-        """The solution in its own units, without success where its horizon tends to zero."""
+        """The solution, without success where its horizon tends to zero or its Hamiltonian is nowhere zero."""
         horizon, parameters = inputs.given.horizon, inputs.given.parameters
-        solution = self._in_own_units(inputs, solution)
-        if not is_free(horizon) or solution.statistics.stopped:
+        if not is_free(horizon):
             return solution
-        if not self.vanishes(horizon, parameters, solution, inputs.options.tolerance):
+        if solution.success:
+            solution = self._with_its_hamiltonian(horizon, solution)
+        if solution.statistics.stopped or not self.vanishes(horizon, parameters, solution, inputs.options.tolerance):
             return solution
         return self._as_before(status.fail_at_zero(solution, "The horizon", solution.horizon), solution)
 
@@ -129,28 +129,6 @@ class FreeQuantitySolver:
         if kind not in self._vanishing:
             self._vanishing[kind] = VanishingHorizon(self.reader.problem, guesses_of(parameters))
         return self._vanishing[kind](solution, tolerance)
-
-    def _in_own_units(self, inputs: Inputs, solution: Solution) -> Solution:
-        """The solution, found again from itself where its horizon is far from the guess, in whose units it was judged.
-
-        A horizon that tends to zero takes all conditions with it.
-        """
-        for _ in range(AGAIN):
-            horizon = inputs.given.horizon
-            ratio = solution.horizon / guess_of(horizon)
-            if not (solution.success and is_free(horizon)):
-                return solution
-            if 1 / RESTART < ratio < RESTART:
-                return self._with_its_hamiltonian(horizon, solution)
-            if not 0 < solution.horizon < np.inf:
-                break
-            if solution.statistics.stopped:
-                return self._as_before(status.stop(solution), solution)
-            before = solution.statistics
-            inputs = inputs.again(self.reader, inputs.given.near(solution), solution)
-            solution = self._solve(inputs)
-            solution = self._with_effort(solution, _sum(before, solution.statistics))
-        return self._as_before(status.fail_far_from_guess(solution), solution)
 
     def _with_its_hamiltonian(self, horizon: Free, solution: Solution) -> Solution:
         """The solution, without success where the Hamiltonian is nowhere zero, as its mean is between the bounds of a
@@ -179,8 +157,8 @@ class FreeQuantitySolver:
         """The extremals of a batch."""
         formulation, solver = self.of(inputs.each[0].horizon, inputs.each[0].parameters)
         posed, solutions, stopped = formulation.apply(inputs), list[Solution](), False
-        found = solver._find_all(inputs.again(solver._reader, posed, formulation.guess(inputs, posed)))
-        for k, one in enumerate(found):
+        extremals = solver._find_all(inputs.again(solver._reader, posed, formulation.guess(inputs, posed)))
+        for k, one in enumerate(extremals):
             solution, member = formulation.recover(posed, one), inputs.member(k)
             self._found[solution] = formulation, solver
             if stopped:  # in a search of a member before

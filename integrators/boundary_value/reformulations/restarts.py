@@ -9,31 +9,14 @@ from collections.abc import Callable
 import numpy as np
 
 from ....compute.binding.structs import Residual
-from ....compute.threads import each_in_threads
 from ....manifolds.numerics.ambient import taken
-from ..inputs.arguments import Options
-from ..transcription.discrete_phase import LinkedPhases
-from ..transcription.iterate import LinkedIterate
-from ..transcription.member_search import MemberSearch, Watch
+from ..transcription.member_search import MemberSearch
 from ..transcription.rollout import rollout
 from ..transcription.search_record import MemberIterate, SearchRecord
 
 LARGER = 1e2  # times the usual first penalty of excesses
 NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 NARROW = 1e-2  # width of the funnel of a search from a trajectory without infeasibility
-
-
-def search_all(problem: LinkedPhases, guess: LinkedIterate, options: Options, watch: Watch) -> list[SearchRecord]:
-    """The results for all members, in threads side by side, or one after the other where a callback watches them."""
-
-    def run(k: int) -> SearchRecord:
-        member = MemberSearch(problem, guess, k, (options.tolerance, options.max_iterations), watch)
-        return search_member(member) if options.restarts else member.from_guess()
-
-    count = len(guess.parts[0].costates)
-    if count == 1 or watch.callback is not None:
-        return [run(k) for k in range(count)]
-    return each_in_threads(run, count, watch.stop)
 
 
 def search_member(member: MemberSearch) -> SearchRecord:

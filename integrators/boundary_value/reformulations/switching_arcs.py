@@ -188,7 +188,7 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
         interpolant: Any = solution.interpolant
         stages = len(solution.stage_times) // solution.steps
         places = (np.arange(REFINED_ARC * stages) + 0.5) / (REFINED_ARC * stages)
-        found = interpolant.within(solution, places)
+        sample = interpolant.within(solution, places)
         rows = {name: rows.reshape(solution.steps, stages, -1) for name, rows in solution.stage_multipliers.items()}
         at = (solution.stage_times[:stages] - solution.times[0]) / (solution.times[1] - solution.times[0])
         shares = lagrange(at, places)
@@ -197,9 +197,9 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
         }
         flat = (
             jax.tree.map(lambda a: a.reshape(-1, *a.shape[2:]), part)
-            for part in (found.states, found.costates, found.controls)
+            for part in (sample.states, sample.costates, sample.controls)
         )
-        slopes = self._slopes((*flat, found.times.ravel()), own, solution.parameters).reshape(*found.times.shape, -1)
+        slopes = self._slopes((*flat, sample.times.ravel()), own, solution.parameters).reshape(*sample.times.shape, -1)
         wrong = np.mean(np.maximum(-self.sides[arcs][:, None] * slopes, 0.0), axis=1) @ self.room
         return float(np.diff(solution.times) @ wrong / (self.unit * (solution.times[-1] - solution.times[0])))
 
@@ -270,9 +270,9 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
         return self._problem_at(0.0, given).first_cost(q)
 
     def _boundary(self) -> BoundaryConditions:
-        own = self.own._boundary
-        turn = None if own.turn is None else self._turn
-        return BoundaryConditions(own.names, tuple(map(self._between, range(len(own.names)))), turn)
+        boundary = self.own._boundary
+        turn = None if boundary.turn is None else self._turn
+        return BoundaryConditions(boundary.names, tuple(map(self._between, range(len(boundary.names)))), turn)
 
     def _between(self, place: int) -> Any:
         def between(first: Any, last: Any, tau: Array, given: Any) -> Any:

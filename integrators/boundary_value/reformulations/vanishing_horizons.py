@@ -43,16 +43,16 @@ class VanishingHorizon:
         layouts = (self.state, solution.stage_states), (self.control, solution.controls)
         rows = *(layout.rows(points, 1) for layout, points in layouts), solution.stage_times[:, None]
         given = self.parameter.rows(solution.parameters, 0)[None]
-        own, twice = np.moveaxis(self._at_speeds(*rows, given)[0], 1, 0)
-        same = np.abs(twice - 2 * own) <= FLAT_COST * tolerance * np.max(np.abs(own), axis=0)
-        return bool(np.all(same) and np.any(own[:, 1:]))
+        once, twice = np.moveaxis(self._at_speeds(*rows, given)[0], 1, 0)
+        same = np.abs(twice - 2 * once) <= FLAT_COST * tolerance * np.max(np.abs(once), axis=0)
+        return bool(np.all(same) and np.any(once[:, 1:]))
 
     def _at_speeds_of(self, q: Array, u: Array, time: Array, parameters: Array) -> tuple[Array]:
         """The cost rate and the velocity, at the speed as it is and at twice that."""
         bound = self.problem.with_parameters(self.parameter.point(parameters)).at_time(time[0])
         point, rows = self.state.point(q), []
         for speed in (1.0, 2.0):
-            own = self.control.point(speed * u)
-            velocity = self.state.flat(bound.velocity(point, own))
-            rows.append(jnp.concatenate([jnp.reshape(bound.cost_rate(point, own), 1), velocity]))
+            control = self.control.point(speed * u)
+            velocity = self.state.flat(bound.velocity(point, control))
+            rows.append(jnp.concatenate([jnp.reshape(bound.cost_rate(point, control), 1), velocity]))
         return (jnp.stack(rows),)

@@ -18,7 +18,7 @@ from ....manifolds.numerics.ambient import Ambient
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
 from ...problem_checks.smoothness.hamiltonian_jumps import Energy, Segments
-from ...reporting.results import Result
+from ...reporting.result_sentences import Result
 from ...reporting.text import plural
 from ...singular import Classification, SingularIntegrator, singular_integrator
 from ...singular.integrability import FinalEquations
@@ -27,7 +27,7 @@ from ..audit.status import Status, shooting_status
 from ..guess import default_guess
 from ..inputs.arguments import copy_parameters
 from ..inputs.inputs import Inputs
-from ..iteration import say
+from ..iteration_reports import say
 from ..solution.diagnostics import SingularArc, SingularChecks, Statistics
 from ..solution.record import Solution
 from ..transcription.diagnosis import Diagnosis

@@ -13,8 +13,8 @@ from ....compute.jit_cache import compile_function
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Frame
 from ....manifolds.numerics.levenberg import RELATIVE_DAMPING
-from ...reporting.results import Result
-from ..iteration import Iteration, say, tell
+from ...reporting.result_sentences import Result
+from ..iteration_reports import Iteration, say, tell
 from .end_conditions import EndConditions, EndValues
 from .least_squares import shortest_step
 from .segments import Iterate, Linearisation, Shooting

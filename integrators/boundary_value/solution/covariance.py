@@ -64,7 +64,7 @@ def covariance_of(system: KKTSystem, solution: Any) -> Covariance:
     singular."""
     left, right, n, z = system.left, system.right, system.sizes.state_size, system.dimension
     ends, steps = np.concatenate([left[:1], right]), np.maximum(np.arange(len(right) + 1) - 1, 0)
-    found = np.empty((len(ends), n, n))
+    covariances = np.empty((len(ends), n, n))
     for nodes in np.array_split(np.arange(len(ends)), -(-len(ends) // NODES_AT_ONCE)):
         # Unit forces at a node move it by minus its covariance.
         slope = np.zeros((len(right), z + system.limits[0].shape[1], len(nodes), n))
@@ -76,8 +76,8 @@ def covariance_of(system: KKTSystem, solution: Any) -> Covariance:
             raise _singular_information(f"the smallest pivot of its KKT matrix is {result.smallest:.3g}", solution)
         moves = result.step[:, :z].reshape(len(right), z, len(nodes), n)
         for place, node in enumerate(nodes):
-            found[node] = -ends[node] @ moves[steps[node], :, place]
-    return Covariance((found + found.mT) / 2, np.zeros((0, 0)), np.zeros((len(ends), n, 0)))
+            covariances[node] = -ends[node] @ moves[steps[node], :, place]
+    return Covariance((covariances + covariances.mT) / 2, np.zeros((0, 0)), np.zeros((len(ends), n, 0)))
 
 
 def _singular_information(why: str, solution: Any) -> ConvergenceError:

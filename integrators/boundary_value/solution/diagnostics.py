@@ -119,7 +119,7 @@ class Checks(ABC):
             return known[name]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {own.name: getattr(self, own.name) for own in fields(self)}
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
     gap = former_field("checks", "gap", "defect")
     constraint = former_field("checks", "constraint", "manifold_violation")

@@ -105,14 +105,16 @@ def push_forward(
     if tangent.parameters is not None:
         derivatives = jax.tree.leaves(by.parameters, is_leaf=lambda leaf: leaf is None or isinstance(leaf, Derivative))
         pairs += zip(jax.tree.leaves(tangent.parameters), derivatives, strict=True)
-    parts = [_along(v, own) for v, own in pairs if own is not None]  # by what is free there are none
+    parts = [
+        _along(v, derivative) for v, derivative in pairs if derivative is not None
+    ]  # by what is free there are none
     return jax.tree.map(lambda *leaves: sum(leaves[1:], leaves[0]), *parts)
 
 
 def _along(v: Any, by: Derivative) -> DifferentiableSolution:
     """A derivative by an array times a change of it."""
-    own = DifferentiableSolution(*(getattr(by, name) for name in DifferentiableSolution._fields))
-    return jax.tree.map(lambda leaf: jnp.tensordot(v, jnp.asarray(leaf), jnp.ndim(v)), own)
+    derivatives = DifferentiableSolution(*(getattr(by, name) for name in DifferentiableSolution._fields))
+    return jax.tree.map(lambda leaf: jnp.tensordot(v, jnp.asarray(leaf), jnp.ndim(v)), derivatives)
 
 
 def _fill(tangent: Any, point: Any) -> Any:

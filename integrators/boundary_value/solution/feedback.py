@@ -107,20 +107,20 @@ class Feedback:
             apart = interpolant.apart(interpolant.state.rows(now.states, 1), rows)
             _require_near(apart, times)
             turn = np.einsum("tue,te->tu", gain, apart)
-            found = interpolant.move_controls(interpolant.control.rows(now.controls, 1), turn)
+            controls = interpolant.move_controls(interpolant.control.rows(now.controls, 1), turn)
         if self.bounds is not None:
-            found = np.clip(found, *(side.ravel() for side in self.bounds))
-        return interpolant.control.points(found.reshape(*shape, -1))
+            controls = np.clip(controls, *(side.ravel() for side in self.bounds))
+        return interpolant.control.points(controls.reshape(*shape, -1))
 
     def _rows(self, q: Any) -> np.ndarray:
         """States as flat rows."""
         layout: PointLayout = self.solution._between_nodes.state
         try:
-            own = jax.tree.map(lambda _, leaf: np.asarray(leaf), layout.points(np.zeros(layout.size)), q)
-            leaves = jax.tree.leaves(own)
+            arrays = jax.tree.map(lambda _, leaf: np.asarray(leaf), layout.points(np.zeros(layout.size)), q)
+            leaves = jax.tree.leaves(arrays)
             axes = leaves[0].ndim - len(layout.shapes[0])
             fits = [leaf.shape for leaf in leaves] == [(*leaves[0].shape[:axes], *shape) for shape in layout.shapes]
-            rows = layout.rows(own, axes) if fits else None
+            rows = layout.rows(arrays, axes) if fits else None
         except (TypeError, ValueError):
             rows = None
         if rows is None or not np.all(np.isfinite(rows)):
@@ -191,7 +191,7 @@ def _feedback_of(kept: Any, solution: Solution, curvatures: "Curvatures") -> Fee
     if limits is not None:
         active = (limits.active & (limits.weights > 0))[kept.place]
         held = system.in_steps(flat_limits(kept.transcribed.traced.steps, active))
-    rows = [own[which] for own, which in zip(system.limits[0], held, strict=True)]
+    rows = [limit_rows[which] for limit_rows, which in zip(system.limits[0], held, strict=True)]
     law = recursion(system, rows)
     if not law.complete.any():
         raise InvalidInputError(
@@ -199,8 +199,8 @@ def _feedback_of(kept: Any, solution: Solution, curvatures: "Curvatures") -> Fee
             "steps, or leave the coordinates of the end free that no control moves"
         )
     last = int(np.flatnonzero(law.complete)[-1])
-    own = system.sizes
-    n, count, stages = own.state_size, own.steps, own.points
+    sizes = system.sizes
+    n, count, stages = sizes.state_size, sizes.steps, sizes.points
     gains = law.response[:, n:].reshape(count, stages, -1, n)
     curvature = law.curvature + curvatures(system)
     whole = gains
@@ -242,12 +242,14 @@ class Curvatures:
     def __call__(self, system: KKTSystem) -> np.ndarray:
         """The share at the nodes, with the terminal cost at the last node, (N + 1, n, n)."""
         covectors = np.einsum("kn,kne->ke", system.multipliers, system.frames)
-        found, given = (
+        curvatures, given = (
             np.array(self._retraction_curvature.at(1, system.nodes, covectors)[0]),
             system.array("PARAMETERS", 1, -1),
         )
-        found[-1] = 0.0 if self._cost_curvature is None else self._cost_curvature.at(1, system.nodes[-1:], given)[0][0]
-        return found
+        curvatures[-1] = (
+            0.0 if self._cost_curvature is None else self._cost_curvature.at(1, system.nodes[-1:], given)[0][0]
+        )
+        return curvatures
 
     def _at(self, d: Array, q: Array) -> Any:
         point = self.nodes.layout.point(q)

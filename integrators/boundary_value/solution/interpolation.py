@@ -127,21 +127,17 @@ class Interpolant:
 
     def require_fits(self, what: str, states: Any, controls: Any) -> None:
         """Raise unless these are points of its manifolds, along a leading axis."""
-        for name, manifold, given in (
-            ("states", self.retraction.manifold, states),
-            ("controls", self.controls, controls),
-        ):
-            expected, got = (
-                jax.tree.map(lambda s: s.shape, manifold.ambient),
-                jax.tree.map(lambda a: np.shape(a)[1:], given),
-            )
+        for name, layout, given in (("states", self.state, states), ("controls", self.control, controls)):
+            if layout.fits(given, 1):
+                continue
+            manifold = self.retraction.manifold if name == "states" else self.controls
+            expected = jax.tree.map(lambda s: s.shape, manifold.ambient)
+            got = jax.tree.map(lambda a: np.shape(a)[1:], given)
             if expected != got:
                 raise InvalidInputError(
                     f"{what}{name} have the shapes {got} each, expected {expected}, those of {manifold}"
                 )
-            for s, a in zip(jax.tree.leaves(manifold.ambient), jax.tree.leaves(given), strict=True):
-                if np.iscomplexobj(a) and not np.issubdtype(s.dtype, np.complexfloating):
-                    raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
+            raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
 
     def __call__(self, record: ExtremalArrays, t: Any) -> Sample:
         """The extremal at a time, or at an array of times.
@@ -169,8 +165,8 @@ class Interpolant:
     def guess(self, record: ExtremalArrays, times: np.ndarray, stage_times: np.ndarray) -> Guess:
         """The extremal at times of nodes and of stages."""
         nodes, stages = (self(record, np.minimum(t, record.times[-1])) for t in (times, stage_times))
-        own, at_nodes = record.stage_multipliers, record.node_multipliers
-        multipliers = {name: _along(stage_times, record.stage_times, rows) for name, rows in own.items()}
+        at_stages, at_nodes = record.stage_multipliers, record.node_multipliers
+        multipliers = {name: _along(stage_times, record.stage_times, rows) for name, rows in at_stages.items()}
         before, after = _shares(record.times), _shares(times)
         jumps = {name: after * _along(times, record.times, rows / before) for name, rows in at_nodes.items()}
         return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers, jumps)
@@ -213,16 +209,16 @@ class Interpolant:
         There is an empty array in place of the costates unless these are asked for.
         """
         through, centres, coordinates = self._polynomials(steps)
-        shares, found = lagrange(through, places), np.zeros(0)
+        shares, covectors = lagrange(through, places), np.zeros(0)
         c = np.einsum("tj,tjn->tn", shares, coordinates[where])
         states = self.chart.points(centres[where], c)
         if costates:
             momenta = self._momenta(steps, through, centres, coordinates)
             momentum = np.einsum("tj,tjn->tn", shares, momenta[where])
-            found = self.chart.pushforward(centres[where], c, momentum)
+            covectors = self.chart.pushforward(centres[where], c, momentum)
         controls = self._control_polynomials(steps)
         offset = np.einsum("tj,tjm->tm", lagrange(controls.places, places), controls.coordinates[where])
-        return states, found, self._control_point.at(1, controls.centres[where], offset)[0]
+        return states, covectors, self._control_point.at(1, controls.centres[where], offset)[0]
 
     def polynomials(self, record: ExtremalArrays) -> Polynomials:
         """The polynomials of the states in all steps; entries are NaN where a step does not fit into a chart."""
@@ -256,7 +252,7 @@ class Interpolant:
 
     def _on_this_side(self, steps: _Step, centres: np.ndarray, known: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
         """The momenta at the places of steps, at a jump from the polynomial through the remaining momenta."""
-        (through, momenta), found = known, np.array(known[1])
+        (through, momenta), extrapolated = known, np.array(known[1])
         one = len(through) == 2
         if one:  # the stage has the covector theta p_0 + (1 - theta) p_1
             middle = self.chart.pullback(centres, np.zeros_like(momenta[:, 0]), steps.costates[:, 0])
@@ -270,8 +266,8 @@ class Interpolant:
             for place, end in ((0, 0.0), (-1, 1.0)):
                 if (first, last)[place]:
                     shares = lagrange(through[kept], np.array([end]))[0]
-                    found[which, place] = np.einsum("j,kjn->kn", shares, momenta[which, kept])
-        return found
+                    extrapolated[which, place] = np.einsum("j,kjn->kn", shares, momenta[which, kept])
+        return extrapolated
 
     @property
     def functions(self) -> dict[str, PointwiseFunction]:
@@ -334,10 +330,10 @@ def _shares(times: np.ndarray) -> np.ndarray:
 
 def _along(times: np.ndarray, known: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Multipliers at some times, linear between the known times; a multiplier of the first point alone stays there."""
-    found = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
+    interpolated = np.stack([np.interp(times, known, column) for column in rows.T], axis=1)
     if not np.any(rows[1:]):
-        found[0] = rows[0]
-    return found
+        interpolated[0] = rows[0]
+    return interpolated
 
 
 def checked_times(t: Any, times: np.ndarray) -> np.ndarray:

@@ -27,7 +27,7 @@ class Law(NamedTuple):
 
 
 def recursion(system: KKTSystem, held: list[np.ndarray]) -> Law:
-    """The recursion from the last node to the first, in natural sizes.
+    """The recursion from the last node to the first, in units of the scaling.
 
     ``held``: derivatives of the active inequalities of each step by its unknowns.
     """

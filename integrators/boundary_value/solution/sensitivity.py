@@ -107,18 +107,17 @@ class Sensitivity:
 
         leaves, structure = jax.tree.flatten(parameters)
         begins = 2 * n + 1 + np.cumsum([0, *(np.size(leaf) for leaf in leaves)])
-        own = [part(int(k), np.shape(leaf)) for k, leaf in zip(begins, leaves, strict=False)]
-        by_parameters = jax.tree.unflatten(structure, own) if leaves else None
+        by_leaves = [part(int(k), np.shape(leaf)) for k, leaf in zip(begins, leaves, strict=False)]
+        by_parameters = jax.tree.unflatten(structure, by_leaves) if leaves else None
         return cls(part(0, (n,)), part(n, (n,)), part(2 * n, ()), by_parameters)
 
 
 class _EndCost(NamedTuple):
-    """The curvature of the cost of an end, ``(n, n)``, and derivatives by horizon and parameters: of its slope, ``(n,
-    K)``, and of its value, ``(K,)``."""
+    """Derivatives of the cost of an end."""
 
-    curvature: np.ndarray
-    mixed: np.ndarray
-    value: np.ndarray
+    curvature: np.ndarray  # second derivatives by the state, (n, n)
+    mixed: np.ndarray  # derivatives of the slope with respect to horizon and parameters, (n, K)
+    value: np.ndarray  # derivatives of the cost with respect to horizon and parameters, (K,)
 
 
 @final
@@ -140,34 +139,36 @@ class ParametricSensitivity:
 
     def __call__(self, system: KKTSystem) -> Derivatives:
         """The derivatives of the extremal with this KKT matrix."""
-        n, z, own = self.nodes.problem.manifold.dimension, system.dimension, self.columns(system)
-        steps, k = system.array("STEP_SIZE", -1), own.lagrangian.shape[1]
+        n, z, columns = self.nodes.problem.manifold.dimension, system.dimension, self.columns(system)
+        steps, k = system.array("STEP_SIZE", -1), columns.lagrangian.shape[1]
         share = np.ones((len(steps), k))
         share[:, 0] = steps / np.sum(steps)
-        own = Columns(*(a * (share if a.ndim == 2 else share[:, None]) for a in own))
+        columns = Columns(*(a * (share if a.ndim == 2 else share[:, None]) for a in columns))
         first, last = (self._of_end(system, place) for place in (0, -1))
-        own.slope[-1, :z] += system.right[-1].T @ (last.curvature @ own.end[-1] + last.mixed)
-        own.slope[0, :z] += system.left[0].T @ (first.curvature @ own.begin[0] + first.mixed)
+        columns.slope[-1, :z] += system.right[-1].T @ (last.curvature @ columns.end[-1] + last.mixed)
+        columns.slope[0, :z] += system.left[0].T @ (first.curvature @ columns.begin[0] + first.mixed)
         defect = np.zeros((len(steps) + 1, n, 2 * n + k))
-        defect[:-1, :, 2 * n :] += own.begin
-        defect[1:, :, 2 * n :] -= own.end
+        defect[:-1, :, 2 * n :] += columns.begin
+        defect[1:, :, 2 * n :] -= columns.end
         prescribed = np.zeros((2, n, 2 * n + k))
         prescribed[0, :, :n], prescribed[1, :, n : 2 * n] = map(np.diag, system.fixed)
         defect[0] -= prescribed[0]
         defect[-1] += prescribed[1]
-        found = system.solve(np.concatenate([np.zeros((*own.slope.shape[:2], 2 * n)), own.slope], axis=2), defect)
-        moves, turned = found.step[:, :z], found.multipliers
+        response = system.solve(
+            np.concatenate([np.zeros((*columns.slope.shape[:2], 2 * n)), columns.slope], axis=2), defect
+        )
+        moves, turned = response.step[:, :z], response.multipliers
         moved = np.concatenate([system.left @ moves, (system.right[-1] @ moves[-1])[None]])
-        moved[..., 2 * n :] += np.concatenate([own.begin, own.end[-1:]])
+        moved[..., 2 * n :] += np.concatenate([columns.begin, columns.end[-1:]])
         moved[[0, -1]] = np.where(system.fixed[..., None] > 0, prescribed, moved[[0, -1]])
         turned[-1] -= last.curvature @ moved[-1]
         turned[-1, :, 2 * n :] -= last.mixed
         turned[0] += first.curvature @ moved[0]
         turned[0, :, 2 * n :] += first.mixed
-        lagrangian = np.sum(own.lagrangian, axis=0) + last.value + first.value
+        lagrangian = np.sum(columns.lagrangian, axis=0) + last.value + first.value
         cost = np.concatenate([-system.multipliers[0], system.multipliers[-1], lagrangian])
         return Derivatives(
-            cost, *self._ambient(system, moved, turned), self._of_controls(system, moves), found.smallest
+            cost, *self._ambient(system, moved, turned), self._of_controls(system, moves), response.smallest
         )
 
     def _of_end(self, system: KKTSystem, place: int) -> _EndCost:
@@ -190,11 +191,11 @@ class ParametricSensitivity:
         return np.moveaxis(vectors, 1, 0), np.moveaxis(carried, 1, 0)
 
     def _of_controls(self, system: KKTSystem, moves: np.ndarray) -> np.ndarray:
-        own, (count, _, columns) = system.sizes, moves.shape
-        turns = moves[:, own.state_size :].reshape(count, own.points, own.control_size, columns)
-        u = system.array("CONTROLS", count, own.points, 1, own.control_numbers)
+        sizes, (count, _, columns) = system.sizes, moves.shape
+        turns = moves[:, sizes.state_size :].reshape(count, sizes.points, sizes.control_size, columns)
+        u = system.array("CONTROLS", count, sizes.points, 1, sizes.control_numbers)
         (found,) = self._control_change.at(3, u, np.moveaxis(turns, 3, 2))
-        return np.moveaxis(found, 2, 0).reshape(columns, count * own.points, own.control_numbers)
+        return np.moveaxis(found, 2, 0).reshape(columns, count * sizes.points, sizes.control_numbers)
 
     def _cost_of(self, name: str, d: Array, q: Array, parameters: Array) -> tuple[Array, Array]:
         n, point = self.nodes.problem.manifold.dimension, self.nodes.layout.point(q)

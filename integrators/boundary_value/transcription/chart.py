@@ -96,8 +96,8 @@ class Chart:
         _, frames, derivatives = _each(self._at, centres, coordinates)
         finite = np.all(np.isfinite(derivatives), axis=(-2, -1), keepdims=True)
         regular = np.where(finite, derivatives, np.eye(momenta.shape[-1]))
-        found = np.linalg.solve(regular.mT, momenta[..., None])[..., 0]
-        return np.einsum("...be,...b->...e", np.where(finite, frames, np.nan), found)
+        covectors = np.linalg.solve(regular.mT, momenta[..., None])[..., 0]
+        return np.einsum("...be,...b->...e", np.where(finite, frames, np.nan), covectors)
 
     @cached_property
     def _uneven(self) -> PointwiseFunction:
@@ -146,9 +146,9 @@ def lagrange(places: np.ndarray, times: np.ndarray) -> np.ndarray:
 
 def _slopes(places: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Derivatives of these polynomials, shape ``(at, j)``."""
-    apart, own = places[:, None] - places + np.eye(len(places)), np.eye(len(places), dtype=bool)
+    apart, same = places[:, None] - places + np.eye(len(places)), np.eye(len(places), dtype=bool)
     found = np.zeros((len(at), len(places)))
     for k in range(len(places)):
-        rest = np.where(own | own[k], 1.0, (at[:, None, None] - places) / apart)
-        found += np.where(own[k], 0.0, np.prod(rest, axis=-1) / apart[:, k])
+        rest = np.where(same | same[k], 1.0, (at[:, None, None] - places) / apart)
+        found += np.where(same[k], 0.0, np.prod(rest, axis=-1) / apart[:, k])
     return found

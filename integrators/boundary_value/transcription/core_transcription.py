@@ -9,6 +9,7 @@ import numpy as np
 
 from ....compute.binding.multiphase import CoupledEnds
 from ....compute.binding.problem_functions import CallbackFunction
+from ....compute.binding.search import SearchFacts
 from ....compute.binding.structs import Residual
 from ....compute.binding.tape_machine import MachineProgram
 from ....compute.binding.transcription import IterateNumbers, Sizes, Trajectory, Transcription
@@ -65,7 +66,7 @@ def make_transcription(conditions: DiscretePhase, instruction_set: int | None = 
     groups, of_controls = _groups(nodes.layout), None if nodes.flat_controls else _groups(nodes.control)
     bounds = sum(map(len, nodes.problem._limits.bounded.values()))
     traced = steps.functions | nodes.functions
-    functions = {name: _function(own, instruction_set) for name, own in traced.items()}
+    functions = {name: _function(function, instruction_set) for name, function in traced.items()}
     return Transcription(
         sizes, steps.tableau, groups, of_controls, steps.kept.astype(float), bounds, functions, instruction_set
     )
@@ -81,7 +82,7 @@ def _function(function: Any, instruction_set: int | None) -> MachineProgram | Ca
 def coupled_ends(coupling: LinkageFunctions) -> CoupledEnds:
     """The coupling of ends for the core."""
     sizes = zip(coupling.links, coupling.sizes[1:], strict=True)
-    links = [(own.target, own.manifold.dimension, size) for own, size in sizes]
+    links = [(link.target, link.manifold.dimension, size) for link, size in sizes]
     return CoupledEnds(_function(coupling.function, None), coupling.count, links)
 
 
@@ -92,10 +93,10 @@ def _groups(layout: PointLayout) -> tuple[np.ndarray, np.ndarray]:
 
 def flat_limits(steps: Any, array: np.ndarray) -> np.ndarray:
     """The core's order of an array of inequalities, shape ``(N, r, c)``."""
-    own, at_nodes = steps.limit_sizes
+    at_points, at_nodes = steps.limit_sizes
     if not at_nodes:
         return array.ravel()
-    return np.concatenate([array[:, : steps.stages, :own].ravel(), array[:, steps.stages, own:].ravel()])
+    return np.concatenate([array[:, : steps.stages, :at_points].ravel(), array[:, steps.stages, at_points:].ravel()])
 
 
 def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np.ndarray:
@@ -103,13 +104,13 @@ def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np
 
     ``unasked``: the number where there is none.
     """
-    own, at_nodes = steps.limit_sizes
+    at_points, at_nodes = steps.limit_sizes
     if not at_nodes:
         return flat.reshape(1, count, steps.places, steps.inequalities).copy()
-    found, of_points = np.full((1, count, steps.places, steps.inequalities), unasked), count * steps.stages * own
-    found[0, :, : steps.stages, :own] = flat[:of_points].reshape(count, steps.stages, own)
-    found[0, :, steps.stages, own:] = flat[of_points:].reshape(count, at_nodes)
-    return found
+    whole, of_points = np.full((1, count, steps.places, steps.inequalities), unasked), count * steps.stages * at_points
+    whole[0, :, : steps.stages, :at_points] = flat[:of_points].reshape(count, steps.stages, at_points)
+    whole[0, :, steps.stages, at_points:] = flat[of_points:].reshape(count, at_nodes)
+    return whole
 
 
 def put(to: Trajectory, conditions: DiscretePhase, iterate: Iterate, k: int) -> None:
@@ -120,33 +121,33 @@ def put(to: Trajectory, conditions: DiscretePhase, iterate: Iterate, k: int) -> 
 def numbers_of(conditions: DiscretePhase, iterate: Iterate, k: int) -> IterateNumbers:
     """The data of a member and the unknowns of its iterate, in the order of the core."""
     of = transcription_of(conditions)
-    found = IterateNumbers(np.zeros(of.iterate_numbers), of.parts)
+    numbers = IterateNumbers(np.zeros(of.iterate_numbers), of.parts)
     for name, array in _arrays_of_member(conditions, iterate, k).items():
-        found.array(name)[...] = array.ravel()
-    return found
+        numbers.array(name)[...] = array.ravel()
+    return numbers
 
 
 def _arrays_of_member(conditions: DiscretePhase, iterate: Iterate, k: int) -> dict[str, np.ndarray]:
     """The data of a member and the unknowns of its iterate, by the names of the core."""
     data, ends = conditions.data, conditions.ends
-    found = {
+    arrays = {
         "STEP_SIZE": data.steps[k], "PARAMETERS": data.parameters[k], "START": ends.start[k], "END": ends.end[k],
         "START_ENTRIES": ends.start_entries, "END_ENTRIES": ends.end_entries, "FIXED": conditions.fixed[k],
         "CENTRES": iterate.unknowns.centres[k], "CONTROLS": iterate.unknowns.controls[k],
         "COSTATES": iterate.costates[k],
     }  # fmt: skip
     if isinstance(iterate.unknowns, CollocationUnknowns):
-        found |= {"VELOCITIES": iterate.unknowns.velocities[k], "POINT_COSTATES": iterate.unknowns.costates[k]}
+        arrays |= {"VELOCITIES": iterate.unknowns.velocities[k], "POINT_COSTATES": iterate.unknowns.costates[k]}
     if conditions.transcription.node_costs:
-        found["NODE_INDICES"] = np.arange(1.0, data.steps.shape[1] + 1)
+        arrays["NODE_INDICES"] = np.arange(1.0, data.steps.shape[1] + 1)
     if conditions.transcription.inequalities:
         weights = conditions.transcription.weights(data)
-        found["LIMIT_WEIGHTS"] = flat_limits(conditions.transcription, weights[k if len(weights) > 1 else 0])
-        found["LIMIT_MULTIPLIERS"] = np.zeros_like(found["LIMIT_WEIGHTS"])
+        arrays["LIMIT_WEIGHTS"] = flat_limits(conditions.transcription, weights[k if len(weights) > 1 else 0])
+        arrays["LIMIT_MULTIPLIERS"] = np.zeros_like(arrays["LIMIT_WEIGHTS"])
         if iterate.slacks is not None:
             multipliers = iterate.slacks.multipliers[k]
-            found["LIMIT_MULTIPLIERS"] = flat_limits(conditions.transcription, multipliers)
-    return found
+            arrays["LIMIT_MULTIPLIERS"] = flat_limits(conditions.transcription, multipliers)
+    return arrays
 
 
 def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
@@ -155,12 +156,12 @@ def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
     def array(name: str, own: np.ndarray) -> np.ndarray:
         return found.array(name).reshape(1, *own.shape[1:])
 
-    own, count = like.unknowns, len(like.costates[0]) - 1
-    if isinstance(own, CollocationUnknowns):
+    unknowns_like, count = like.unknowns, len(like.costates[0]) - 1
+    if isinstance(unknowns_like, CollocationUnknowns):
         names = "CENTRES", "VELOCITIES", "CONTROLS", "POINT_COSTATES"
-        unknowns: Any = CollocationUnknowns(*map(array, names, own))
+        unknowns: Any = CollocationUnknowns(*map(array, names, unknowns_like))
     else:
-        unknowns = Unknowns(array("CENTRES", own.centres), array("CONTROLS", own.controls))
+        unknowns = Unknowns(array("CENTRES", unknowns_like.centres), array("CONTROLS", unknowns_like.controls))
     return Iterate(unknowns, array("COSTATES", like.costates), _slacks(found, steps, count))
 
 
@@ -187,27 +188,25 @@ def extremals_of(
     def system(k: int) -> KKTSystem:
         return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].steps)
 
-    flags = [np.array(own) for own in zip(*(record.facts for record in records), strict=True)]
-    iterations, limited, claimed, strict, convex, solvable, infeasible, falling, *_ = flags
-    nodes, costates, totals = map(_rows, zip(*((own.nodes, own.costates, own.totals) for own in members), strict=True))
+    facts = SearchFacts(*map(np.array, zip(*[record.facts for record in records], strict=True)))
     return DiscreteExtremals(
-        nodes.reshape(shape),
-        costates.reshape(shape),
-        totals[:, 0],
-        Residuals(*_rows([own.residuals for own in records]).T[JUDGED]),
-        _rows([own.missing for own in records]),
-        _inequalities(conditions, iterate.slacks, members),
-        strict,
-        convex,
-        iterations,
-        limited,
-        claimed,
-        solvable,
-        infeasible,
-        falling,
-        at_stages,
-        system,
-        stopped,
+        nodes=_rows([member.nodes for member in members]).reshape(shape),
+        costates=_rows([member.costates for member in members]).reshape(shape),
+        cost=_rows([member.totals for member in members])[:, 0],
+        residuals=Residuals(*_rows([record.residuals for record in records]).T[JUDGED]),
+        missing=_rows([record.missing for record in records]),
+        inequalities=_inequalities(conditions, iterate.slacks, members),
+        strict_minimum=facts.strict,
+        convex=facts.legendre_holds,
+        iterations=facts.iterations,
+        limited=facts.iteration_limit_reached,
+        claimed=facts.claimed,
+        solvable=facts.solvable,
+        infeasible=facts.infeasible,
+        falling=facts.diverging,
+        at_stages=at_stages,
+        system=system,
+        stopped=stopped,
     )
 
 

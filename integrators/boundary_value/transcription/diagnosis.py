@@ -108,7 +108,7 @@ class Diagnosis:
         """Whether ``d2H/du2`` is invertible, shape (B, S), at states, controls and costates of shape (B, S, ...)."""
         slopes, curvatures = self.in_controls(at, parameters)
         shape = curvatures.shape[:2]
-        points = zip(*(own.reshape(math.prod(shape), *own.shape[2:]) for own in (slopes, curvatures)), strict=True)
+        points = zip(*(part.reshape(math.prod(shape), *part.shape[2:]) for part in (slopes, curvatures)), strict=True)
         return np.array([not len(flat_directions(*one)) for one in points], bool).reshape(shape)
 
     def in_controls(self, at: tuple[np.ndarray, ...], parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -193,16 +193,16 @@ class Diagnosis:
         # By the ambient space, like the brackets: a chart would only add terms of its own.
         near = vec.add(q, vec.combine(frame, d[:n])), vec.add(u, vec.combine(directions, d[n:]))
         power = vec.pairing(*jax.tree.map(jnp.abs, (p, velocity)))
-        own = power, rate, jnp.maximum(jnp.concatenate(sizes), 1.0)
+        sizes_of_terms = power, rate, jnp.maximum(jnp.concatenate(sizes), 1.0)
         brackets = _brackets(problem.manifold, q, p, velocity, force)
-        return problem.cost_rate(*near), jnp.zeros(0), *own, *brackets
+        return problem.cost_rate(*near), jnp.zeros(0), *sizes_of_terms, *brackets
 
 
 def _brackets(manifold: Manifold, *at: Ambient) -> tuple[Array, ...]:
-    """Poisson brackets ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]`` of the momenta of every factor, relative to their
-    parts, at a point, a covector, ``X`` and ``dH/dq``.
+    """Poisson brackets of the momenta of every factor with the Hamiltonian, relative to the largest sum of their terms.
 
-    They vanish where the action leaves the Hamiltonian as it is: then the momentum is conserved.
+    ``{J_i, H} = <dH/dq, xi_i> - D_q J_i[X]``, at a point, a covector, ``X`` and ``dH/dq``. The brackets vanish where
+    the Hamiltonian is invariant under the action: then the momentum is conserved.
     """
     out = []
     factors = (homogeneous_factors(manifold, part) for part in at)

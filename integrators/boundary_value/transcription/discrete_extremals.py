@@ -29,12 +29,12 @@ class Inequalities(NamedTuple):
     weights: np.ndarray  # zero where nothing is asked for
     slacks: np.ndarray
     multipliers: np.ndarray
-    sizes: np.ndarray  # natural ones, shape (B, 1, 1, c)
-    rate: np.ndarray  # natural size of the cost rate, shape (B,)
+    sizes: np.ndarray  # scaling, shape (B, 1, 1, c)
+    rate: np.ndarray  # scaling of the cost rate, shape (B,)
 
     @property
     def active(self) -> np.ndarray:
-        """Whether a multiplier exceeds the slack, in natural sizes."""
+        """Whether a multiplier exceeds the slack, in units of the scaling."""
         return self.multipliers / (self.rate[:, None, None, None] / self.sizes) > self.slacks / self.sizes
 
 
@@ -50,7 +50,7 @@ class DiscreteExtremals(NamedTuple):
     costates: np.ndarray  # (B, N + 1, E)
     cost: np.ndarray
     residuals: Residuals
-    missing: np.ndarray  # largest defect of the nodes in each coordinate, in natural sizes, (B, n)
+    missing: np.ndarray  # largest defect of the nodes in each coordinate, in units of the scaling, (B, n)
     inequalities: Inequalities | None
     strict_minimum: np.ndarray  # positive definite Hessian of the Lagrangian on the null space of the constraints
     convex: np.ndarray  # whether the cost of an extremal is strictly convex in the controls at each point

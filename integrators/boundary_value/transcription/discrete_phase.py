@@ -83,5 +83,5 @@ class LinkedPhases:
                 frames.append(at[0][:, 0])
                 asked.append(side * at[2][:, 0])
         free, wanted = self.free, np.concatenate(asked, axis=1) - linked.slope
-        own = [np.linalg.lstsq(j[:, free].T, a[free])[0] for j, a in zip(linked.jacobian, wanted, strict=True)]
-        return none._replace(multipliers=coupling.lift(np.stack(own), frames))
+        multipliers = [np.linalg.lstsq(j[:, free].T, a[free])[0] for j, a in zip(linked.jacobian, wanted, strict=True)]
+        return none._replace(multipliers=coupling.lift(np.stack(multipliers), frames))

@@ -83,19 +83,19 @@ class InequalityRows:
 
         Those ``at_nodes`` are divided by the lengths of the ``steps``, as the rows are weighted by these.
         """
-        found = np.zeros((len(steps), self.places, self.own + 2 * self.nodes))
+        values = np.zeros((len(steps), self.places, self.own + 2 * self.nodes))
         bounded = ((name, side) for name, side in self.limits.bounded.items() if side)
         own = [_rows(named, name, len(self.limits.lower), "stage")[:, side] for name, side in bounded]
         own += [_rows(named, name, count(size), "stage") for name, size in self.sizes.items()]
         if own:
             whole = [np.broadcast_to(rows, (len(steps) * self.stages, rows.shape[1])) for rows in own]
-            found[:, : self.stages, : self.own] = np.concatenate(whole, axis=1).reshape(len(steps), self.stages, -1)
+            values[:, : self.stages, : self.own] = np.concatenate(whole, axis=1).reshape(len(steps), self.stages, -1)
         if self.nodes:
             every = [_rows(at_nodes, name, count(size), "node") for name, size in self.node_sizes.items()]
             rows = np.concatenate([np.broadcast_to(a, (len(steps) + 1, a.shape[1])) for a in every], axis=1)
-            found[:, -1, self.own : self.own + self.nodes] = rows[1:] / steps[:, None]
-            found[0, -1, self.own + self.nodes :] = rows[0] / steps[0]
-        return found
+            values[:, -1, self.own : self.own + self.nodes] = rows[1:] / steps[:, None]
+            values[0, -1, self.own + self.nodes :] = rows[0] / steps[0]
+        return values
 
     @cached_property
     def _depends(self) -> np.ndarray:
@@ -114,9 +114,9 @@ class InequalityRows:
             sparsity = Tape.trace(at_node, *given).to_casadi().jac_sparsity(0, 0)
         except NotTraceableError:
             return np.ones((self.nodes, self.state.size), bool)
-        found = np.zeros((self.nodes, self.state.size), bool)
-        found[sparsity.get_triplet()] = True
-        return found
+        mask = np.zeros((self.nodes, self.state.size), bool)
+        mask[sparsity.get_triplet()] = True
+        return mask
 
 
 def _rows(named: Mapping[str, np.ndarray], name: str, width: int, place: str) -> np.ndarray:

@@ -27,7 +27,7 @@ class KKTSystem:
     Attributes
     ----------
     iterate, scale : IterateNumbers, Scale
-        The extremal, and the natural sizes of its steps.
+        The extremal, and the scaling of its steps.
     hessian, left, right : arrays of shapes (N, z, z), (N, n, z), (N, n, z)
         The Hessians of the Lagrangian with the costs of the ends, and the derivatives of both ends of a step in the
         frames of the nodes.
@@ -38,21 +38,21 @@ class KKTSystem:
     """
 
     def __init__(self, transcription: Transcription, iterate: IterateNumbers, scale: Scale) -> None:
-        own = self.sizes = transcription.sizes
+        sizes = self.sizes = transcription.sizes
         self.iterate, self.scale, self._tableau = iterate, scale, transcription.tableau
         at = self._at = transcription.trajectory()
         at.set_iterate(iterate)
         at["LIMIT_WEIGHTS"] = np.zeros(len(at["LIMIT_WEIGHTS"]))  # without the share of the barrier
         at.evaluate()
         self.dimension = z = len(at["PARTS"])
-        self.hessian = self.array("HESSIANS", own.steps, z, z)
-        self.left, self.right = (self.array(name, own.steps, own.state_size, z) for name in ("LEFT", "RIGHT"))
-        self.fixed = self.array("FIXED", own.steps + 1, own.state_size)[[0, -1]]
+        self.hessian = self.array("HESSIANS", sizes.steps, z, z)
+        self.left, self.right = (self.array(name, sizes.steps, sizes.state_size, z) for name in ("LEFT", "RIGHT"))
+        self.fixed = self.array("FIXED", sizes.steps + 1, sizes.state_size)[[0, -1]]
         self.nodes, self.costates = (
-            self.array(name, own.steps + 1, own.state_numbers) for name in ("NODES", "NODE_COSTATES")
+            self.array(name, sizes.steps + 1, sizes.state_numbers) for name in ("NODES", "NODE_COSTATES")
         )
-        self.frames = self.array("NODE_FRAMES", own.steps + 1, own.state_size, own.state_numbers)
-        self.multipliers = self.array("MULTIPLIERS", own.steps + 1, own.state_size)
+        self.frames = self.array("NODE_FRAMES", sizes.steps + 1, sizes.state_size, sizes.state_numbers)
+        self.multipliers = self.array("MULTIPLIERS", sizes.steps + 1, sizes.state_size)
 
     def array(self, name: str, *shape: int) -> np.ndarray:
         """An array of the trajectory; ``retrax_core.h`` explains the names."""
@@ -60,10 +60,10 @@ class KKTSystem:
 
     def limits_of(self, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Entries of all inequalities as rows of the points, ``(N, s, c)``, and of the ends of steps, ``(N, d)``."""
-        own = self.sizes
-        points = own.steps * own.points * own.inequalities
-        shape = own.steps, own.points, own.inequalities
-        return flat[:points].reshape(shape), flat[points:].reshape(own.steps, own.node_inequalities)
+        sizes = self.sizes
+        points = sizes.steps * sizes.points * sizes.inequalities
+        shape = sizes.steps, sizes.points, sizes.inequalities
+        return flat[:points].reshape(shape), flat[points:].reshape(sizes.steps, sizes.node_inequalities)
 
     def in_steps(self, flat: np.ndarray) -> np.ndarray:
         """Entries of all inequalities in rows of the steps, ``(N, r)``: of the points of a step, then of its ends."""
@@ -72,18 +72,18 @@ class KKTSystem:
     @cached_property
     def limit_jacobians(self) -> tuple[np.ndarray, np.ndarray]:
         """Derivatives of the inequalities by the unknowns of their point, and of the ends of their step."""
-        own, flat = self.sizes, self._at["LIMIT_JACOBIANS"]
-        n, (count, s, c, d) = own.state_size, (own.steps, own.points, own.inequalities, own.node_inequalities)
-        width = n + own.control_size if s == 1 else 3 * n + own.control_size
+        sizes, flat = self.sizes, self._at["LIMIT_JACOBIANS"]
+        n, (count, s, c, d) = sizes.state_size, (sizes.steps, sizes.points, sizes.inequalities, sizes.node_inequalities)
+        width = n + sizes.control_size if s == 1 else 3 * n + sizes.control_size
         of_points = flat[: count * s * c * width].reshape(count, s, c, width)
         return of_points, flat[of_points.size :].reshape(count, d, 2 * n)
 
     @cached_property
     def collocation(self) -> CollocationArrays:
         """The equations of the collocation points, before their velocities are eliminated."""
-        own = self.sizes
-        n, count, s = own.state_size, own.steps, own.points
-        q = 3 * n + own.control_size
+        sizes = self.sizes
+        n, count, s = sizes.state_size, sizes.steps, sizes.points
+        q = 3 * n + sizes.control_size
         points = {"POINT_HESSIANS": (q, q), "POINT_JACOBIANS": (n, q), "POINT_SLOPES": (q, 1), "POINT_DEFECTS": (n, 1)}
         ends = {
             "END_HESSIANS": (2 * n, 2 * n),
@@ -105,13 +105,13 @@ class KKTSystem:
         By the unknowns of the step, shape ``(N, r, z)``, and by velocities beside those that the unknowns determine,
         ``(N, r, s n)``.
         """
-        own, (of_points, of_ends) = self.sizes, self.limit_jacobians
-        count, s, p, c = own.steps, own.points, own.points * own.state_size, own.inequalities
+        sizes, (of_points, of_ends) = self.sizes, self.limit_jacobians
+        count, s, p, c = sizes.steps, sizes.points, sizes.points * sizes.state_size, sizes.inequalities
         if s == 1:
             return of_points[:, 0], np.zeros((count, c, 0))
         maps = self.array("VELOCITY_MAPS", count, p, self.dimension + 1)
         kept = KeptArrays(self.array("FACTORS", count, p, p), self.array("SWAPS", count, p).view(PLACE), maps)
-        rows = s * c + own.node_inequalities
+        rows = s * c + sizes.node_inequalities
         outer, inner = np.empty((count, rows, self.dimension)), np.empty((count, rows, p))
         for row in range(rows):
             slope, end_slope = np.zeros((count, s, of_points.shape[3])), np.zeros((count, of_ends.shape[2]))
@@ -130,15 +130,15 @@ class KKTSystem:
         """
         hessian, left, right, sizes = self.hessian, self.left, self.right, self.scale.unknowns
         if self.sizes.limits:
-            hessian, own = self._augment()
-            none = np.zeros((*left.shape[:2], len(own)))
+            hessian, nu_sizes = self._augment()
+            none = np.zeros((*left.shape[:2], len(nu_sizes)))
             left, right = (np.concatenate([ends, none], axis=2) for ends in (left, right))
-            sizes = np.concatenate([sizes, own])
+            sizes = np.concatenate([sizes, nu_sizes])
         blocks = hessian, left, right, slope, defect, *self.fixed, sizes, self.scale.nodes, np.ones(len(sizes))
         return solve_blocks(BlockArrays(*map(np.ascontiguousarray, blocks)), self.scale.cost)
 
     def _augment(self) -> tuple[np.ndarray, np.ndarray]:
-        """The Hessians with the inequalities, ``(N, z + r, z + r)``, and natural sizes of multipliers, ``(r,)``."""
+        """The Hessians with the inequalities, ``(N, z + r, z + r)``, and the scaling of multipliers, ``(r,)``."""
         z, rows, cost = self.dimension, self.limits[0], self.scale.cost
         names = "LIMIT_WEIGHTS", "LIMIT_MULTIPLIERS", "SLACKS", "EXCESSES", "PENALTIES"
         weights, nu, slacks, excesses, penalties = (self.in_steps(self.iterate.array(name)) for name in names)
@@ -148,8 +148,8 @@ class KKTSystem:
             asked = np.isfinite(give)
             rows = np.where(asked[..., None], rows, 0.0)
             reach = np.max(np.sum(np.abs(rows) * self.scale.unknowns, axis=2), axis=0)
-            own = np.where(reach > 0, cost / reach, cost)
-        hessian = np.zeros((len(rows), z + len(own), z + len(own)))
+            nu_sizes = np.where(reach > 0, cost / reach, cost)
+        hessian = np.zeros((len(rows), z + len(nu_sizes), z + len(nu_sizes)))
         hessian[:, :z, :z], hessian[:, :z, z:], hessian[:, z:, :z] = self.hessian, rows.mT, rows
-        hessian[:, z:, z:] = -np.where(asked, give, cost / own**2)[..., None] * np.eye(len(own))
-        return hessian, own
+        hessian[:, z:, z:] = -np.where(asked, give, cost / nu_sizes**2)[..., None] * np.eye(len(nu_sizes))
+        return hessian, nu_sizes

@@ -40,8 +40,8 @@ def linkages_of(
 
     def values(ends: list[Any], given: list[Any]) -> Array:
         pairs = zip(phases, given, ends[::2], ends[1::2], strict=True)
-        own = [phase.problem.with_parameters(its)._boundary.values(a, b) for phase, its, a, b in pairs]
-        return jnp.concatenate([*own, *([] if equations is None else [equations(ends, given)])])
+        boundary_values = [phase.problem.with_parameters(its)._boundary.values(a, b) for phase, its, a, b in pairs]
+        return jnp.concatenate([*boundary_values, *([] if equations is None else [equations(ends, given)])])
 
     turns = [_turn(k, phase) for k, phase in enumerate(phases) if phase.problem._boundary.turn is not None]
     given = [phase.parameters for phase in phases]

@@ -8,7 +8,7 @@ import numpy as np
 
 from ....compute.binding.multiphase import Multiphase
 from ....compute.binding.search import Feasibility, Search, SearchResult, SearchStatus
-from ..iteration import Iteration, stops
+from ..iteration_reports import Iteration, stops
 from .core_transcription import coupled_ends, numbers_of, put, transcription_of
 from .discrete_phase import DiscretePhase, LinkedPhases
 from .iterate import Iterate, LinkedIterate
@@ -57,8 +57,8 @@ class MemberSearch:
 
     def iterate_of(self, phases: Sequence[DiscretePhase], guess: Sequence[Iterate], k: int) -> MemberIterate:
         """The iterate of the member, at place k of phases and of guesses."""
-        own = tuple(numbers_of(phase, part, k) for phase, part in zip(phases, guess, strict=True))
-        return MemberIterate(own, self._multipliers)
+        phase_iterates = tuple(numbers_of(phase, part, k) for phase, part in zip(phases, guess, strict=True))
+        return MemberIterate(phase_iterates, self._multipliers)
 
     def from_guess(self) -> SearchRecord:
         """The result of a search from the guess, or from a perturbed one where the guess is degenerate."""
@@ -108,8 +108,8 @@ class MemberSearch:
             partial(self.watch.report, self.k),
         )
         if start is not None:
-            for j, own in enumerate(start.phases):
-                search.phase(j).set_iterate(own)
+            for j, phase_iterate in enumerate(start.phases):
+                search.phase(j).set_iterate(phase_iterate)
             search.multipliers()[...] = start.multipliers
         return search
 
@@ -131,30 +131,32 @@ class MemberSearch:
 
     def _iterate(self, search: Search) -> MemberIterate:
         """A copy of the iterate of a search."""
-        own = tuple(search.phase(j).iterate for j in range(len(self.problem.phases)))
-        return MemberIterate(own, search.multipliers().copy())
+        phase_iterates = tuple(search.phase(j).iterate for j in range(len(self.problem.phases)))
+        return MemberIterate(phase_iterates, search.multipliers().copy())
 
     def _record(self, search: Search, perturbed: bool) -> SearchRecord:
         """The record of a search that has ended."""
         results = [search.read(j) for j in range(len(self.problem.phases))]
-        found = results[0]
-        if found.facts.stopped:
+        first_result = results[0]
+        if first_result.facts.stopped:
             self.watch.stop()
-        missing = [own.trajectory["MAX_DEFECTS"] / own.judging.nodes for own in results]
+        missing = [result.trajectory["MAX_DEFECTS"] / result.judging.nodes for result in results]
         if self.problem.coupling is not None:
-            missing.append(np.abs(found.values) / found.equations)
+            missing.append(np.abs(first_result.values) / first_result.equations)
         first = None
-        if not (found.facts.claimed and found.facts.strict):
-            first = MemberIterate(tuple(own.first.copy() for own in results), search.multipliers(first=True).copy())
+        if not (first_result.facts.claimed and first_result.facts.strict):
+            first = MemberIterate(
+                tuple(result.first.copy() for result in results), search.multipliers(first=True).copy()
+            )
         return SearchRecord(
             tuple(map(_phase_record, results)),
             search.multipliers().copy(),
-            found.residuals.copy(),
+            first_result.residuals.copy(),
             missing[0] if len(missing) == 1 else np.concatenate(missing),
-            found.jacobian.copy(),
+            first_result.jacobian.copy(),
             first,
             perturbed,
-            found.facts,
+            first_result.facts,
         )
 
 

@@ -17,9 +17,9 @@ class MemberIterate(NamedTuple):
     @property
     def bare(self) -> "MemberIterate":
         """The iterate without the multipliers of inequalities."""
-        phases = tuple(own.copy() for own in self.phases)
-        for own in phases:
-            own.array("LIMIT_MULTIPLIERS")[...] = 0.0
+        phases = tuple(phase.copy() for phase in self.phases)
+        for phase in phases:
+            phase.array("LIMIT_MULTIPLIERS")[...] = 0.0
         return self._replace(phases=phases)
 
 
@@ -31,9 +31,9 @@ class PhaseRecord(NamedTuple):
     totals: np.ndarray
     limits: np.ndarray
     iterate: IterateNumbers
-    judging: Scale  # natural sizes that success was judged by
-    steps: Scale  # natural sizes of steps
-    limit_sizes: np.ndarray  # natural sizes of inequalities
+    judging: Scale  # scaling by which convergence was tested
+    steps: Scale  # scaling of steps
+    limit_sizes: np.ndarray  # scaling of inequalities
     rate: float  # unit of the barrier
 
 
@@ -43,7 +43,7 @@ class SearchRecord(NamedTuple):
     phases: tuple[PhaseRecord, ...]
     multipliers: np.ndarray  # of what couples the ends
     residuals: np.ndarray
-    missing: np.ndarray  # largest defects of the nodes of all phases, and of the ends, in natural sizes
+    missing: np.ndarray  # largest defects of the nodes of all phases, and of the ends, in units of the scaling
     jacobian: np.ndarray  # of the equations between the ends, by coordinates of all ends
     first: MemberIterate | None  # the guess with first multipliers and slacks, where no minimum was found
     perturbed: bool  # whether the guess was degenerate and was moved aside
@@ -52,12 +52,12 @@ class SearchRecord(NamedTuple):
     @property
     def iterate(self) -> MemberIterate:
         """The last iterate."""
-        return MemberIterate(tuple(own.iterate for own in self.phases), self.multipliers)
+        return MemberIterate(tuple(phase.iterate for phase in self.phases), self.multipliers)
 
     @property
     def cost(self) -> float:
         """The cost of all phases."""
-        return sum(float(own.totals[0]) for own in self.phases)
+        return sum(float(phase.totals[0]) for phase in self.phases)
 
     def with_facts(self, **changes: Any) -> "SearchRecord":
         """The record with other facts."""

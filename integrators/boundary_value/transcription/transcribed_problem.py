@@ -87,10 +87,10 @@ class Transcription:
         else:
             steps = OneStageFunctions(self.problem, self.method.discretization_map, *given[1:])
         rows = InequalityRows(self.problem, parameters, len(self.stages))
-        own = PhaseProblem(self.problem, parameters)
-        coupling = linkages_of([own], self.evaluator) if self.problem._boundary.any else None
+        phase_problem = PhaseProblem(self.problem, parameters)
+        coupling = linkages_of([phase_problem], self.evaluator) if self.problem._boundary.any else None
         functions = steps, NodeFunctions(*given), Diagnosis(*given)
-        return TracedFunctions(*functions, rows, own, coupling, self.evaluator)
+        return TracedFunctions(*functions, rows, phase_problem, coupling, self.evaluator)
 
     def of(self, inputs: Inputs) -> TracedFunctions:
         """The functions with the parameters of the inputs."""
@@ -116,8 +116,8 @@ class Transcription:
         mask = traced.rows.mask(len(self.fractions), (first, last), repeated)
         asked = None if mask is None else repeat_for_all(mask.astype(float)[None], count)
         data = Data(inputs.horizons[:, None] * self.fractions, inputs.rows, asked)
-        own = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
-        conditions = DiscretePhase(traced.steps, traced.nodes, own, data)
+        boundary = Ends(*rows, first.entries, last.entries, first.coordinates, last.coordinates)
+        conditions = DiscretePhase(traced.steps, traced.nodes, boundary, data)
         return TranscribedProblem(traced, conditions, self._guess(traced, inputs, rows, data))
 
     def _guess(
@@ -130,11 +130,11 @@ class Transcription:
             inputs.ends.require_known(inputs.given.start)
             states, controls, costates = self._default_guess.arrays(np.stack(rows, axis=1), WHOLE, self.fractions)
         else:
-            own = inputs.guesses.of(count)
-            states, controls, costates = own.states, own.controls, own.costates
-            slacks = self._pulling(traced, own, data)
-            if own.nodes is not None and own.stage_costates is not None:
-                known = KnownExtremal(own.nodes, own.stage_costates.reshape(*shape, size))
+            arrays = inputs.guesses.of(count)
+            states, controls, costates = arrays.states, arrays.controls, arrays.costates
+            slacks = self._pulling(traced, arrays, data)
+            if arrays.nodes is not None and arrays.stage_costates is not None:
+                known = KnownExtremal(arrays.nodes, arrays.stage_costates.reshape(*shape, size))
         states, controls = states.reshape(*shape, size), controls.reshape(*shape, self.control.size)
         return Iterate(traced.steps.begin(states, controls, costates, data, known), costates, slacks)
 

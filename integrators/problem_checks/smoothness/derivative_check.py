@@ -179,8 +179,8 @@ class DerivativeCheck:
 def require_correct_hamiltonian_derivatives(
     hamiltonian: Callable[[Ambient, Ambient], Any], retraction: Retraction, q: Ambient, p: Ambient
 ) -> None:
-    """Raise if a Hamiltonian reads entries that its arguments do not have, or changes near ``(q, p)`` in a way that its
-    derivative does not tell."""
+    """Raise if the derivative of a Hamiltonian near ``(q, p)`` disagrees with its values, or if an index is out of
+    bounds."""
 
     def read() -> tuple[list[str], Any]:
         program = program_of(hamiltonian, q, p)

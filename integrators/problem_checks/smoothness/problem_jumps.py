@@ -14,11 +14,11 @@ from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Retraction
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import OF_CONTROL
-from .jumps import Jump, JumpSearch, largest_jump
-from .kinks import without_rounding
+from .jumps import SMALLEST_JUMP, Jump, JumpSearch, largest_jump
 from .step_primitives import find_step_primitives
 
-CONTROL_SIZES = 10.0 ** np.arange(-4, 7)  # distances from a control, times its size, between which a jump is looked for
+# Distances from a control, times its size, between which a jump is looked for.
+CONTROL_DISTANCES = np.concatenate([-(10.0 ** np.arange(6, -5, -1)), [0.0], 10.0 ** np.arange(-4, 7)])
 SMOOTH_STEPS = (
     "try jnp.tanh(u / a) with a small a in place of a step, or, for controls from a finite set, a problem for each of "
     "them"
@@ -88,11 +88,13 @@ def control_steps(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> lis
 
 
 def control_lines(
-    problem: OptimalControlProblem, points: tuple[Ambient, Ambient, np.ndarray], size: float = 1.0
+    problem: OptimalControlProblem,
+    points: tuple[Ambient, Ambient, np.ndarray],
+    size: float = 1.0,
+    distances: np.ndarray = CONTROL_DISTANCES,
 ) -> tuple[Curves, np.ndarray]:
-    """Lines from each of some controls of a size along every coordinate to both sides, in pieces with these ends."""
-    n, m = problem.manifold.dimension, problem.controls.dimension
-    grid = size * np.concatenate([-CONTROL_SIZES[::-1], [0.0], CONTROL_SIZES])
+    """Lines from each of some controls of a size along every coordinate to both sides, and the ends of their pieces."""
+    n, m, grid = problem.manifold.dimension, problem.controls.dimension, size * distances
     k, entry, piece = (part.ravel() for part in np.indices((len(points[2]), m, len(grid) - 1)))
     curves = Curves.straight(vec.taken(points, k), np.eye(n + m + 1)[n + entry])
     return curves, np.stack([grid[piece], grid[piece + 1]], axis=1)
@@ -125,6 +127,11 @@ def control_jump_words(
         "derivative tells of the jump; expected a smooth function of u, because the conditions dH/du = 0 do not see a "
         f"jump; {hint}"
     )
+
+
+def without_rounding(a: np.ndarray, size: float) -> np.ndarray:
+    """Numbers of this size, rounding among them as zeros."""
+    return np.where(np.abs(a) < SMALLEST_JUMP * size, 0.0, a)
 
 
 def _is_admissible(problem: OptimalControlProblem, jump: Jump) -> bool:

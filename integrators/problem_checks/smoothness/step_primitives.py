@@ -155,6 +155,9 @@ def _margin(equation: Any, inputs: list[Any]) -> list[Margins]:
         return [Margins(rows - jnp.max(others, axis=-1), jnp.abs(rows))] if rows.shape[-1] > 1 else []
     if name == "convert_element_type":
         return []
+    if name in ("eq", "eq_to", "ne"):  # of numbers that are the same along a piece, as a maximum and its argument
+        size = jnp.maximum(jnp.abs(x), jnp.abs(inputs[1]))
+        return [Margins(jnp.where(x == inputs[1], size, -jnp.abs(x - inputs[1])), size)]
     return [Margins(x - inputs[1], jnp.maximum(jnp.abs(x), jnp.abs(inputs[1])))]
 
 

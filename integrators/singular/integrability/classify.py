@@ -18,7 +18,7 @@ from ...problem_checks.costs import is_steep
 from ...problem_checks.inspection import Inspection
 from ...problem_checks.requirements import require_treated, require_values
 from ...problem_checks.smoothness.hamiltonian_jumps import Energy, Segments
-from ...reporting.results import warn_about_precision
+from ...reporting.result_sentences import warn_about_precision
 from ..integrability_result import Signature
 from .algorithm_stages import Level, PointRanks, StoppedPoints, point_ranks, summarise
 from .classification import Classification, MorseTest

@@ -44,8 +44,10 @@ def _newton_step(log: Matrix, a: Matrix) -> Matrix:
 
 
 def gregory(a: Matrix) -> Matrix:
-    """``log a = 2 artanh c`` with ``c = (a - I)(a + I)^-1`` for a matrix near the identity: to rounding for ``|c| <
-    0.2``."""
+    """Logarithm of a matrix near the identity by the series of Gregory.
+
+    ``log a = 2 artanh c`` with ``c = (a - I)(a + I)^-1``, to rounding for ``|c| < 0.2``.
+    """
     c = cayley_inverse(a) / 2
     total, power, square = jnp.zeros_like(c), c, c @ c
     for coefficient in _GREGORY:

@@ -52,10 +52,11 @@ class Evaluator(ABC):
             return self._make(function, sizes, first=None)
 
     def derivatives(self, function: Function, *sizes: int) -> PointwiseFunction:
-        """``(hessian, gradient, *jacobians, *vectors, *others)`` at ``d = 0`` of ``function(d, ...)``.
+        """Derivatives with respect to the first argument of a function, where this argument is zero.
 
-        It returns ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of them. ``sizes`` are those
-        of all arguments; ``d`` is left out of the arguments of what is returned.
+        ``function(d, ...)`` returns ``(scalar, vectors, *others)``, where ``vectors`` is an array or a tuple of arrays.
+        The derivatives are ``(hessian, gradient, *jacobians, *vectors, *others)``, as a function of the arguments
+        without ``d``. ``sizes``: of all arguments.
         """
         with report_compile_time():
             return self._make(function, sizes[1:], first=sizes[0])

@@ -87,12 +87,12 @@ def each_in_threads(run: Callable[[int], R], count: int, stop: Callable[[], None
         wait(going, return_when=FIRST_EXCEPTION)
     except KeyboardInterrupt:
         stop()  # each call ends with what it has
-    if any(own.done() and own.exception() for own in going):
+    if any(future.done() and future.exception() for future in going):
         stop()
-    for own in going:
-        own.exception()  # until it has ended
-    for own in going:
-        own.result()
+    for future in going:
+        future.exception()  # until it has ended
+    for future in going:
+        future.result()
     return [found[k] for k in range(count)]
 
 

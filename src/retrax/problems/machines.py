@@ -24,7 +24,10 @@ MOTION = {
 
 
 def rigid_motion(mass: float, inertia: np.ndarray, q: Any, force: Any, torque: Any) -> Any:
-    """``g' = g hat(w, v)``, ``J w' + w x J w = torque``, ``m (v' + w x v) = force``, all in the body frame."""
+    """Time derivatives of the pose and the twist of a rigid body, in the body frame.
+
+    ``g' = g hat(w, v)``, ``J w' + w x J w = torque``, ``m (v' + w x v) = force``.
+    """
     pose, twist = q
     w, v = twist[:3], twist[3:]
     turning = (torque - jnp.cross(w, inertia * w)) / inertia

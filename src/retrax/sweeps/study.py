@@ -144,7 +144,7 @@ def _join(parts: list[dict[str, Any]]) -> dict[str, Any]:
     """The members of all parts."""
     joined = {name: np.concatenate([part[name] for part in parts]) for name in ("cost", "success", "has")}
     known = [part["kept"] for part in parts if part["has"].any()]
-    kept = {name: np.concatenate([own[name] for own in known]) for name in (known[0] if known else ())}
+    kept = {name: np.concatenate([arrays[name] for arrays in known]) for name in (known[0] if known else ())}
     return {**joined, "result": [words for part in parts for words in part["result"]], "kept": kept}
 
 

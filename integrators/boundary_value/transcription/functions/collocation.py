@@ -99,8 +99,8 @@ class CollocationFunctions:
 
     def weights(self, data: Data) -> np.ndarray:
         """Weights of the inequalities, shape (B, N, r, c)."""
-        own = np.array([*self.tableau.weights, 1.0][: self.places])
-        return data.steps[:, :, None, None] * own[:, None] * data.activation(self.inequalities, self.places)
+        weights = np.array([*self.tableau.weights, 1.0][: self.places])
+        return data.steps[:, :, None, None] * weights[:, None] * data.activation(self.inequalities, self.places)
 
     def at_stages(
         self, unknowns: CollocationUnknowns, costates: np.ndarray, data: Data, slacks: Slacks | None

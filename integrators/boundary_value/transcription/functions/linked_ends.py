@@ -58,7 +58,7 @@ class LinkageFunctions:
     ) -> None:
         self.problems, self.equations, self.links = problems, equations, tuple(links)
         self.layouts = [PointLayout.of(problem.manifold) for problem in problems for _ in range(2)]
-        self.given = [parameter_layout(own) for own in parameters]
+        self.given = [parameter_layout(given) for given in parameters]
         self.dimensions = [problem.manifold.dimension for problem in problems for _ in range(2)]
         self.count = self._count()
         self.sizes = [self.count, *(PointLayout.of(link.manifold).size for link in self.links)]
@@ -141,7 +141,7 @@ class LinkageFunctions:
 
     def _costs(self, ends: list[Any], given: list[Any]) -> Array:
         """The costs of the ends."""
-        bound = [problem.with_parameters(own) for problem, own in zip(self.problems, given, strict=True)]
+        bound = [problem.with_parameters(its) for problem, its in zip(self.problems, given, strict=True)]
         each = [
             cost(end)
             for one, pair in zip(bound, zip(ends[::2], ends[1::2], strict=True), strict=True)

@@ -30,14 +30,14 @@ class Multiphase:
 
     def __init__(self, transcriptions: Sequence[Any], coupled: CoupledEnds | None = None) -> None:
         self.transcriptions, self._coupled, count = tuple(transcriptions), coupled, len(transcriptions)
-        pointers = (POINTER(LayoutStruct) * count)(*[pointer(own.layout) for own in transcriptions])
+        pointers = (POINTER(LayoutStruct) * count)(*[pointer(transcription.layout) for transcription in transcriptions])
         self._struct = MultiphaseStruct(count, pointers, 0, 0, None, FunctionStruct())
         self._kept = list[object]([pointers])
         self.multipliers = self.equations = 0
         if coupled is not None:
             self._couple(coupled)
-        for own in transcriptions:
-            own._problem.coupled = coupled is not None
+        for transcription in transcriptions:
+            transcription._problem.coupled = coupled is not None
 
     @property
     def address(self) -> Any:
@@ -46,8 +46,8 @@ class Multiphase:
 
     def _couple(self, coupled: CoupledEnds) -> None:
         program, links = coupled.program, (LinkStruct * len(coupled.links))(*coupled.links)
-        self.equations = coupled.equations + sum(own[1] for own in coupled.links)
-        self.multipliers = coupled.equations + sum(own[2] for own in coupled.links)
+        self.equations = coupled.equations + sum(link[1] for link in coupled.links)
+        self.multipliers = coupled.equations + sum(link[2] for link in coupled.links)
         if program.sizes[:2] != (expected := self._sizes()):
             raise InvalidInputError(
                 f"a function of the ends of {len(self.transcriptions)} phases: got {program.sizes[0]} inputs and "
@@ -66,8 +66,8 @@ class Multiphase:
 
     def _sizes(self) -> tuple[int, int]:
         """The numbers that the function of the ends reads, and writes."""
-        sizes = [own.sizes for own in self.transcriptions]
-        numbers, z = (2 * sum(getattr(own, name) for own in sizes) for name in ("state_numbers", "state_size"))
+        sizes = [transcription.sizes for transcription in self.transcriptions]
+        numbers, z = (2 * sum(getattr(each, name) for each in sizes) for name in ("state_numbers", "state_size"))
         apart, r = self.multipliers - (self._coupled.equations if self._coupled else 0), self.equations
-        read = numbers + sum(own.parameters for own in sizes) + self.multipliers
+        read = numbers + sum(each.parameters for each in sizes) + self.multipliers
         return read, z * z + z + r * z + r + numbers + apart + 2 * len(sizes) + r

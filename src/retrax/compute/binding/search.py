@@ -179,17 +179,6 @@ class Search:
     def _note_interrupt(self, *_: Any) -> None:
         self._interrupted = True
 
-    def _reports(self, iteration: IterationStruct) -> bool:
-        """Whether the report, an error of that or of a function, or an interrupt asks to stop."""
-        try:
-            for own in self._of:
-                if own.failure.error is not None:
-                    return True
-            return self._interrupted or (self._report is not None and self._report(iteration))
-        except BaseException as error:  # C knows no exceptions
-            self._of[0].failure.error = error
-            return True
-
     def _check(self) -> None:
         """Raise the first error of the report or of a function of a phase."""
         for own in self._of:
@@ -234,7 +223,19 @@ def search_memory(transcription: Transcription, max_iterations: int) -> int:
     return library().retrax_search_memory(Multiphase((transcription,)).address, max_iterations)
 
 
-def _report(search: Any, _context: int | None, iteration: Any) -> bool:
-    """The report that C calls after each evaluation."""
-    own = search()
-    return own is None or own._reports(iteration.contents)
+def _report(search: Callable[[], Search | None], _context: int | None, iteration: Any) -> bool:
+    """Whether the report, an error of the report or of a function, or an interrupt asks to stop.
+
+    C calls this function after each evaluation.
+    """
+    owner = search()
+    if owner is None:
+        return True
+    try:
+        for phase in owner._of:
+            if phase.failure.error is not None:
+                return True
+        return owner._interrupted or (owner._report is not None and owner._report(iteration.contents))
+    except BaseException as error:  # C knows no exceptions
+        owner._of[0].failure.error = error
+        return True

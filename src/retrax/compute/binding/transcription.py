@@ -115,7 +115,7 @@ class Transcription:
 
     def _addresses(self) -> tuple[Any, ...]:
         """The addresses of the arrays of the problem, for its struct."""
-        own, (matrix, weights), s = self.sizes, self.tableau, self.sizes.points
+        sizes, (matrix, weights), s = self.sizes, self.tableau, self.sizes.points
         of_controls = self.control_groups or ()
         for groups in (*self.groups, *of_controls):
             if groups.size and not (groups.min() >= 0 and groups.max() < groups.size):
@@ -123,11 +123,11 @@ class Transcription:
         return (
             address_of(matrix, FLOAT, (s, s), "matrix of a tableau"),
             address_of(weights, FLOAT, (s,), "weights of a tableau"),
-            *(address_of(a, PLACE, (own.state_numbers,), "columns of the entries of a state") for a in self.groups),
+            *(address_of(a, PLACE, (sizes.state_numbers,), "columns of the entries of a state") for a in self.groups),
             bool(of_controls),
-            *(address_of(a, PLACE, (own.control_numbers,), "columns of controls") for a in of_controls),
+            *(address_of(a, PLACE, (sizes.control_numbers,), "columns of controls") for a in of_controls),
             *(() if of_controls else (None, None)),
-            address_of(self.kept, FLOAT, (own.limits,), "bounds that no iterate leaves"),
+            address_of(self.kept, FLOAT, (sizes.limits,), "bounds that no iterate leaves"),
         )
 
     @cached_property
@@ -166,7 +166,7 @@ class Transcription:
     def _set_functions(self) -> None:
         """Hand the functions of the problem to its struct."""
         points = (self.sizes.steps + 1) * self.sizes.points
-        tapes = [own for own in self.programs.values() if isinstance(own, MachineProgram)]
+        tapes = [program for program in self.programs.values() if isinstance(program, MachineProgram)]
         self._registers = aligned_array(max([1, *(own.sizes[2] * own.lanes(points) for own in tapes)]))
         for name in FunctionName:
             if name is not FunctionName.CONTROL_FRAMES or self.control_groups is not None:

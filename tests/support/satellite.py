@@ -14,7 +14,9 @@ CAMERA = np.array([1.0, 0.0, 0.0])  # body frame
 SUN = Rotation.from_rotvec([0, 0, 55], degrees=True).apply([1, 0, 0.15])
 SUN /= np.linalg.norm(SUN)
 SPACE = rx.SO(3) * rx.Euclidean(3) * rx.Euclidean(4)  # R, w in rad/s, h in mN m s
-SAMPLE = 0.1  # s
+SAMPLE, HORIZON = 0.1, 12.0  # s
+STEPS = np.geomspace(0.1, 2.0, 12)
+SOFT = {"rate": 50.0, "sun": 1000.0}  # weights
 TARGET = Rotation.from_rotvec([0, 0, 120], degrees=True).as_matrix()
 START = np.eye(3), np.zeros(3), np.array([3.0, -2.0, 1.0, 4.0])
 
@@ -65,6 +67,6 @@ def ripple(t, rng):
 
 def controller(**options):
     """The controller at 10 Hz."""
-    solver = rx.Solver(satellite(), rx.Gauss(2, rx.Cayley(SPACE)), steps=np.geomspace(0.1, 2.0, 12))
-    given = {"horizon": 12.0, "parameters": TARGET, "max_iterations": 8, "hold": SAMPLE} | options
-    return rx.RecedingHorizon(solver, None, soft={"rate": 50.0, "sun": 1000.0}, **given)
+    solver = rx.Solver(satellite(), rx.Gauss(2, rx.Cayley(SPACE)), steps=STEPS)
+    given = {"horizon": HORIZON, "parameters": TARGET, "max_iterations": 8, "hold": SAMPLE} | options
+    return rx.RecedingHorizon(solver, None, soft=SOFT, **given)
