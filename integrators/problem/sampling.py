@@ -7,6 +7,7 @@ import numpy as np
 from ...manifolds import InvalidInputError
 from ...manifolds.numerics.tolerances import SAME_TIME
 from ...retractions import Euler, Retraction, Theta
+from ..reporting.text import brief
 from .free_quantities import is_free
 
 
@@ -61,6 +62,6 @@ class Sampling(NamedTuple):
         """
         if method != self.method:
             raise InvalidInputError(
-                f"the problem has held controls, so its steps are those of {self.method!r}, got {method!r}; try "
-                "method=None"
+                "the steps of a problem with held controls are those of the Euler map of its retraction, "
+                f"problem.sampling.method, got {brief(method)}; try this one, or no method"
             )

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import wraps
 from typing import Any, NamedTuple, final
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -129,12 +130,14 @@ class _Sample(NamedTuple):
         (matrix, weights, nodes), h = RK4, self.time / self.substeps
         start = rest[0] if self.problem.time_dependent else 0.0
         bound = self.problem.with_parameters(rest[-1]) if self.problem.takes_parameters else self.problem
+        # Traced once for all stages.
+        rates_at = jax.jit(lambda c, u, t: self._rates(q, c, u, bound.at_time(start + t)))
         c, cost = jnp.zeros(self.problem.manifold.dimension), jnp.zeros(())
         for begun in h * np.arange(self.substeps):
             slopes, rates = [], []
             for row, t in zip(matrix, begun + h * nodes, strict=True):
                 stage = c + h * sum(a * slope for a, slope in zip(row, slopes, strict=False) if a)
-                slope, rate = self._rates(q, stage, signal(t), bound.at_time(start + t))
+                slope, rate = rates_at(stage, signal(t), t)
                 slopes.append(slope)
                 rates.append(rate)
             c, cost = c + h * weights @ jnp.stack(slopes), cost + h * weights @ jnp.stack(rates)
@@ -143,7 +146,7 @@ class _Sample(NamedTuple):
     def _rates(self, q: Ambient, c: Array, u: Ambient, now: OptimalControlProblem) -> tuple[Array, Array]:
         """The derivatives of the coordinates and of the cost."""
         point = self.retraction.chart(q, self.retraction.frame(q), c)
-        return chart_rate(self.retraction, q, c, lambda p: now.velocity(p, u)), now.cost_rate(point, u)
+        return chart_rate(self.retraction, q, c, now.velocity(point, u)), now.cost_rate(point, u)
 
 
 def _with_rates(
