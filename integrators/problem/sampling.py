@@ -19,7 +19,7 @@ class Sampling(NamedTuple):
     time : float
         The length of every step, in the unit of the horizon.
     retraction : Retraction
-        The retraction ``R`` with which a step of the Euler map, ``R(q, time X(q, u))``, is the state at the next sample.
+        The retraction ``R`` of the Euler map, whose step ``R(q, time X(q, u))`` is the state at the next sample.
     """
 
     time: float

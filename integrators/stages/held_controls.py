@@ -116,7 +116,8 @@ class _Sample(NamedTuple):
             return join(vec.combine(self.problem.manifold.basis(q), c / self.time), v)
 
         def running_cost(x: Ambient, v: Ambient, *rest: Any) -> Array:
-            return self._after(*split(x, v), rest)[1] / self.time
+            q, signal = split(x, v)
+            return self._after(q, signal, rest)[1] / self.time
 
         problem = self.problem
         names = argument_names(2, problem.time_dependent, problem.takes_parameters)

@@ -1,4 +1,6 @@
-"""Controls that are held between samples: against exact discrete problems, and against propagation of what was found."""
+"""Controls that are held between samples: against exact discrete problems, and against propagation of the controls."""
+
+from itertools import pairwise
 
 import jax.numpy as jnp
 import numpy as np
@@ -48,7 +50,7 @@ def test_constant_controls_are_those_of_the_exact_discrete_regulator():
         assert found.status == "minimum"
         errors.append(abs(found.cost - least_cost_of_samples()))
     assert errors[0] < 1e-4
-    assert all(16 * 0.8 < first / then < 16 * 1.5 for first, then in zip(errors, errors[1:], strict=False))
+    assert all(16 * 0.8 < first / then < 16 * 1.5 for first, then in pairwise(errors))
 
 
 @pytest.mark.parametrize("order", [0, 1])
@@ -80,6 +82,12 @@ def turned(angle):
     return np.asarray(expm(np.asarray(rx.hat(np.array([0.3, -0.5, 0.8]) * angle))))
 
 
+def signal_of(found, order):
+    """The torques as a function of the sample and the time after it."""
+    torques, rates = found.states[1], found.controls
+    return (lambda k, t: torques[k] + t * rates[k]) if order else (lambda k, t: torques[k + 1])
+
+
 def flown(start, signal, horizon, step):
     """The state of the body after a time under torques, by an integrator of SciPy, sample by sample."""
 
@@ -106,9 +114,7 @@ def test_the_body_arrives_under_the_torques_that_were_found(order):
         held = rx.hold_controls(rigid_body(), 0.5, order=order, rate_limits=3.0, substeps=substeps)
         found = rx.solve(held, (begin, np.zeros(3)), (end, None), 4.0, steps=8)
         assert found.status == "minimum"
-        torques, rates = found.states[1], found.controls
-        signals = (lambda k, t: torques[k + 1]), (lambda k, t: torques[k] + t * rates[k])
-        turn, rate = flown(begin, signals[order], 4.0, 0.5)
+        turn, rate = flown(begin, signal_of(found, order), 4.0, 0.5)
         misses.append(np.linalg.norm(turn - end[0]) + np.linalg.norm(rate))
     assert misses[0] < 1e-2
     assert 8 < misses[0] / misses[1] < 32
