@@ -83,8 +83,8 @@ def hold_controls(
     --------
     >>> line = OptimalControlProblem(Euclidean(1), lambda q, u: u, lambda q, u: u @ u / 2, controls=1)
     >>> held = hold_controls(line, 0.5, order=1, rate_limits=2.0)
-    >>> held.manifold, held.control_bounds[1].tolist()
-    (Product((Euclidean(1), Euclidean(1))), [2.0])
+    >>> print(held.manifold, held.control_bounds[1])
+    R^1 x R^1 [2.]
     """
     chart = _require(problem, sample_time, order, substeps, retraction)
     sample = _Sample(problem, chart, float(sample_time), substeps)
@@ -96,7 +96,7 @@ def hold_controls(
 
 @final
 class _Sample(NamedTuple):
-    """What happens between two samples of a problem, in a chart around the state at the first one."""
+    """The motion of a problem between two samples, in a chart around the state at the first one."""
 
     problem: OptimalControlProblem
     retraction: Retraction
