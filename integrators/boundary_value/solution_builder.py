@@ -72,7 +72,7 @@ class ExtremalRecords:
         self._multipliers = _multipliers(transcribed, found)
         # A record holds this until its figures are read, and nothing else of the search.
         find: Any = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters)
-        if builder.problem.node_cost is not None:
+        if builder.problem.node_cost is not None or builder.problem.sampling is not None:
             find = partial(_between_nodes, find)
         self._later = _LaterDiagnostics(find, self._active if builder.constrained else [])
 
@@ -192,7 +192,7 @@ def _figures(later: _LaterDiagnostics, k: int) -> dict[str, Any]:
 
 
 def _between_nodes(find: Callable[[], Diagnostics]) -> Diagnostics:
-    """The diagnostics of a problem whose costates jump at node costs.
+    """The diagnostics of a problem whose costates jump at node costs, or whose time is discrete.
 
     The Hamiltonian is constant in each step alone, and no momentum is conserved.
     """

@@ -159,6 +159,9 @@ def _require_fixed_mesh(accuracy: Any, classification: Any, integrator: Any) -> 
 
 
 def _default_method(problem: OptimalControlProblem) -> Method:
-    """The method of order 6 in the default retraction; raises ``InvalidInputError`` for what is no problem."""
+    """The method of order 6 in the default retraction, or of the samples; raises ``InvalidInputError`` for what is no
+    problem."""
     require_problem(problem)
+    if problem.sampling is not None:
+        return problem.sampling.method
     return Gauss(DEFAULT_STAGES, default_retraction(problem.manifold))

@@ -17,9 +17,8 @@ def with_time(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
     if kind in TIMELESS:
         return function
     count = len(ARGUMENTS[kind]) - 1
-    return _with_signature(
-        function, kind, takes_more(function, count), lambda *given: function(*given[:count], *given[count + 1 :])
-    )
+    names = argument_names(kind, True, takes_more(function, count))
+    return with_signature(function, names, lambda *given: function(*given[:count], *given[count + 1 :]))
 
 
 def with_start_time(takes_parameters: bool) -> Callable[[Callable[..., Any], int], Callable[..., Any]]:
@@ -33,14 +32,19 @@ def with_start_time(takes_parameters: bool) -> Callable[[Callable[..., Any], int
             points = given[:-1] if kind in TIMELESS else (*given[:-2], begin + given[-2])
             return function(*points, *([own] if takes else []))
 
-        return _with_signature(function, kind, True, later)
+        return with_signature(function, argument_names(kind, True, True), later)
 
     return change
 
 
-def _with_signature(function: Any, kind: int, takes: bool, call: Callable[..., Any]) -> Callable[..., Any]:
-    """A function in the name of another one, with arguments of a kind, and parameters if it takes them."""
+def argument_names(kind: int, time_dependent: bool, parameters: bool) -> tuple[str, ...]:
+    """The names of the arguments of functions of a kind."""
+    names = [name for name in ARGUMENTS[kind] if time_dependent or name != "t"]
+    return (*names, "parameters") if parameters else tuple(names)
+
+
+def with_signature(function: Any, names: tuple[str, ...], call: Callable[..., Any]) -> Callable[..., Any]:
+    """A function in the name of another one, with arguments of these names."""
     named: Any = wraps(function)(lambda *given: call(*given))
-    names = (*ARGUMENTS[kind], *(["parameters"] if takes else []))
     named.__signature__ = Signature([Parameter(name, Parameter.POSITIONAL_OR_KEYWORD) for name in names])
     return named

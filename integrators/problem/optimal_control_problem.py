@@ -22,6 +22,7 @@ from .notation import problem_notation
 from .path_constraints import Constraint, Inequalities, constraint_words, node_words
 from .problem_statement import Dynamics, ProblemStatement, RunningCost, TerminalCost
 from .quantities import Quantities
+from .sampling import Sampling
 from .user_functions import BoundFunction, in_precision, real_number, shapes_in, with_last
 
 check_functions: Hook[..., None] = Hook("integrators/problem_checks/inspection.py")
@@ -64,6 +65,8 @@ class OptimalControlProblem(ProblemStatement):
         ``g(q) <= 0`` by name, at the nodes, where steps meet.
     node_cost : callable, optional
         ``c(q, k)``, a number, at each node ``k = 0, ..., N``, such as the misfit of measurement ``k``; without time.
+    sampling : Sampling, optional
+        The step of a problem in discrete time, as ``hold_controls`` makes it.
 
     Notes
     -----
@@ -97,12 +100,13 @@ class OptimalControlProblem(ProblemStatement):
         periodic: bool | Callable[..., Any] = False,
         node_constraints: Mapping[str, Constraint] | None = None,
         node_cost: Callable[..., Any] | None = None,
+        sampling: Sampling | None = None,
     ) -> None:
         self.manifold = manifold
         self.dynamics, self.running_cost = dynamics, running_cost
         self.terminal_cost, self.initial_cost, self.node_cost = terminal_cost, initial_cost, node_cost
         self.controls = Euclidean(int(controls)) if isinstance(controls, int | np.integer) else controls
-        self.abnormal, self.time_dependent = abnormal, time_dependent
+        self.abnormal, self.time_dependent, self.sampling = abnormal, time_dependent, sampling
         self._require_types()
         given: Any = constraints
         is_made = isinstance(given, Inequalities)
@@ -232,7 +236,7 @@ class OptimalControlProblem(ProblemStatement):
         """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a
         ``boundary``."""
         names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "initial_cost", "node_cost"
-        given: Any = {name: getattr(self, name) for name in (*names, "abnormal", "time_dependent")}
+        given: Any = {name: getattr(self, name) for name in (*names, "abnormal", "time_dependent", "sampling")}
         given |= {"constraints": self._limits, "boundary_constraints": self._boundary, "labels": self.quantities}
         return OptimalControlProblem(**given | changes)
 

@@ -10,6 +10,7 @@ from ...module import Module
 from .boundary_conditions import BoundaryConditions
 from .path_constraints import Inequalities
 from .quantities import Quantities
+from .sampling import Sampling
 
 # Any arguments: each takes the time and the parameters too where it wants them; ``require_arguments`` checks how many.
 Dynamics = RunningCost = TerminalCost = Callable[..., Any]
@@ -31,6 +32,7 @@ class ProblemStatement(Module):
     quantities: Quantities = eqx.field(static=True)
     node_cost: Callable[..., Any] | None
     takes_parameters: bool = eqx.field(static=True)
+    sampling: Sampling | None
 
     @property
     def _shape(self) -> tuple[int, ...]:

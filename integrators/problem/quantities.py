@@ -145,6 +145,15 @@ class Quantities:
         is_fit = len(self.controls) == 1 and len(bounds) in (0, len(self.controls[0].entries))
         return replace(self, controls=(replace(self.controls[0], bounds=bounds),)) if is_fit else self
 
+    def with_rates(self) -> Self:
+        """The quantities of a problem whose controls are states, and whose new controls are their rates."""
+        time = self.time or "unit of time"
+        rates = (
+            replace(own, name=f"rate of {own.name}", units=tuple(u and f"{u}/{time}" for u in own.units), bounds=())
+            for own in self.controls
+        )
+        return replace(self, states=(*self.states, *self.controls), controls=tuple(rates))
+
     def factors(self, count: int) -> list[str]:
         """The names of the factors of a state: their labels, or ``factor 0`` for a factor without one.
 

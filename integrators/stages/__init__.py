@@ -6,9 +6,10 @@ from ...former_names import former
 from .collocation import CollocationStage
 from .control import ControlStage
 from .hamiltonian import HamiltonianStage
+from .held_controls import hold_controls
 from .stage import Stage
 
-__all__ = ["CollocationStage", "ControlStage", "HamiltonianStage", "Stage"]
+__all__ = ["CollocationStage", "ControlStage", "HamiltonianStage", "Stage", "hold_controls"]
 
 
 def __getattr__(name: str) -> Any:

@@ -8,11 +8,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.scipy.linalg import cho_solve
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from ...compute.automatic import AutomaticEvaluator
 from ...compute.base import Evaluator
-from ...retractions import CollocationMethod, DiscretizationMap, Retraction
+from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.ambient import Ambient
+from ...retractions import Addition, CollocationMethod, DiscretizationMap, ProductRetraction, Retraction
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout
 
@@ -119,11 +121,24 @@ class ExplicitRungeKutta:
     def _rate_of(self, x: Array, c: Array, base: Array, offset: Array, time: Array, parameters: Array) -> tuple[Array]:
         layout = self.parameter
         bound = self.problem if layout is None else self.problem.with_parameters(layout.point(parameters))
-        u = self.problem._steer(self.control.point(base), offset)
-        (q,), push = jax.linearize(lambda c: self._chart_of(x, c), c)
-        (columns,) = jax.vmap(push)(jnp.eye(c.size))
-        velocity = self.state.flat(bound.at_time(time[0]).velocity(self.state.point(q), u))
-        return (cho_solve((jnp.linalg.cholesky(columns @ columns.T), True), columns @ velocity),)
+        u, point = self.problem._steer(self.control.point(base), offset), self.state.point(x)
+        q = self.retraction.chart(point, self.retraction.frame(point), c)
+        return (chart_rate(self.retraction, point, c, bound.at_time(time[0]).velocity(q, u)),)
+
+
+def chart_rate(retraction: Retraction, x: Ambient, c: Array, v: Ambient) -> Float[Array, " n"]:
+    """The derivative ``(D R)^+ v`` of the coordinates ``c``, in the chart around ``x``, of a point that moves with
+    velocity ``v``."""
+    if isinstance(retraction, ProductRetraction):
+        places = np.cumsum([factor.manifold.dimension for factor in retraction.factors])[:-1]
+        parts = zip(retraction.factors, x, jnp.split(c, places), v, strict=True)
+        return jnp.concatenate([chart_rate(*part) for part in parts])
+    if isinstance(retraction, Addition):
+        return jnp.ravel(v)
+    _, push = jax.linearize(lambda c: retraction.chart(x, retraction.frame(x), c), c)
+    columns = jax.vmap(push)(jnp.eye(c.size, dtype=c.dtype))
+    matrix = vec.flatten_frame(columns)
+    return cho_solve((jnp.linalg.cholesky(matrix @ matrix.T), True), vec.components(columns, v))
 
 
 def control_spans(method: DiscretizationMap | CollocationMethod, steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

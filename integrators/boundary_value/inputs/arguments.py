@@ -143,6 +143,11 @@ def require_refinable(problem: Any) -> None:
             "the problem has a node_cost, whose index k counts the nodes, and a refined mesh has other nodes; expected "
             "a fixed mesh; try steps=len(measurements) - 1, and no accuracy"
         )
+    if problem.sampling is not None:
+        raise InvalidInputError(
+            f"the controls are held for {problem.sampling.time:g} each, and a refined mesh has other steps; expected "
+            "one step for each sample; try steps=round(horizon / sample_time), and no accuracy"
+        )
 
 
 def check_problem(problem: Any, method: Any) -> None:
@@ -154,6 +159,8 @@ def check_problem(problem: Any, method: Any) -> None:
         )
     require_treated(problem, "solve", *ALONG, *BETWEEN)
     require_same_manifold(problem, method)
+    if problem.sampling is not None:
+        problem.sampling.require_method(method)
 
 
 def check_accuracy(accuracy: Any) -> None:

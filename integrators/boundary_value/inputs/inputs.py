@@ -161,6 +161,8 @@ class Inputs:
         _require_horizon(given.horizon, count if axes and np.ndim(known.horizon) else 0)
         check_parameters(reader.problem, known.parameters)
         _require_start_time(reader.problem, given.start_time)
+        if reader.problem.sampling is not None:
+            reader.problem.sampling.require_steps(given.horizon, reader.mesh.fractions)
         inputs = cls._read(reader, given, known, guess, options, integrator, classification, axes, count)
         if classification is not None:
             check_classification(inputs.problem, classification)

@@ -74,6 +74,7 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         }
         changes = {name: function for name, function in changes.items() if getattr(problem, name) is not None}
         changes |= {"constraints": self._limits(), "boundary_constraints": self._boundary(), "labels": None}
+        changes["sampling"] = None  # of the steps that were required of the problem itself
         self.problem = problem._with_arguments(
             manifold=Product(problem.manifold, *added), time_dependent=False, **changes
         )
