@@ -20,7 +20,8 @@ ROOT = Path(__file__).parents[2]
 ROOMS = ("manifolds", "retractions", "integrators")
 # Imported once for all forks, with the project itself, and before any of them.
 BEFORE = ("hypothesis", "jax.scipy.linalg", "scipy.integrate", "scipy.optimize")
-LEFT_OUT = ("retrax.plotting", "retrax.interop")  # what they need may not be there
+# Their dependencies may be missing; the compiled core is a library in C, not a module of Python.
+LEFT_OUT = ("retrax.plotting", "retrax.interop", "retrax._core")
 BROKEN = 70  # exit status of a fork in which pytest itself did not run
 # Of a machine that is busy with other things, a fork may have so little that it takes so many times its own seconds.
 BUSY = 5
