@@ -36,14 +36,15 @@ def rounding_of_controls(system: KKTSystem, controls: np.ndarray) -> float:
     """The error of controls, shape (S, ...), that rounding and defects of the prescribed end cause.
 
     It is relative to the largest control, or to the natural size of controls where all are smaller. The rounding of an
-    entry of the end is relative to its largest size along the trajectory.
+    entry of the end is relative to its largest size along the trajectory. Entries that follow from the others are left
+    out: whether they agree, the defects tell.
     """
     prescribed, nodes = system.fixed[1] > 0, system.scale.nodes
     moved, defects = _linearized_end(system)
     if not controls.size or not moved.size or not np.all(np.isfinite(moved)):
         return 0.0
     sizes = ((np.abs(system.frames[-1]) @ np.abs(system.nodes).max(axis=0)) / nodes)[prescribed]
-    reached = np.any(moved != 0, axis=1) & (sizes > 0)
+    reached = [k for k in independent_rows(moved) if sizes[k] > 0]
     left, shares, _ = np.linalg.svd(moved[reached] / sizes[reached, None], full_matrices=False)
     if not shares.size:
         return 0.0
