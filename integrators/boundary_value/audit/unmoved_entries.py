@@ -57,8 +57,11 @@ def rounding_of_controls(system: KKTSystem, controls: np.ndarray) -> float:
 
 
 def _linearized_end(system: KKTSystem) -> tuple[np.ndarray, np.ndarray]:
-    """The derivatives of the prescribed coordinates of an end by the controls and the free start, by rows, and their
-    changes that remove the defects of all nodes; in units."""
+    """The derivatives of the prescribed coordinates of an end, and the changes of these coordinates that remove all
+    defects; in units.
+
+    The derivatives by the controls and the free start are in rows.
+    """
     unknowns, nodes, _ = system.scale
     own, n = unknowns / nodes[:, None], len(nodes)
     moved, (change, *defects) = np.diag(1.0 - system.fixed[0]), -system.defects[..., None] / nodes[:, None]
