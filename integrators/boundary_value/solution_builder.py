@@ -8,14 +8,15 @@ import jax
 import numpy as np
 
 from ...manifolds.numerics import ambient as vec
+from ...manifolds.numerics.precision import default_tolerance
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.path_constraints import LOWER, UPPER
 from ..problem.point_layout import PointLayout
 from ..problem.quantities import Quantities
 from ..reporting.result_sentences import sentence
 from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
-from .audit.status import Status, concave_status, termination_statuses
-from .audit.unmoved_entries import unmoved_words
+from .audit.status import Status, concave_status, rounded_end_status, termination_statuses
+from .audit.unmoved_entries import rounding_of_controls, unmoved_words
 from .inputs.arguments import require_tangent_dynamics
 from .inputs.inputs import Inputs
 from .solution.diagnostics import RegularChecks, Statistics, figures
@@ -121,6 +122,8 @@ class ExtremalRecords:
         for k, status in enumerate(statuses):
             if k in concave:
                 statuses[k] = concave_status(self._where(concave[k], k))
+            elif status.success and not found.strict_minimum[k] and self._is_rounding(k, tolerance):
+                statuses[k] = rounded_end_status()
             elif notes[k] or not status.success:
                 more = self._dependent_entries(k) if status.result.startswith(STUCK_RESULTS) else ""
                 statuses[k] = status.because(more + _violation_words(transcribed, found, k, tolerance), notes[k])
@@ -130,6 +133,11 @@ class ExtremalRecords:
         """Words on a part of the end that follows from the rest, by the names of the user."""
         names = [name for quantity in self._of.names_for_user.states for name in quantity.columns]
         return unmoved_words(self.found.system(k), names)
+
+    def _is_rounding(self, k: int, tolerance: float) -> bool:
+        """Whether rounding decides which controls of a member lead to its prescribed end."""
+        error = rounding_of_controls(self.found.system(k), self._stages[1][k])
+        return error > max(tolerance, default_tolerance())
 
     def _where(self, one: ConcaveDirection, k: int) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""

@@ -219,7 +219,7 @@ def _fit(name: str, value: Any, hint: Any, context: _Context) -> Any:
     if kind is UnionType:
         return None if value is None else _fit(name, value, _which(value, arguments), context)
     if is_dataclass(hint):
-        hints = get_type_hints(hint, include_extras=True)
+        hints = get_type_hints(hint)
         if not (isinstance(value, dict) and set(value) == set(hints)):
             raise InvalidInputError(f"{name} is {_words(value)}, expected the fields {', '.join(hints)}")
         made: Any = hint

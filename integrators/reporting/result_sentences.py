@@ -31,7 +31,13 @@ class Result(eqx.Enumeration):
         "The equations are solved to the tolerance asked for, and this is not shown to be a strict local minimum. A "
         "nearby trajectory may cost as much or less: the extremal is a saddle or contains conjugate points, such as "
         "opposite points of a sphere. Try another guess, such as Guess.from_waypoints along another path, and compare "
-        "the costs. If the controls move an end by less than its rounding, leave that end free."
+        "the costs."
+    )
+    rounded_end = (
+        "The equations are solved, but rounding decides whether the controls reach the prescribed end, so neither the "
+        "controls nor the cost are determined to the tolerance. Expected an end that the controls move by more than "
+        "the rounding of its value; try to leave free what they hardly move (end=(..., None) in a product), or a "
+        "terminal_cost of the end in its place."
     )
     concave = (
         "The derivatives of the cost vanish, but the cost is concave in a control, so this is no minimum: it may be a "

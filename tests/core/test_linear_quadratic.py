@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 from retrax.integrators import OptimalControlProblem, Solver
+from retrax.integrators.reporting.results import sentence
 from retrax.manifolds import Euclidean, Product
 from retrax.retractions import Exponential, Gauss
 
@@ -210,3 +211,27 @@ def test_prescribed_ends(kind, states):
                 assert solution.cost == pytest.approx(float(judge.least(fixed, target)), rel=1e-8)
                 tried += 1
     assert tried
+
+
+@pytest.mark.usual("lags-2", "lags-4")
+@pytest.mark.parametrize(
+    ("kind", "states"), [*((kind, n) for kind in ("lags", "unstable") for n in (2, 4, 6)), ("springs", 4)]
+)
+def test_no_success_where_rounding_decides_whether_controls_reach_the_end(kind, states):
+    """Through the coupling at which controls move the end by less than its rounding: the right cost, or a failure."""
+    half, rounded, solved = states // 2, 0, 0
+    for coupling in EVERY[::2]:
+        system = KINDS[kind](states, coupling)
+        for start in starts(states)[::2]:
+            judge = Condensed(system, start)
+            reached = (judge.end @ np.append(exact(np.sin(np.arange(1.0, 21.0))), mpf(1))).astype(float)
+            for target in (reached, np.zeros(states)):
+                for end in ((target[:half], target[half:]), (None, target[half:])):
+                    solution = found(system, start, end)
+                    rounded += solution.result == sentence("rounded_end")
+                    solved += solution.success
+                    if solution.success:
+                        fixed = [i for i in range(states) if end[i >= half] is not None]
+                        assert solution.cost == pytest.approx(float(judge.least(fixed, target)), rel=1e-8)
+    assert rounded
+    assert solved

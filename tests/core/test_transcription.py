@@ -12,8 +12,10 @@ from retrax.compute.binding.transcription import FunctionName, Scale, Trajectory
 from retrax.integrators import OptimalControlProblem, Solver
 from retrax.integrators.boundary_value.transcription import core_transcription
 from retrax.integrators.boundary_value.transcription.discrete_phase import DiscretePhase
+from retrax.integrators.boundary_value.transcription.functions.collocation import CollocationFunctions
+from retrax.integrators.boundary_value.transcription.iterate import CollocationUnknowns
 from retrax.manifolds import Euclidean, InvalidInputError
-from retrax.retractions import Addition, Midpoint, default_retraction
+from retrax.retractions import Addition, Gauss, Midpoint, default_retraction
 
 from ..integrators.problems import SPHERE, half_square
 from ..integrators.search_cases import SLEWS
@@ -298,3 +300,20 @@ def test_what_the_memory_of_a_search_held_before_changes_no_bit(name):
         names = "CENTRES", "CONTROLS", "COSTATES", "LIMIT_MULTIPLIERS", "RESIDUALS", "STEPS", "TOTALS"
         ends.append(told + [found.trajectory[array].tobytes() for array in names])
     assert ends[0] == ends[1] == ends[2]
+
+
+def test_the_first_centre_of_a_step_is_in_the_middle_of_an_even_number_of_points(monkeypatch):
+    """On a sphere it is nearly as far from either of the two middle states."""
+    begin, begun = CollocationFunctions.begin, []
+
+    def begin_and_keep(self: CollocationFunctions, states: np.ndarray, *others: Any) -> CollocationUnknowns:
+        begun.append((states, begin(self, states, *others)))
+        return begun[-1][1]
+
+    monkeypatch.setattr(CollocationFunctions, "begin", begin_and_keep)
+    problem = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, 3)
+    Solver(problem, Gauss(2, default_retraction(SPHERE)), 4).solve(np.eye(3)[0], np.eye(3)[1], 1.0)
+    states, unknowns = begun[0]
+    before, after = np.linalg.norm(states - unknowns.centres[:, :, None], axis=-1).swapaxes(0, 2)
+    assert before.min() > 1e-2
+    np.testing.assert_allclose(before, after, rtol=0.05)

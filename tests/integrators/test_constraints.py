@@ -278,3 +278,25 @@ def test_a_problem_prints_in_mathematical_notation():
         "subject to  q' = (lambda)(q, u, p),  q in R^2,  u in R^1",
         "            -1 <= u <= 1",
     ]
+
+
+def test_functions_of_the_time_print_with_it():
+    """Between the ends it is the time of the last one."""
+
+    def drift(q, u, t):
+        return u + t
+
+    problem = OptimalControlProblem(
+        Euclidean(1),
+        drift,
+        lambda q, u, t: u @ u,
+        1,
+        terminal_cost=lambda q, t: q[0] * t,
+        boundary_constraints={"tide": lambda start, end, t: end - jnp.sin(t) - start},
+        time_dependent=True,
+    )
+    assert str(problem).splitlines()[1:] == [
+        "minimise    int_0^T (lambda)(q, u, t) dt + (lambda)(q(T), T)",
+        "subject to  q' = drift(q, u, t),  q in R^1,  u in R^1",
+        "            tide(q(0), q(T), T) = 0",
+    ]

@@ -202,6 +202,19 @@ def test_estimates_have_derivatives_with_respect_to_the_measurements(method):
             assert np.allclose(derivative, difference, atol=1e-5 * np.max(np.abs(difference)))
 
 
+def test_costates_of_the_midpoint_rule_jump_at_a_node_by_the_slope_of_its_cost():
+    problem = OptimalControlProblem(
+        PLANE, lambda q, u, p: SWING @ q + INPUT @ u, lambda q, u, p: u @ u / 2, 1, node_cost=misfit
+    )
+    given = {"data": np.cos(2 * TIMES), "noise": 0.1}
+    found = solve(problem, REST, None, HORIZON, method=METHODS[0], steps=STEPS, parameters=given)
+    slopes = (found.states[1:, 0] - given["data"][1:]) / given["noise"] ** 2
+    before = found(np.nextafter(found.times[1:], 0.0)).costates
+    assert np.abs(slopes).max() > 0.1
+    np.testing.assert_allclose(found.costates[1:, 0] - before[:, 0], slopes, rtol=0, atol=1e-9 * np.abs(slopes).max())
+    np.testing.assert_allclose(found.costates[1:, 1], before[:, 1], rtol=0, atol=1e-9 * np.abs(slopes).max())
+
+
 @EVERY
 def test_phases_and_files_keep_node_costs(method, tmp_path):
     """Two phases count their own nodes; the node between them costs what both give it."""

@@ -20,18 +20,20 @@ ROOT = Path(__file__).parents[2]
 ROOMS = ("manifolds", "retractions", "integrators")
 # Imported once for all forks, with the project itself, and before any of them.
 BEFORE = ("hypothesis", "jax.scipy.linalg", "scipy.integrate", "scipy.optimize")
-LEFT_OUT = ("retrax.plotting", "retrax.interop")  # what they need may not be there
+# Their dependencies may be missing; the compiled core is a library in C, not a module of Python.
+LEFT_OUT = ("retrax.plotting", "retrax.interop", "retrax._core")
 BROKEN = 70  # exit status of a fork in which pytest itself did not run
 # Of a machine that is busy with other things, a fork may have so little that it takes so many times its own seconds.
 BUSY = 5
 
 
 class Outcome(Enum):
-    """How the tests of a mutant ended; a test that never ends has not noticed the error."""
+    """How the tests of a mutant ended; a test that never ends, or fails without the error, has not noticed it."""
 
     KILLED = "killed"
     SURVIVED = "SURVIVED"
     ENDLESS = "TIMED OUT"
+    WITHOUT = "FAILS WITHOUT THE ERROR"
     NO_TEST = "NO TEST"
 
 
@@ -40,7 +42,7 @@ class ProjectCopy:
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.tree = folder.resolve(), folder.resolve() / "project"
-        for name in ("src", "tests", *ROOMS):
+        for name in ("src", "tests", "docs", "examples", *ROOMS):
             shutil.copytree(ROOT / name, self.tree / name, ignore=shutil.ignore_patterns("__pycache__"))
         for name in ("pyproject.toml", "README.md"):
             shutil.copy2(ROOT / name, self.tree / name)
@@ -62,18 +64,21 @@ class ProjectCopy:
     def run_with(self, file: str, wrong: str, anew: bool, tests: list[str], longest: float) -> tuple[Outcome, str]:
         """The outcome of the tests up to the first that fails, with another text in a file, for at most so many seconds
         of a processor; and the end of what they print. ``anew``: the project is imported with that text."""
-        path, begin = self.tree / file, partial(changed, self.tree / file, wrong)
-        if not anew:
-            return self.run(tests, longest, begin)
+        path = self.tree / file
         right = path.read_text()
-        path.write_text(wrong)
-        try:
-            return self.run(tests, longest, forgotten)
-        finally:
+        first = ["--cache-clear", *tests]
+        if anew:
+            path.write_text(wrong)
+            outcome, words = self.run(first, longest, forgotten)
             path.write_text(right)
+        else:
+            outcome, words = self.run(first, longest, partial(changed, path, wrong))
+        if outcome is Outcome.KILLED and self.run(["--lf", *tests], longest, list)[0] is not Outcome.SURVIVED:
+            return Outcome.WITHOUT, words
+        return outcome, words
 
     def run(self, tests: list[str], longest: float, begin: Callable[[], object]) -> tuple[Outcome, str]:
-        """The same of tests that begin with something."""
+        """The same of arguments of pytest, in a process that begins with something."""
         end, output = time.monotonic() + BUSY * longest, self.folder / "output"
         child = os.fork()
         if child == 0:
@@ -106,7 +111,7 @@ class ProjectCopy:
                 os.dup2(written.fileno(), stream)
         os.chdir(self.tree)
         begin()
-        options = ["-x", "-q", "-n", "0", "--assert=plain", "-o", f"cache_dir={ROOT / '.pytest_cache'}"]
+        options = ["-x", "-q", "-n", "0", "--assert=plain", "-o", f"cache_dir={self.folder / 'cache'}"]
         return int(pytest.main([*options, *tests]))
 
 

@@ -212,6 +212,13 @@ def test_casadi_function_is_the_same_function():
     np.testing.assert_allclose(torque, expected["torque"], rtol=1e-15)
 
 
+def test_casadi_computes_once_what_several_values_share():
+    tape = Tape.trace(lambda x: jnp.stack([jnp.sin(x[0]) * x[1], jnp.sin(x[0]) + x[2]]), ROTOR)
+    function = tape.to_casadi()
+    sines = [k for k in range(function.n_instructions()) if function.instruction_id(k) == ca.OP_SIN]
+    assert len(sines) == 1
+
+
 def test_c_code_compiles_and_gives_the_same_values(tmp_path):
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     source = tmp_path / "rotor.c"

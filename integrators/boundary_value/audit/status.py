@@ -88,6 +88,11 @@ def concave_status(where: str) -> Status:
     return Status(False, f"{sentence('concave')} {where}")
 
 
+def rounded_end_status() -> Status:
+    """The status of an extremal whose controls are rounding, because they hardly move its prescribed end."""
+    return Status(False, sentence("rounded_end"))
+
+
 def shooting_status(result: Result, broken: str, jump: str) -> Status:
     """The status of a singular extremal: of its shooting, of a condition that is broken, and of a jump."""
     if result != Result.successful:

@@ -33,8 +33,8 @@ class KKTSystem:
         frames of the nodes.
     fixed : array of shape (2, n)
         1 for the coordinates of the first and of the last node that are prescribed, else 0.
-    nodes, costates, frames, multipliers : arrays of shapes (N + 1, E), (N + 1, E), (N + 1, n, E), (N + 1, n)
-        States and covectors at the nodes, the frames there, and the multipliers of the nodes in these.
+    nodes, costates, frames, multipliers, defects : arrays of shapes (N + 1, E), (N + 1, E), (N + 1, n, E), (N + 1, n)
+        States and covectors at the nodes, the frames there, and the multipliers and defects of the nodes in these.
     """
 
     def __init__(self, transcription: Transcription, iterate: IterateNumbers, scale: Scale) -> None:
@@ -52,7 +52,9 @@ class KKTSystem:
             self.array(name, sizes.steps + 1, sizes.state_numbers) for name in ("NODES", "NODE_COSTATES")
         )
         self.frames = self.array("NODE_FRAMES", sizes.steps + 1, sizes.state_size, sizes.state_numbers)
-        self.multipliers = self.array("MULTIPLIERS", sizes.steps + 1, sizes.state_size)
+        self.multipliers, self.defects = (
+            self.array(name, sizes.steps + 1, sizes.state_size) for name in ("MULTIPLIERS", "DEFECTS")
+        )
 
     def array(self, name: str, *shape: int) -> np.ndarray:
         """An array of the trajectory; ``retrax_core.h`` explains the names."""

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import sympy
 from retrax.integrators import OptimalControlProblem, SymbolicClassification, classify
+from retrax.integrators.singular.symbolic.algorithm import _contradict
 from retrax.integrators.singular.symbolic.field import normal_form
 from retrax.integrators.singular.symbolic.symbolic_trace import fraction
 from retrax.manifolds import Euclidean, InvalidInputError
@@ -178,6 +179,17 @@ def test_pieces_where_a_coefficient_of_the_closed_form_vanishes(n, dynamics, cos
     exact = classify(OptimalControlProblem(Euclidean(n), dynamics, cost, 1), symbolic=True)
     assert signatures(exact) == pieces
     assert_invariant(exact)
+
+
+def test_functions_of_one_angle_that_vanish_nowhere_together_are_a_contradiction():
+    problem = OptimalControlProblem(
+        Euclidean(2), lambda q, u: jnp.stack([jnp.sin(q[1]), u[0]]), lambda q, u: q @ q / 2, 1
+    )
+    exact = classify(problem, symbolic=True)
+    sine, cosine = sympy.sin(exact.phase.q[1]), sympy.cos(exact.phase.q[1])
+    assert _contradict([sine, cosine], exact.stratum)
+    assert not _contradict([sine, cosine - 1], exact.stratum)
+    assert not _contradict([sine - cosine], exact.stratum)
 
 
 def test_an_exponential_that_cannot_be_one_is_a_contradiction():

@@ -35,6 +35,20 @@ def test_the_reduced_problem_of_one_free_control_of_two():
             found.cost_rate(jnp.array([x]), u), problem.cost_rate(q, jnp.array([v, 0.0])), rtol=1e-13
         )
         np.testing.assert_allclose(q, [sign * x, reduction.directions[1, 0] * s], rtol=1e-13)
+        moved = problem.velocity(q, reduction.controls(q, jnp.array([v]), jnp.array([0.7])))
+        np.testing.assert_allclose(reduction.coordinates(moved)[1], [0.7], rtol=1e-13)
+
+
+def test_a_reduction_is_checked_at_states_near_the_given_one():
+    """These functions are finite where a state is beyond 50."""
+    plane = plane_problem()
+
+    def dynamics(q: Array, u: Array) -> Array:
+        return plane.dynamics(q, u * jnp.sqrt(q[0] - 50.0) ** 2 / (q[0] - 50.0))
+
+    problem = OptimalControlProblem(plane.manifold, dynamics, plane.running_cost, 2)
+    reduction = GohReduction(problem, (1,), near=(jnp.array([90.0, 0.0]), jnp.zeros(2)))
+    np.testing.assert_allclose(reduction.directions, [[0.0], [1.0]], atol=1e-13)
 
 
 def test_a_cost_that_is_too_rough_for_its_potential_is_refused():

@@ -1,8 +1,15 @@
 """Ranks of matrices that are known to a precision of their own, swept through what counts beside it."""
 
+from importlib import import_module
+
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
+from retrax.integrators import OptimalControlProblem, classify
 from retrax.integrators.singular.integrability.echelon import CERTAIN, COUNTED, RANK_GAP, Echelon, eliminate
+from retrax.integrators.singular.integrability.sample_points import Points
+from retrax.manifolds import Euclidean
 
 CHANGE = 1e-8  # of what remains of the last entry, beside which the rounding of the others is small
 
@@ -26,3 +33,29 @@ def test_what_remains_of_a_row_counts_beside_what_it_changes_by_and_between_noth
     assert seen[0] == pytest.approx(share * COUNTED, rel=1e-3, abs=1e-3)
     free = found.null_basis(slice(0, 3))[0, 0]
     assert np.linalg.matrix_rank(free) == (1 if share > 1 else 2)
+
+
+def test_points_keep_all_derivatives_that_exceed_rounding(monkeypatch):
+    """Also where derivatives change from a point to the points beside it."""
+    module = import_module("retrax.integrators.singular.integrability.classify")
+    mark, seen = module._mark_unclear, []
+
+    def mark_and_keep(points: Points) -> Points:
+        seen.append(points)
+        return mark(points)
+
+    monkeypatch.setattr(module, "_mark_unclear", mark_and_keep)
+
+    def dynamics(q: Array, u: Array) -> Array:
+        return jnp.stack([jnp.exp(q[1]) + q[0] ** 3, u[0]])
+
+    classify(OptimalControlProblem(Euclidean(2), dynamics, lambda q, u: jnp.exp(q[0]) + q[1] ** 4, 1))
+    for points in seen:
+        with np.errstate(invalid="ignore"):
+            rounded = points.rounded
+        for name in ("by_state", "by_jet"):
+            own, kept = (getattr(part.at, name) for part in (points, rounded))
+            assert np.any(getattr(points.beside, name)[0] != own)
+            np.testing.assert_array_equal(kept[kept != 0], own[kept != 0])
+            np.testing.assert_allclose(kept, own, rtol=0, atol=1e-10 * np.abs(own).max())
+    assert seen

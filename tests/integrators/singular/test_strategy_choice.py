@@ -14,6 +14,7 @@ from retrax.integrators.singular.strategies import (
     ReducedIntegrator,
     reduce_until_regular,
 )
+from retrax.integrators.singular.strategies.control_affine_splitting import relative_curvature
 from retrax.integrators.singular.strategies.final_dynamics import FinalDynamics
 from retrax.integrators.singular.strategies.final_manifold_stages import DirectIntegrator
 from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
@@ -67,6 +68,15 @@ class Price(eqx.Module):
 def wave(rate: float, time: float = 1.0, cost: float = 1.0, control: float = 1.0) -> OptimalControlProblem:
     r, t, a, c = map(jnp.asarray, (rate, time, cost, control))
     return OptimalControlProblem(PLANE, Wave(r, t, c), Price(a, c), 2)
+
+
+@pytest.mark.parametrize("weight", [-1e6, 0.0, 1e-6, 1.0, 1e6])
+def test_the_curvature_of_an_exponential_is_relative_to_the_terms_of_the_hamiltonian(weight):
+    """``H = (p - weight) exp(u)`` is its own second derivative; ``|p| exp(u)`` and the cost are its terms."""
+    problem = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.exp(u), lambda q, u: weight * jnp.exp(u[0]), 1)
+    for p in (-2.0, 3.0):
+        found = relative_curvature(problem, (jnp.zeros(1), jnp.array([p])), jnp.zeros(1))
+        np.testing.assert_allclose(found, [[(p - weight) / (abs(p) + abs(weight))]], rtol=1e-12)
 
 
 @pytest.mark.slow
