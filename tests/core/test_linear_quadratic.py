@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 from retrax.integrators import OptimalControlProblem, Solver
-from retrax.integrators.reporting.results import sentence
+from retrax.integrators.reporting.result_sentences import sentence
 from retrax.manifolds import Euclidean, Product
 from retrax.retractions import Exponential, Gauss
 
