@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ..manifolds import CotangentBundle, InvalidInputError, Manifold, Product, TangentBundle
+from ..manifolds.bundles import VectorBundle
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.symplectic import Phi, Phi_inverse, TulczyjewTriple, alpha_inverse
@@ -138,12 +139,14 @@ class CotangentLift(DiscretizationMap):
 
 @final
 class BundleRetraction(Retraction):
-    r"""The retraction of ``T*Q`` over a retraction of ``Q``: it moves the base and projects the moved covector.
+    r"""The retraction of ``T*Q`` or ``TQ`` over a retraction of ``Q``: it moves the base and projects the moved fibre.
 
     Parameters
     ----------
     base : Retraction
         The retraction of ``Q``.
+    manifold : CotangentBundle or TangentBundle, optional
+        The bundle of ``Q``, by default ``T*Q``.
 
     Notes
     -----
@@ -153,17 +156,17 @@ class BundleRetraction(Retraction):
     Examples
     --------
     >>> CotangentLift(Midpoint(Projection(Sphere(2)))).retraction
-    BundleRetraction(base=SphereProjection(manifold=Sphere(n=2)))
+    BundleRetraction(
+      base=SphereProjection(manifold=Sphere(n=2)),
+      manifold=CotangentBundle(base=Sphere(n=2))
+    )
     """
 
     base: Retraction
+    manifold: VectorBundle
 
-    def __init__(self, base: Retraction) -> None:
-        self.base = base
-
-    @property
-    def manifold(self) -> CotangentBundle:
-        return CotangentBundle(self.base.manifold)
+    def __init__(self, base: Retraction, manifold: VectorBundle | None = None) -> None:
+        self.base, self.manifold = base, CotangentBundle(base.manifold) if manifold is None else manifold
 
     def retract(self, x: Pair, v: Pair) -> Pair:
         q = self.base(x[0], v[0])
