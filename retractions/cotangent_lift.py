@@ -171,3 +171,12 @@ class BundleRetraction(Retraction):
     def retract(self, x: Pair, v: Pair) -> Pair:
         q = self.base(x[0], v[0])
         return q, self.base.manifold.projection(q, vec.add(x[1], v[1]))
+
+    def preimage(self, x: Pair, y: Pair) -> Pair:
+        """The inverse by the inverse of the base; the part along the fibre solves linear equations."""
+        base, manifold = self.base.manifold, self.manifold
+        moved, frame, there = self.base.preimage(x[0], y[0]), base.basis(x[0]), base.basis(y[0])
+        _, tilt = manifold.lift(x, moved, jax.tree.map(jnp.zeros_like, moved))
+        matrix = jax.vmap(lambda e: vec.components(there, e), out_axes=1)(frame)
+        missing = vec.components(there, vec.subtract(y[1], vec.add(x[1], tilt)))
+        return manifold.lift(x, moved, vec.combine(frame, jnp.linalg.solve(matrix, missing)))
