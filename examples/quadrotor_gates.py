@@ -124,7 +124,8 @@ controller = rx.RecedingHorizon(
 # The flight
 # ----------
 # The quadrotor has 5 percent more mass than in the plan. The wind pushes with
-# 0.25 N and gusts. The pose is measured to 5 mm and 0.3 degrees.
+# 0.25 N and gusts. The pose is measured to 5 mm and 0.3 degrees. The simulation
+# waits for each solve, which takes longer than 20 ms in Python.
 plant = rx.OptimalControlProblem(
     Q,
     lambda q, u, wind: move(q, u, 1.05 * mass, wind),
