@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ..manifolds import CotangentBundle, InvalidInputError, Manifold, Product, TangentBundle
+from ..manifolds.bundles import VectorBundle
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.symplectic import Phi, Phi_inverse, TulczyjewTriple, alpha_inverse
@@ -138,12 +139,14 @@ class CotangentLift(DiscretizationMap):
 
 @final
 class BundleRetraction(Retraction):
-    r"""The retraction of ``T*Q`` over a retraction of ``Q``: it moves the base and projects the moved covector.
+    r"""The retraction of ``T*Q`` or ``TQ`` over a retraction of ``Q``: it moves the base and projects the moved fibre.
 
     Parameters
     ----------
     base : Retraction
         The retraction of ``Q``.
+    manifold : CotangentBundle or TangentBundle, optional
+        The bundle of ``Q``, by default ``T*Q``.
 
     Notes
     -----
@@ -153,18 +156,27 @@ class BundleRetraction(Retraction):
     Examples
     --------
     >>> CotangentLift(Midpoint(Projection(Sphere(2)))).retraction
-    BundleRetraction(base=SphereProjection(manifold=Sphere(n=2)))
+    BundleRetraction(
+      base=SphereProjection(manifold=Sphere(n=2)),
+      manifold=CotangentBundle(base=Sphere(n=2))
+    )
     """
 
     base: Retraction
+    manifold: VectorBundle
 
-    def __init__(self, base: Retraction) -> None:
-        self.base = base
-
-    @property
-    def manifold(self) -> CotangentBundle:
-        return CotangentBundle(self.base.manifold)
+    def __init__(self, base: Retraction, manifold: VectorBundle | None = None) -> None:
+        self.base, self.manifold = base, CotangentBundle(base.manifold) if manifold is None else manifold
 
     def retract(self, x: Pair, v: Pair) -> Pair:
         q = self.base(x[0], v[0])
         return q, self.base.manifold.projection(q, vec.add(x[1], v[1]))
+
+    def preimage(self, x: Pair, y: Pair) -> Pair:
+        """The inverse by the inverse of the base; the part along the fibre solves linear equations."""
+        base, manifold = self.base.manifold, self.manifold
+        moved, frame, there = self.base.preimage(x[0], y[0]), base.basis(x[0]), base.basis(y[0])
+        _, tilt = manifold.lift(x, moved, jax.tree.map(jnp.zeros_like, moved))
+        matrix = jax.vmap(lambda e: vec.components(there, e), out_axes=1)(frame)
+        missing = vec.components(there, vec.subtract(y[1], vec.add(x[1], tilt)))
+        return manifold.lift(x, moved, vec.combine(frame, jnp.linalg.solve(matrix, missing)))

@@ -193,7 +193,7 @@ Projection: RetractionFamily = RetractionFamily(
         Oblique: lambda m: Columnwise(m, SphereProjection(m.column)),
         FixedRank: FixedRankProjection,
         Submanifold: lambda m: Orthographic(m, default_retraction(m.parent)),
-        VectorBundle: lambda m: BundleRetraction(default_retraction(m.base)),
+        VectorBundle: lambda m: BundleRetraction(default_retraction(m.base), m),
     },
 )
 FAMILIES = (Exponential, Projection, Cayley, Polar, QR)

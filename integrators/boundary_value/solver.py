@@ -111,7 +111,9 @@ class Solver:
     def _read(self) -> None:
         """Trace the functions as they are now."""
         if self.problem.time_dependent:
-            self._reformulation.of(1.0, None)[1]._read()
+            data = BoundaryData(None, None, 1.0, None)
+            formulation, solver = self._reformulation.of(data.horizon, data.parameters)
+            solver._transcription.trace(formulation.parameters(data))
         else:
             self._transcription.trace(None)
 

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
-from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere
+from retrax.integrators.problem_checks.smoothness.step_primitives import with_margins
+from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Exponential, Gauss, Projection
 
 from .test_passed_jumps import beyond
@@ -313,3 +314,17 @@ def test_phases_are_what_the_message_says():
     ended = solve_phases([phase._replace(problem=jumping, duration=0.5) for phase in (first, last)], throw=False)
     assert not ended.success
     assert "running_cost jumps by" in ended.result
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_small_rotation_passes_no_step_of_its_logarithm(seed):
+    """Steps of the branch for large rotations would else be searched along every trajectory."""
+    retraction, axis = Exponential(SO(3)), np.random.default_rng(seed).normal(size=3)
+
+    def margins(angle):
+        turned = retraction(jnp.eye(3), hat(angle * axis / np.linalg.norm(axis)))
+        return with_margins(lambda a: jnp.ravel(retraction.preimage(jnp.eye(3), a)), turned)[1].values
+
+    sides = np.asarray(jax.vmap(margins)(np.linspace(-0.09, 0.09, 20))) >= 0
+    assert sides.size > 0
+    np.testing.assert_array_equal(sides, np.broadcast_to(sides[:1], sides.shape))

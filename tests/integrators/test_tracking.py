@@ -81,6 +81,12 @@ def test_following_a_solution_costs_nothing_and_has_its_controls():
     np.testing.assert_allclose(found.states[0], solution.states[0], rtol=0, atol=1e-9)
 
 
+def test_a_solver_of_a_problem_with_explicit_time_is_made_before_its_first_solve():
+    timed = rx.OptimalControlProblem(LINE, lambda q, u, t: u, lambda q, u, t: u @ u / 2 + t, 1, time_dependent=True)
+    found = solver_of(timed).solve([0.0], [1.0], 2.0)
+    assert found.cost == pytest.approx(1 / 4 + 2)
+
+
 def test_a_table_of_a_solution_leads_near_to_it():
     problem, solution = turned()
     times = np.linspace(0, 2, 31)

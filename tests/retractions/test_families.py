@@ -39,13 +39,14 @@ MEMBERS = {
             "SO3": SOPolar,
             "ellipsoid": LevelSetProjection,
             "T*S2": BundleRetraction,
+            "TSO3": BundleRetraction,
         },
     ),
     "Cayley": (Cayley, {"R2x3": Addition, "SO3": SOCayley}),
     "Polar": (Polar, {"R2x3": Addition, "SO3": SOPolar}),
     "QR": (QR, {"R2x3": Addition, "SO3": SOQR}),
 }
-EVERY_PAIR = [(family, space) for family in MEMBERS for space in ("R2x3", "S2", "SO3", "ellipsoid", "T*S2")]
+EVERY_PAIR = [(family, space) for family in MEMBERS for space in ("R2x3", "S2", "SO3", "ellipsoid", "T*S2", "TSO3")]
 
 
 @pytest.mark.parametrize(("family", "space"), EVERY_PAIR, ids=["-".join(pair) for pair in EVERY_PAIR])

@@ -93,12 +93,12 @@ class SmoothnessAlongSolution:
         (curves, ends), given = self._pieces(solution), (solution.parameters, None)
         if not len(ends):
             return ""
-        names, search = rate_names(self.problem.with_parameters(given[0])), self._search(rates, solution, given, curves)
+        search = self._search(rates, solution, given, curves)
         seen = search.at(given, curves, ends)
         sizes, found = self._sizes(seen.values), search.crossings(given, curves, ends, seen)
         passed = largest_jump(search.jumps(found, sizes))
         if passed:
-            return self._words(passed, names[passed.entry], self.of_states, "where the trajectory passes")
+            return self._words_of_rates(passed, given[0], "where the trajectory passes")
         size = np.max(np.where(np.isfinite(seen.sizes), seen.sizes, 0.0), axis=(0, 1), initial=0.0)
         points = search.points(seen.points[:, 0])
         after = (points[2] - solution.times[0]) / np.ptp(solution.times)
@@ -110,7 +110,7 @@ class SmoothnessAlongSolution:
             step = np.concatenate([step, found.step[touches]])
             near = vec.joined([near, search.points(found.points[touches])])
         beside = self._through(rates, solution, given, near, step, (size, sizes))
-        return self._words(beside, names[beside.entry], self.of_states, BESIDE) if beside else ""
+        return self._words_of_rates(beside, given[0], BESIDE) if beside else ""
 
     def _through(
         self, function: Any, solution: Solution, given: Any, points: Any, step: np.ndarray, sizes: Any, free: Any = 1.0
@@ -166,6 +166,10 @@ class SmoothnessAlongSolution:
                 where = f"where the trajectory {('begins', 'ends')[end]}, at"
                 return self._words(jump, name if jump.entry == 0 else "boundary_constraints", steps, where)
         return ""
+
+    def _words_of_rates(self, jump: Jump, parameters: Any, where: str) -> str:
+        name = rate_names(self.problem.with_parameters(parameters))[jump.entry]
+        return self._words(jump, name, self.of_states, where)
 
     def _words(self, jump: Jump, name: str, steps: list[str], where: str) -> str:
         state, _, time = jump.point

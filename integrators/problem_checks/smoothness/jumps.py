@@ -199,7 +199,7 @@ class JumpSearch:
 def few_of_each(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of marks, not more than a few of each column."""
     found = [np.zeros((2, 0), int)]
-    for column in range(marks.shape[1]):
+    for column in np.flatnonzero(np.any(marks, axis=0)):
         rows = np.flatnonzero(marks[:, column])
         rows = rows[np.unique(np.linspace(0, len(rows) - 1, min(len(rows), MOST_OF_EACH)).astype(int))]
         found.append(np.stack([rows, np.full(len(rows), column)]))
