@@ -25,13 +25,13 @@ from .control_probing import (
     ControlProbe,
     FlatDirection,
     along_lines,
-    failure_words,
     find_bend,
     find_flat_directions,
     kink_words,
     probe,
     undefined_words,
 )
+from .function_failures import failure_words
 from .requirements import require_values
 from .smoothness.derivative_check import require_correct_derivatives
 from .smoothness.problem_jumps import require_no_jumps

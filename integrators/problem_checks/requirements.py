@@ -19,8 +19,8 @@ from ...retractions import CollocationMethod, DiscretizationMap, Retraction
 from ...tracing import trace_program
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..reporting.text import brief
-from .control_probing import failure_words
 from .control_use import warn_of_broadcast
+from .function_failures import failure_words
 
 RETRACTED = 1e-4  # relative: less is rounding of a retraction by iterations or in single precision
 
