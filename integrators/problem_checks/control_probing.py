@@ -15,6 +15,7 @@ from ...manifolds.numerics.precision import working_precision
 from ...manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout
+from ..reporting.text import in_line
 
 CURVATURES = 3  # random controls and covectors at which second derivatives are looked at
 PROBE_SIZE = 0.3  # size of the coordinates of these controls around the resting one
@@ -263,15 +264,16 @@ def undefined_words(words: Sequence[str], probed: ControlProbe, q: Ambient) -> s
     are."""
     first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
     u, size = vec.taken(probed.controls, first), probed.sizes[first]
+    where = f"at q = {in_line(q)}, u = {in_line(u)}"
     if not np.all(np.isfinite((size, *probed.costs))):
         return (
-            f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
+            f"the problem's functions are not finite {where}: size of the velocity {size:.3g}, running and "
             f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there, or pass a guess, or "
             "control_bounds, where they are finite"
         )
     if not np.all(np.isfinite(probed.slopes[0])):
         return (
-            f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}, where the search "
+            f"the problem's functions have no finite derivative by the controls {where}, where the search "
             "begins; try functions that are smooth there, such as u @ u or sqrt(u @ u + 1e-6) instead of sqrt(u @ u), "
             "or pass a guess with other controls"
         )
@@ -279,7 +281,7 @@ def undefined_words(words: Sequence[str], probed: ControlProbe, q: Ambient) -> s
         if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
             what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
             return (
-                f"{name} {what} at q = {q}, u = {u}, where "
+                f"{name} {what} {where}, where "
                 f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in "
                 "place of sqrt(u @ u) - a"
             )
