@@ -1,17 +1,22 @@
 """Checks of a solution that its conditions do not show: jumps that it passes, controls that nothing determines."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from typing import Any, TypeVar, final
 
+import jax
 import numpy as np
 
 from ....manifolds import Euclidean
 from ....tracing import one_tracing
+from ...problem.free_quantities import is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.smoothness.derivative_check import DerivativeCheck
 from ...reporting.results import reasons, sentence
 from ..inputs.arguments import structure_of
 from ..inputs.boundary_data import PrescribedEnd
+from ..inputs.inputs import Inputs
 from ..solution.diagnostics import RegularChecks
 from ..solution.record import Solution
 from .constraint_qualification import ConstraintQualification
@@ -97,14 +102,14 @@ class Audit:
 
     def _describe_dependent_constraints(self, solution: Solution) -> str:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
-        return next(filter(None, (own(solution) for own in self._qualifications(solution))), "")
+        return next(filter(None, (own(solution) for own in self._qualifications(solution.parameters))), "")
 
     def _outside(self, solution: Solution, ends: tuple[PrescribedEnd, PrescribedEnd]) -> str:
         """A sentence on a constraint of the states that an end violates."""
         fixed = _prescription_mask(ends) if self._named else np.zeros(0)
         if not np.any(fixed):
             return ""
-        for own in self._qualifications(solution):
+        for own in self._qualifications(solution.parameters):
             names, excess = own.at_ends(solution, fixed)
             for end, over in zip(("start", "end"), excess, strict=True):
                 if np.max(over, initial=0.0) > 0:
@@ -112,11 +117,25 @@ class Audit:
                     return _outside_words(end, names[worst], float(over[worst]), own.at_nodes)
         return ""
 
-    def _qualifications(self, solution: Solution) -> list[ConstraintQualification]:
+    def without_vain_restarts(self, inputs: Inputs) -> Inputs:
+        """The inputs, without restarts if a prescribed end violates a constraint; found out after a failed search."""
+        restarts = cache(lambda: not self.ends_are_outside(inputs))
+        return replace(inputs, options=inputs.options._replace(restarts=restarts))
+
+    def ends_are_outside(self, inputs: Inputs) -> bool:
+        """Whether a prescribed end violates a constraint of the states, which no search can change."""
+        given, fixed = inputs.given, _prescription_mask(inputs.ends.prescribed)
+        moving = (given.parameters, given.horizon) if self.problem.time_dependent else given.parameters
+        if not (self._named and np.any(fixed)) or any(map(is_free, jax.tree.leaves(moving, is_leaf=is_free))):
+            return False
+        with one_tracing(), np.errstate(all="ignore"):
+            return any(own.is_violated(inputs, fixed) for own in self._qualifications(inputs.known.parameters))
+
+    def _qualifications(self, parameters: Any) -> list[ConstraintQualification]:
         """The qualifications of the constraints at the stages and at the nodes, if there are such constraints."""
         limits = self.problem._limits
         kinds = [at_nodes for at_nodes, names in ((False, limits.names), (True, limits.node_names)) if names]
-        return [self._once(ConstraintQualification, solution.parameters, at_nodes) for at_nodes in kinds]
+        return [self._once(ConstraintQualification, parameters, at_nodes) for at_nodes in kinds]
 
     def applies(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""

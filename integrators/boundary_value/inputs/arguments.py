@@ -51,7 +51,8 @@ class Options(NamedTuple):
     tolerance: float
     max_iterations: int
     callback: Callable[[Iteration], Any] | None
-    restarts: bool = True  # whether more searches follow if the search from the guess finds no minimum
+    # Whether more searches follow; asked if the search from the guess finds no minimum.
+    restarts: Callable[[], bool] = lambda: True
 
     @classmethod
     def of(cls, tolerance: float | None, max_iterations: int, callback: Any = None, verbose: bool = False) -> "Options":

@@ -28,7 +28,7 @@ def search_all(problem: LinkedPhases, guess: LinkedIterate, options: Options, wa
 
     def run(k: int) -> SearchRecord:
         member = MemberSearch(problem, guess, k, (options.tolerance, options.max_iterations), watch)
-        return search_member(member) if options.restarts else member.from_guess()
+        return search_member(member, options.restarts)
 
     count = len(guess.parts[0].costates)
     if count == 1 or watch.callback is not None:
@@ -36,11 +36,14 @@ def search_all(problem: LinkedPhases, guess: LinkedIterate, options: Options, wa
     return each_in_threads(run, count, watch.stop)
 
 
-def search_member(member: MemberSearch) -> SearchRecord:
-    """The result of the search from the guess of a member, or of the best restart."""
+def search_member(member: MemberSearch, more: Callable[[], bool] = lambda: True) -> SearchRecord:
+    """The result of the search from the guess of a member, or of the best restart.
+
+    ``more``: whether there are restarts, asked where the search finds no minimum.
+    """
     found = first = member.from_guess()
     for restart in RESTARTS:
-        if member.watch.stopped or (found.facts.claimed and found.facts.strict):
+        if member.watch.stopped or (found.facts.claimed and found.facts.strict) or not more():
             break
         try:
             found = restart(member, first, found)
