@@ -133,7 +133,7 @@ def test_a_norm_at_rest_is_named_with_its_place(part, words):
     found = solve(problem, np.zeros(2), np.zeros(2), 1.0, method=Midpoint(Addition(plane)), steps=4, throw=False)
     assert not found.success
     assert words in found.result
-    assert "sqrt(x @ x + 1e-6) in place of norm(x)" in found.result
+    assert "sqrt(x @ x + 1e-6) instead of norm(x)" in found.result
 
 
 @pytest.mark.parametrize("stages", [2, 3])
@@ -152,5 +152,5 @@ def test_a_limit_of_a_norm_at_rest_is_named_at_once(limits, name, stages):
     assert not found.success
     assert found.statistics.iterations <= 10
     assert f"{name} has no finite derivative by the states at q = [" in found.result
-    assert "x @ x - a**2 in place of norm(x) - a" in found.result
+    assert "x @ x - a**2 instead of norm(x) - a" in found.result
     assert "\n" not in found.result
