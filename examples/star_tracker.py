@@ -182,8 +182,8 @@ turn = Rotation.from_matrix(many.states[0][0].mT @ attitudes[0]).as_rotvec()
 axes[1].plot(found.t, np.rad2deg(turn) * 3600, label=["x", "y", "z"])
 band = np.sqrt(np.diagonal(covariance.states[:, :3, :3], axis1=1, axis2=2) / 2)
 largest = 3 * np.rad2deg(band.max(axis=1)) * 3600
-band = {"color": "k", "alpha": 0.15, "label": "3 sigma"}
-axes[1].fill_between(found.t, -largest, largest, **band)
+shade = {"color": "k", "alpha": 0.15, "label": "3 sigma"}
+axes[1].fill_between(found.t, -largest, largest, **shade)
 axes[1].set(xlabel="time [s]", ylabel="attitude error [arcsec]")
 axes[1].legend(ncols=4, loc="upper center")
 

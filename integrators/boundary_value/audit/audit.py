@@ -170,8 +170,10 @@ class Audit:
         return " ".join(sentence for sentence, places in words.items() if places)
 
     def _intervals(self, solution: Solution, marked: np.ndarray) -> list[str]:
-        """The entries of the control that are marked along more than a switch, with the times; ``marked``: ``(N s,
-        m)``."""
+        """The entries of the control that are marked along more than a switch, with the times.
+
+        ``marked``: the stages of each entry, shape ``(N s, m)``.
+        """
         names = [name for quantity in self.problem.quantities.controls for name in quantity.columns]
         stages, found = len(marked) // solution.steps, []
         for entry in np.flatnonzero(np.any(marked, axis=0)):
@@ -182,10 +184,9 @@ class Audit:
         return found
 
     def _flat(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-        """At which stages the Hamiltonian, with the constraints, does not depend on an entry of the control, ``(N s,
-        m)``; and at which of the stages that a constraint holds such an entry chatters.
+        """The stages at which the Hamiltonian does not depend on an entry of the control, and those at which it chatters.
 
-        Along a singular arc on which the control chatters, also the stages at which it is at a bound.
+        Both have the shape ``(N s, m)``. Chattering counts at stages at which a constraint holds the trajectory. Along a singular arc on which the control chatters, also the stages at which it is at a bound.
         """
         limits, controls = self.problem._limits, self.problem.controls
         if not (limits.along and isinstance(controls, Euclidean)):
