@@ -184,9 +184,10 @@ class Audit:
         return found
 
     def _flat(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-        """The stages at which the Hamiltonian does not depend on an entry of the control, and those at which it chatters.
+        """The stages with a Hamiltonian that does not depend on an entry of the control, and the stages with chattering.
 
-        Both have the shape ``(N s, m)``. Chattering counts at stages at which a constraint holds the trajectory. Along a singular arc on which the control chatters, also the stages at which it is at a bound.
+        Both have the shape ``(N s, m)``. Chattering counts where a constraint holds the trajectory. Along a singular
+        arc on which the control chatters, the first also has the stages at which the control is at a bound.
         """
         limits, controls = self.problem._limits, self.problem.controls
         if not (limits.along and isinstance(controls, Euclidean)):
