@@ -184,7 +184,7 @@ class Audit:
         return found
 
     def _flat(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-        """The stages with a Hamiltonian that does not depend on an entry of the control, and the stages with chattering.
+        """The stages with a Hamiltonian that is independent of an entry of the control, and the stages with chattering.
 
         Both have the shape ``(N s, m)``. Chattering counts where a constraint holds the trajectory. Along a singular
         arc on which the control chatters, the first also has the stages at which the control is at a bound.
