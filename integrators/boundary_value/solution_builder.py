@@ -14,7 +14,7 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.path_constraints import LOWER, UPPER
 from ..problem.point_layout import PointLayout
 from ..problem.quantities import Quantities
-from ..problem_checks.requirements import tangent_space_words
+from ..problem_checks.requirements import leaving_words
 from ..reporting.results import sentence
 from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
 from .audit.status import Status, concave_status, termination_statuses
@@ -87,10 +87,10 @@ class ExtremalRecords:
         worst: Any = np.unravel_index(np.nanargmax(normal), normal.shape)
         states, controls, _ = self._stages
         q, u = self._of.state.points(states[worst]), self._of.control.points(controls[worst])
-        where = tangent_space_words(inputs.problem_of(int(worst[0])), q, u, self._of.names_for_user)
+        where = leaving_words(inputs.problem_of(int(worst[0])), q, u, self._of.names_for_user)
         raise NotOnManifoldError(
-            f"dynamics leaves {where} along the trajectory: its relative normal part reaches {normal[worst]:.3g}, "
-            "expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
+            f"dynamics leaves the tangent space of {where} along the trajectory: its relative normal part reaches "
+            f"{normal[worst]:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
         )
 
     def member(self, k: int) -> Solution:

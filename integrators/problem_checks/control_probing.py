@@ -264,16 +264,16 @@ def undefined_words(words: Sequence[str], probed: ControlProbe, q: Ambient) -> s
     are."""
     first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
     u, size = vec.taken(probed.controls, first), probed.sizes[first]
-    where = f"at q = {in_line(q)}, u = {in_line(u)}"
+    point = f"{in_line(q)}, u = {in_line(u)}"
     if not np.all(np.isfinite((size, *probed.costs))):
         return (
-            f"the problem's functions are not finite {where}: size of the velocity {size:.3g}, running and "
+            f"the problem's functions are not finite at q = {point}: size of the velocity {size:.3g}, running and "
             f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there, or pass a guess, or "
             "control_bounds, where they are finite"
         )
     if not np.all(np.isfinite(probed.slopes[0])):
         return (
-            f"the problem's functions have no finite derivative by the controls {where}, where the search "
+            f"the problem's functions have no finite derivative by the controls at q = {point}, where the search "
             "begins; try functions that are smooth there, such as u @ u or sqrt(u @ u + 1e-6) instead of sqrt(u @ u), "
             "or pass a guess with other controls"
         )
@@ -281,7 +281,7 @@ def undefined_words(words: Sequence[str], probed: ControlProbe, q: Ambient) -> s
         if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
             what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
             return (
-                f"{name} {what} {where}, where "
+                f"{name} {what} at q = {point}, where "
                 f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in "
                 "place of sqrt(u @ u) - a"
             )

@@ -65,8 +65,8 @@ def require_values(problem: OptimalControlProblem) -> ClosedJaxpr:
     return program
 
 
-def tangent_space_words(problem: OptimalControlProblem, q: Ambient, u: Ambient, names: Quantities) -> str:
-    """The tangent space that the dynamics leaves at ``(q, u)``: of the manifold, or of the factor with the largest
+def leaving_words(problem: OptimalControlProblem, q: Ambient, u: Ambient, names: Quantities) -> str:
+    """The manifold whose tangent space the dynamics leaves at ``(q, u)``; of a product the factor with the largest
     normal part, by its label."""
     manifold, velocity, found = problem.manifold, problem.velocity(q, u), ""
     while isinstance(manifold, Product):
@@ -74,7 +74,7 @@ def tangent_space_words(problem: OptimalControlProblem, q: Ambient, u: Ambient, 
         worst = int(np.argmax([vec.size(part) for part in normal]))
         found = f"{names.factors(len(manifold.factors))[worst]}, "
         manifold, q, velocity = manifold.factors[worst], q[worst], velocity[worst]
-    return f"the tangent space of {found}{manifold}"
+    return f"{found}{manifold}"
 
 
 def require_same_manifold(problem: OptimalControlProblem, method: DiscretizationMap | CollocationMethod) -> None:
