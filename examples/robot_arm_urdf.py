@@ -125,7 +125,7 @@ axes[0].plot(times, torques / most, label=names)
 axes[1].plot(times, rates / fastest)
 axes[0].set_ylabel("torque / largest torque")
 axes[1].set(ylabel="rate / largest rate", xlabel="time [s]")
-axes[0].legend(ncols=4)
+figure.legend(ncols=4, loc="outside upper center")  # beside the curves
 
 
 # %%

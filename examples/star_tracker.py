@@ -172,17 +172,20 @@ for node in (0, STEPS // 2, STEPS):
     normalized.append(squares)
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
-axes[0].hist(np.concatenate(normalized), bins=40, density=True, alpha=0.6)
+squares = np.concatenate(normalized)
+axes[0].hist(squares, bins=40, density=True, alpha=0.6, label="estimates")
 values = np.linspace(0.0, 30.0, 200)
 axes[0].plot(values, chi2(9).pdf(values), "k", label="chi-squared")
 axes[0].set(xlabel="squares of errors over covariance", ylabel="density")
 axes[0].legend()
 turn = Rotation.from_matrix(many.states[0][0].mT @ attitudes[0]).as_rotvec()
-axes[1].plot(found.t, np.rad2deg(turn) * 3600)
+axes[1].plot(found.t, np.rad2deg(turn) * 3600, label=["x", "y", "z"])
 band = np.sqrt(np.diagonal(covariance.states[:, :3, :3], axis1=1, axis2=2) / 2)
 largest = 3 * np.rad2deg(band.max(axis=1)) * 3600
-axes[1].fill_between(found.t, -largest, largest, color="k", alpha=0.15)
-axes[1].set(xlabel="time [s]", ylabel="attitude error [arcsec], 3 sigma")
+shade = {"color": "k", "alpha": 0.15, "label": "3 sigma"}
+axes[1].fill_between(found.t, -largest, largest, **shade)
+axes[1].set(xlabel="time [s]", ylabel="attitude error [arcsec]")
+axes[1].legend(ncols=4, loc="upper center")
 
 # sphinx_gallery_start_ignore
 if "__file__" in globals():  # python examples/NAME.py [--output FOLDER]

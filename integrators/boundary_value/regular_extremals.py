@@ -63,7 +63,7 @@ def search_all(problem: LinkedPhases, guess: LinkedIterate, options: Options, wa
 
     def run(k: int) -> SearchRecord:
         member = MemberSearch(problem, guess, k, (options.tolerance, options.max_iterations), watch)
-        return search_member(member) if options.restarts else member.from_guess()
+        return search_member(member, options.restarts)
 
     count = len(guess.parts[0].costates)
     if count == 1 or watch.callback is not None:

@@ -7,17 +7,18 @@ from typing import Any, final
 import jax
 import numpy as np
 
+from ...manifolds import NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.precision import default_tolerance
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.path_constraints import LOWER, UPPER
 from ..problem.point_layout import PointLayout
 from ..problem.quantities import Quantities
+from ..problem_checks.requirements import leaving_words
 from ..reporting.result_sentences import sentence
 from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
 from .audit.status import Status, concave_status, rounded_end_status, termination_statuses
 from .audit.unmoved_entries import rounding_of_controls, unmoved_words
-from .inputs.arguments import require_tangent_dynamics
 from .inputs.inputs import Inputs
 from .solution.diagnostics import RegularChecks, Statistics, figures
 from .solution.interpolation import Interpolant
@@ -65,8 +66,8 @@ class ExtremalRecords:
         self._at_nodes = diagnosis.at_nodes(found.nodes, found.costates)
         self._stages = found.at_stages(self._at_nodes.costates)
         self._along = diagnosis.along(self._stages, data.parameters)
-        require_tangent_dynamics(builder.problem, float(np.fmax.reduce(self._along.normal, axis=None)))
         self._times, self._stage_times = _times(data.steps, builder.stages)
+        self._require_tangent_dynamics(inputs)
         self._held = None if found.inequalities is None else found.inequalities.active
         self._statuses = self._statuses_of(inputs.options.tolerance)
         self._active = _active(transcribed, self._held)
@@ -76,6 +77,21 @@ class ExtremalRecords:
         if builder.problem.node_cost is not None or builder.problem.sampling is not None:
             find = partial(_between_nodes, find)
         self._later = _LaterDiagnostics(find, self._active if builder.constrained else [])
+
+    def _require_tangent_dynamics(self, inputs: Inputs) -> None:
+        """Raise if the dynamics leaves the tangent spaces along a trajectory; at the first point it was checked
+        before."""
+        normal = self._along.normal
+        if not np.fmax.reduce(normal, axis=None) > default_tolerance():
+            return
+        worst: Any = np.unravel_index(np.nanargmax(normal), normal.shape)
+        states, controls, _ = self._stages
+        q, u = self._of.state.points(states[worst]), self._of.control.points(controls[worst])
+        where = leaving_words(inputs.problem_of(int(worst[0])), q, u, self._of.names_for_user)
+        raise NotOnManifoldError(
+            f"dynamics leaves the tangent space of {where} along the trajectory: its relative normal part reaches "
+            f"{normal[worst]:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
+        )
 
     def member(self, k: int) -> Solution:
         """The record of a member."""

@@ -217,7 +217,7 @@ class Solver:
 
     def _solve(self, inputs: Inputs) -> Solution:
         """The extremal of the inputs, audited."""
-        return self._with_audit(self._find(inputs), inputs)
+        return self._with_audit(self._find(self._audit.without_vain_restarts(inputs)), inputs)
 
     def _find(self, inputs: Inputs) -> Solution:
         """The extremal of the inputs, with only the first-order conditions evaluated."""

@@ -29,11 +29,16 @@ ENDS = (
     "conditions on the ends are start and end of solve, with None or Free(guess) for what is free, and of "
     'OptimalControlProblem boundary_constraints={"name": function} of (q_0, q_T) that is zero where they hold'
 )
+LABELS = (
+    'names belong to OptimalControlProblem: labels={"states": ("position", "speed"), "controls": ("force",)}, and '
+    "units likewise"
+)
 OF_ENDS, CONDITIONS = ("terminal", "final", "end", "initial", "start", "boundary"), ("constraint", "condition", "equal")
 ACCURACY = "for steps that are refined until the error is small give accuracy=1e-8"
 REFINED = "_error", "error_", "refin", "mesh", "adapt"  # parts of names of what accuracy does
 # Parts of names, in the order in which they are looked for.
 ASKED_FOR = {
+    LABELS: ("names", "label"),
     BOUNDS: (
         "bound",
         "limit",
@@ -53,7 +58,8 @@ ASKED_FOR = {
     HORIZON: ("free", "horizon", "final_time", "end_time", "duration", "tf", "t_f"),
     TIME: ("time", "clock", "t0", "t"),
 }
-SYMBOLS = {"T": "horizon", "N": "steps"}  # as texts write them
+# Names in texts and in other libraries.
+NAMED_ELSEWHERE = {"T": "horizon", "N": "steps", "state_names": "labels", "control_names": "labels"}
 CLOSE = 0.75  # of a name to another one that is a slip of the pen
 SHORT = 3  # letters that a name cut short has at least
 TIMES = frozenset({"t", "time", "tau"})
@@ -75,8 +81,8 @@ def asks_for_end_condition(name: str) -> bool:
 
 def intended_name(unknown: str, names: list[str]) -> str:
     """The name that an unknown one is a slip of the pen for, or cut short of; empty if there is none."""
-    if SYMBOLS.get(unknown) in names:
-        return SYMBOLS[unknown]
+    if NAMED_ELSEWHERE.get(unknown) in names:
+        return NAMED_ELSEWHERE[unknown]
     near = get_close_matches(unknown, names, 1, CLOSE)
     if asks_for_end_condition(unknown.lower()):  # a terminal constraint is no terminal cost
         near = [name for name in near if asks_for_end_condition(name)]

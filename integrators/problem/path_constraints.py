@@ -124,15 +124,19 @@ class Inequalities(eqx.Module):
 
     def at_node(self, q: Ambient) -> Float[Array, " k"]:
         """The inequalities at a node, in order."""
-        return jnp.concatenate([jnp.zeros(0), *map(jnp.ravel, self._each_at_node(q))])
+        return jnp.concatenate([jnp.zeros(0), *self.of_nodes(q)])
 
     def of_functions(self, q: Ambient, u: Ambient) -> tuple[Array, ...]:
         """The values of each function in a row, with the functions at the nodes last."""
-        return *self.of_points(q, u), *map(jnp.ravel, self._each_at_node(q))
+        return *self.of_points(q, u), *self.of_nodes(q)
 
     def of_points(self, q: Ambient, u: Ambient) -> tuple[Array, ...]:
         """The values of each function at a point, in a row."""
         return tuple(map(jnp.ravel, self._each(q, u)))
+
+    def of_nodes(self, q: Ambient) -> tuple[Array, ...]:
+        """The values of each function at a node, in a row."""
+        return tuple(map(jnp.ravel, self._each_at_node(q)))
 
     def _each(self, q: Ambient, u: Ambient) -> list[Array]:
         named = zip(self.names, self.functions, strict=True)

@@ -1,6 +1,5 @@
 """How the functions of a problem depend on the controls, seen at a few of them: curved, flat, or kinked."""
 
-import re
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -10,14 +9,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...compute.automatic import AutomaticEvaluator
-from ...errors import FAILURES, TRACEABLE
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...manifolds.numerics.precision import working_precision
 from ...manifolds.numerics.tolerances import REGULAR, rounding_of, tolerance
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout
-from ..problem.user_functions import BoundFunction, failing_line
+from ..reporting.text import in_line
 
 CURVATURES = 3  # random controls and covectors at which second derivatives are looked at
 PROBE_SIZE = 0.3  # size of the coordinates of these controls around the resting one
@@ -255,68 +253,10 @@ def kink_words(bent: Bend, direction: np.ndarray, slopes: np.ndarray, controls: 
     )
 
 
-HINTS = {  # by parts of what an error says
-    "overloaded function": "try jax.numpy: jnp.stack([...]) in place of ca.vertcat, u @ u in place of ca.sumsqr(u)",
-    "with a sequence": "try jnp.stack([...]) of all entries, in place of np.zeros and an assignment",
-    "item assignment": "try jnp.stack([...]) of all entries, or x = x.at[0].set(...)",
-    "unsupported operand": "try an array, jnp.array([...]), in place of a list or a tuple",
-}
-
-
-IN_JAX = {  # what to write in a line that JAX cannot trace, by what is in it
-    r"\b(max|min)\(": r"jnp.\1imum in place of \1",
-    r"\bmath\.(\w+)": r"jnp.\1 in place of math.\1",
-    r"\bnp\.(\w+)": r"jnp.\1 in place of np.\1",
-    r"\b(float|int)\(": r"the number without \1(...)",
-    r"\bif\b": "jnp.where(condition, a, b) in place of if",
-}
-
-
 def _normal_size(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, Array]:
     """Sizes of the normal part of ``X(q, u)``, which is zero for dynamics on the manifold, and of ``X(q, u)``."""
     v = problem.velocity(q, u)
     return vec.size(vec.subtract(v, problem.manifold.projection(q, v))), vec.size(v)
-
-
-def failure_words(problem: OptimalControlProblem, error: Exception, q: Ambient, u: Ambient) -> str:
-    """Words on an error that a function of the problem raises at ``(q, u)``: what it is given, and what to try."""
-    shapes = [jax.tree.map(np.shape, a) for a in (q, u)]
-    reason = next(iter(str(error).splitlines()), type(error).__name__).rstrip(".")
-    functions = {name: function for name, function, _ in problem._functions()}
-    given = next((own.value for own in functions.values() if isinstance(own, BoundFunction)), None)
-    other = "try another number of controls, or index what is there"
-    if given is not None:
-        expected = jax.tree.map(np.shape, given)
-        other = f"parameters have the shapes {expected}, try other ones, another number of controls, or index them"
-    hint = next((words for part, words in HINTS.items() if part in reason), other)
-    where = failing_line(error, functions)
-    if isinstance(error, jax.errors.JAXTypeError):
-        reason, hint = f"JAX cannot trace them ({type(error).__name__})", _traceable(where.source)
-    elif not _has_velocity(problem, q, u) and _has_velocity(problem, u, q):
-        hint = "dynamics accepts (u, q): its arguments are (q, u), in this order"
-    place = f", in {where.place}" if where.place else ""
-    quoted = f', in "{where.source}"' if where.source else ""
-    return (
-        f"the problem's functions fail at a point q of {problem.manifold}, shape {shapes[0]}, and a control u of "
-        f"{problem.controls}, shape {shapes[1]}{place}: {reason}{quoted}; {hint}"
-    )
-
-
-def _traceable(source: str) -> str:
-    """Advice instead of a line that JAX cannot trace."""
-    for pattern, words in IN_JAX.items():
-        found = re.search(pattern, source)
-        if found:
-            return "try " + found.expand(words)
-    return TRACEABLE
-
-
-def _has_velocity(problem: OptimalControlProblem, *arguments: Ambient) -> bool:
-    try:
-        jax.eval_shape(problem.velocity, *arguments)
-    except FAILURES:
-        return False
-    return True
 
 
 def undefined_words(words: Sequence[str], probed: ControlProbe, q: Ambient) -> str:
@@ -324,15 +264,16 @@ def undefined_words(words: Sequence[str], probed: ControlProbe, q: Ambient) -> s
     are."""
     first = int(np.argmin(np.isfinite(probed.sizes)))  # the control that was asked for if all are
     u, size = vec.taken(probed.controls, first), probed.sizes[first]
+    point = f"{in_line(q)}, u = {in_line(u)}"
     if not np.all(np.isfinite((size, *probed.costs))):
         return (
-            f"the problem's functions are not finite at q = {q}, u = {u}: size of the velocity {size:.3g}, running and "
+            f"the problem's functions are not finite at q = {point}: size of the velocity {size:.3g}, running and "
             f"terminal cost {probed.costs[0]:.3g} and {probed.costs[1]:.3g}; check them there, or pass a guess, or "
             "control_bounds, where they are finite"
         )
     if not np.all(np.isfinite(probed.slopes[0])):
         return (
-            f"the problem's functions have no finite derivative by the controls at q = {q}, u = {u}, where the search "
+            f"the problem's functions have no finite derivative by the controls at q = {point}, where the search "
             "begins; try functions that are smooth there, such as u @ u or sqrt(u @ u + 1e-6) instead of sqrt(u @ u), "
             "or pass a guess with other controls"
         )
@@ -340,7 +281,7 @@ def undefined_words(words: Sequence[str], probed: ControlProbe, q: Ambient) -> s
         if not (np.all(np.isfinite(values)) and np.all(np.isfinite(slopes))):
             what = "is not finite" if not np.all(np.isfinite(values)) else "has no finite derivative by the controls"
             return (
-                f"{name} {what} at q = {q}, u = {u}, where "
+                f"{name} {what} at q = {point}, where "
                 f"its values are {values}; try a function that is smooth also where it is positive, as u @ u - a**2 in "
                 "place of sqrt(u @ u) - a"
             )

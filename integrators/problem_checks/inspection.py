@@ -25,14 +25,14 @@ from .control_probing import (
     ControlProbe,
     FlatDirection,
     along_lines,
-    failure_words,
     find_bend,
     find_flat_directions,
     kink_words,
     probe,
     undefined_words,
 )
-from .requirements import require_values
+from .function_failures import failure_words
+from .requirements import leaving_words, require_values
 from .smoothness.derivative_check import require_correct_derivatives
 from .smoothness.problem_jumps import require_no_jumps
 
@@ -103,10 +103,11 @@ class Inspection:
             raise InvalidInputError(self.undefined)
         normal, size = np.max(self._probed.normals), np.max(self._probed.sizes)
         if not normal <= default_tolerance() * (1 + size):
+            u = vec.taken(self._probed.controls, int(np.argmax(self._probed.normals)))
+            where = leaving_words(self.problem, self.q, u, self.problem.quantities)
             raise NotOnManifoldError(
-                f"dynamics leaves the tangent space of {self.problem.manifold}: its normal part is {normal:.3g} (size "
-                f"of the velocity {size:.3g}), expected 0; return a tangent vector, for instance "
-                "manifold.projection(q, ...) of it"
+                f"dynamics leaves the tangent space of {where}: its normal part is {normal:.3g} (size of the velocity "
+                f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"
             )
 
     def require_smooth(self) -> None:

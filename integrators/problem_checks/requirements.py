@@ -11,16 +11,17 @@ from jax.extend.core import ClosedJaxpr
 
 from ...errors import FAILURES
 from ...index_bounds import require_indices
-from ...manifolds import InvalidInputError, RetraxError
+from ...manifolds import InvalidInputError, Product, RetraxError
 from ...manifolds.bundles import same_manifold
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import CollocationMethod, DiscretizationMap, Retraction
 from ...tracing import trace_program
 from ..problem.optimal_control_problem import OptimalControlProblem
+from ..problem.quantities import Quantities
 from ..reporting.text import brief
-from .control_probing import failure_words
 from .control_use import warn_of_broadcast
+from .function_failures import failure_words
 
 RETRACTED = 1e-4  # relative: less is rounding of a retraction by iterations or in single precision
 
@@ -62,6 +63,18 @@ def require_values(problem: OptimalControlProblem) -> ClosedJaxpr:
     require_indices(program, "a function of the problem")
     warn_of_broadcast(program)
     return program
+
+
+def leaving_words(problem: OptimalControlProblem, q: Ambient, u: Ambient, names: Quantities) -> str:
+    """The manifold whose tangent space the dynamics leaves at ``(q, u)``; of a product the factor with the largest
+    normal part, by its label."""
+    manifold, velocity, found = problem.manifold, problem.velocity(q, u), ""
+    while isinstance(manifold, Product):
+        normal = vec.subtract(velocity, manifold.projection(q, velocity))
+        worst = int(np.argmax([vec.size(part) for part in normal]))
+        found = f"{names.factors(len(manifold.factors))[worst]}, "
+        manifold, q, velocity = manifold.factors[worst], q[worst], velocity[worst]
+    return f"{found}{manifold}"
 
 
 def require_same_manifold(problem: OptimalControlProblem, method: DiscretizationMap | CollocationMethod) -> None:

@@ -31,11 +31,16 @@ def plural(count: int, noun: str) -> str:
     return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
+def in_line(value: object) -> str:
+    """The text of a value, such as a tuple of arrays, without line breaks."""
+    return " ".join(str(value).split())
+
+
 def brief(value: object) -> str:
     """A value on one line, as messages show what came: a long array by its shape, other values cut after 80
     characters."""
     shape = getattr(value, "shape", None)
     if isinstance(shape, tuple) and prod(shape) > MOST_SHOWN_ENTRIES:
         return f"an array of shape {shape}"
-    text = " ".join(repr(value).split())
+    text = in_line(repr(value))
     return text if len(text) <= LONGEST_VALUE else f"{text[:LONGEST_VALUE]}..."

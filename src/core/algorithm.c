@@ -238,6 +238,9 @@ static retrax_search_status status_of(const retrax_search *search) {
     if (search->done) {
         return search->claimed ? RETRAX_CONVERGED : RETRAX_SINGULAR;
     }
+    if (isnan(RESIDUAL(search->at, STATIONARITY))) {
+        return RETRAX_SINGULAR; /* a derivative is undefined here, and any step from here with it */
+    }
     if ((!step->finite || step->regularisation >= RETRAX_LARGEST_REGULARISATION) && !retrax_is_not_yet_elastic(search)) {
         return RETRAX_SINGULAR;
     }

@@ -30,6 +30,7 @@ def require_costs(problem: OptimalControlProblem, fixed: tuple[bool, ...] = ()) 
 
 
 CART = OptimalControlProblem(PLANE, cart, effort, 1)
+LABELS = "names belong to OptimalControlProblem: labels=|did you mean labels"
 BOUNDS, TIME = "bounds belong to OptimalControlProblem", "time_dependent=True"
 ENDS = r"conditions on the ends are start and end of solve, .* boundary_constraints="
 HORIZON = r"for a free one give horizon=Free\(guess\)"
@@ -41,6 +42,7 @@ HORIZON = r"for a free one give horizon=Free\(guess\)"
         *((name, BOUNDS) for name in ("bounds", "control_bounds", "u_max", "umin", "upper", "path_constraints")),
         *((name, HORIZON) for name in ("free_horizon", "free_time", "final_time", "tf", "duration")),
         *((name, TIME) for name in ("time", "t0", "t")),
+        *((name, LABELS) for name in ("state_names", "control_names", "names", "state_labels")),
         *((name, "refined until the error is small give accuracy=1e-8") for name in ("tolerance_error", "mesh")),
         *((name, ENDS) for name in ("terminal_constraint", "final_condition", "boundary_constraints")),
         *((name, r"did you mean tolerance\?") for name in ("toleranse", "tol")),
@@ -49,10 +51,10 @@ HORIZON = r"for a free one give horizon=Free\(guess\)"
     ],
 )
 def test_an_option_that_does_not_exist_is_answered(name, words):
-    with pytest.raises(InvalidInputError, match=rf"^solve has no option '{name}', expected one of .*{words}"):
+    with pytest.raises(InvalidInputError, match=rf"^solve has no option '{name}', expected one of .*({words})"):
         solve(CART, REST, AHEAD, 1.0, method=MIDPOINT, steps=4, **{name: 1})
-    if words == BOUNDS and name not in ("control_bounds", "path_constraints"):
-        with pytest.raises(InvalidInputError, match=rf"^OptimalControlProblem has no option '{name}', .*{words}"):
+    if words in (BOUNDS, LABELS) and name not in ("control_bounds", "path_constraints"):
+        with pytest.raises(InvalidInputError, match=rf"^OptimalControlProblem has no option '{name}', .*({words})"):
             OptimalControlProblem(PLANE, cart, effort, 1, **{name: (-1, 1)})
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from retrax.integrators import Guess, OptimalControlProblem, Solution, Solver, solve
 from retrax.manifolds import ConvergenceError, Euclidean, Sphere
-from retrax.retractions import Addition, Exponential, Midpoint
+from retrax.retractions import Addition, Exponential, Gauss, Midpoint
 
 from .problems import half_square
 
@@ -133,4 +133,24 @@ def test_a_norm_at_rest_is_named_with_its_place(part, words):
     found = solve(problem, np.zeros(2), np.zeros(2), 1.0, method=Midpoint(Addition(plane)), steps=4, throw=False)
     assert not found.success
     assert words in found.result
-    assert "as sqrt(x @ x + 1e-6) in place of a norm" in found.result
+    assert "sqrt(x @ x + 1e-6) instead of norm(x)" in found.result
+
+
+@pytest.mark.parametrize("stages", [2, 3])
+@pytest.mark.parametrize(
+    ("limits", "name"),
+    [
+        ({"constraints": {"speed": lambda q, u: jnp.linalg.norm(q[2:]) - 2.0}}, "constraints['speed']"),
+        ({"node_constraints": {"speed": lambda q: jnp.linalg.norm(q[2:]) - 2.0}}, "node_constraints['speed']"),
+    ],
+)
+def test_a_limit_of_a_norm_at_rest_is_named_at_once(limits, name, stages):
+    """No step leads away from a point without derivatives, so each search ends where it begins."""
+    space = Euclidean(4)
+    problem = OptimalControlProblem(space, lambda q, u: jnp.concatenate([q[2:], u]), lambda q, u: u @ u, 2, **limits)
+    found = solve(problem, np.zeros(4), np.eye(4)[0], 1.0, method=Gauss(stages, Addition(space)), steps=6, throw=False)
+    assert not found.success
+    assert found.statistics.iterations <= 10
+    assert f"{name} has no finite derivative by the states at q = [" in found.result
+    assert "x @ x - a**2 instead of norm(x) - a" in found.result
+    assert "\n" not in found.result

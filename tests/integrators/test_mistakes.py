@@ -1,7 +1,10 @@
 """Mistakes of newcomers: each ends in a sentence that says what to try, in a traceback of at most eight lines."""
 
 import linecache
+import os
 import re
+import subprocess
+import sys
 import traceback
 
 import pytest
@@ -209,13 +212,33 @@ def test_a_solve_without_success_ends_in_a_sentence_and_a_few_figures(name, monk
     monkeypatch.delenv("RETRAX_TRACEBACK", raising=False)
     lines = shown(FAILURES[name])
     sentence = next(k for k, line in enumerate(lines) if "ConvergenceError: " in line)
-    assert len(lines) <= MOST_LINES + 1
+    assert len(lines) <= MOST_LINES
     assert lines[sentence].rstrip().endswith(".")
     assert re.match(r"report  +print\(error.solution\)", lines[-1])
     with pytest.raises(ConvergenceError) as raised:
         exec(FAILURES[name], dict(SPACE))
     assert not raised.value.solution.success
     assert len(str(raised.value.solution).splitlines()) > 8
+
+
+SCRIPTS = {
+    "max": MISTAKES["max"][0],
+    "quaternion": MISTAKES["quaternion"][0],
+    "an end out of reach": FAILURES["an end out of reach"],
+}
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_ends_on_the_same_lines(name, tmp_path):
+    """The interpreter marks the place in each line of a script, on a line more."""
+    (tmp_path / "setting.py").write_text(SETTING)
+    script = tmp_path / "script.py"
+    script.write_text(f"from setting import *\nfound = {SCRIPTS[name]}")
+    environment = os.environ | {"JAX_ENABLE_X64": "1", "RETRAX_TRACEBACK": ""}
+    run = subprocess.run([sys.executable, script], env=environment, capture_output=True, text=True, check=False)
+    lines = re.sub(r'  File ".*setting\.py".*\n(    .*\n)+', "", run.stderr).splitlines()
+    assert run.returncode == 1
+    assert len(lines) <= MOST_LINES, run.stderr
 
 
 @pytest.mark.parametrize("length", [1, LONGEST_VALUE, LONGEST_VALUE + 1, 10 * LONGEST_VALUE])

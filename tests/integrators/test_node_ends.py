@@ -10,10 +10,14 @@ from retrax.integrators import (
     Free,
     OptimalControlProblem,
     Phase,
+    Solver,
     default_guess,
     solve,
     solve_phases,
 )
+from retrax.integrators.boundary_value.inputs.arguments import BoundaryData, Options
+from retrax.integrators.boundary_value.inputs.inputs import Inputs
+from retrax.integrators.boundary_value.reformulations import restarts
 from retrax.manifolds import Euclidean, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction
 from scipy.spatial.transform import Rotation
@@ -105,6 +109,39 @@ def test_an_end_is_swept_across_a_ceiling_that_moves_with_the_time(method, above
     assert ("The end violates ceiling" in found.result) == (above > 1e-5)
     assert found.cost == pytest.approx(3.395, rel=2e-2)
     assert found.statistics.iterations < 25
+
+
+CEILINGS = {
+    "at stages": lambda above: {"constraints": {"ceiling": lambda q, u: q[0] - 0.3 + above}},
+    "at nodes": lambda above: {"node_constraints": {"ceiling": lambda q: q[0] - 0.3 + above}},
+}
+
+
+@pytest.mark.parametrize("place", CEILINGS)
+@pytest.mark.parametrize("above", [-0.1, -1e-3, 1e-3, 0.1])
+def test_one_search_is_enough_for_an_end_beyond_a_ceiling(place, above, monkeypatch):
+    """No search changes what is prescribed."""
+    begun, restart = list[float](), restarts.from_feasible_trajectory
+    monkeypatch.setattr(restarts, "RESTARTS", (lambda *given: begun.append(above) or restart(*given),))
+    problem = OptimalControlProblem(
+        PLANE, particle, half_square, 1, control_bounds=(-1e3, 1e3), **CEILINGS[place](above)
+    )
+    method = Gauss(2, Addition(PLANE))
+    found = solve(problem, START, np.array([0.3, -1.0]), 1.0, method=method, steps=10, throw=False)
+    assert ("The end violates ceiling" in found.result) == (not found.success) == (above > 0)
+    assert not begun
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_limit_that_a_control_can_meet_leaves_the_restarts(sign):
+    """The end alone violates the limit, at each control but those that are large enough."""
+    problem = OptimalControlProblem(
+        PLANE, particle, half_square, 1, constraints={"reach": lambda q, u: q[0] + 0.1 - sign * u[0]}
+    )
+    solver = Solver(problem, Gauss(2, Addition(PLANE)), 10)
+    given = BoundaryData(START, np.array([0.3, -1.0]), 1.0, None)
+    inputs = Inputs.of(solver._reader, given, None, Options.of(None, 100))
+    assert not solver._audit.ends_are_outside(inputs)
 
 
 def test_rounding_does_not_put_an_end_beyond_a_limit():

@@ -25,6 +25,7 @@ from retrax.integrators import (
     load_trajectory,
 )
 from retrax.integrators.boundary_value.solution.interpolation import Interpolant
+from retrax.integrators.boundary_value.solution.names_elsewhere import OFFERED
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Product
 from retrax.retractions import default_retraction
 
@@ -267,16 +268,32 @@ def test_a_file_is_written_into_a_folder_that_exists(record, tmp_path):
         record[0].save(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        *(("x", "states"), ("y", "states"), ("T", "horizon"), ("nit", "statistics.iterations")),
-        *(("state", "states"), ("control", "controls"), ("requires_success", "require_success")),
-    ],
+GUESSED = (  # names of other libraries, with what they stand for
+    *(("x", "states"), ("y", "states"), ("X", "states"), ("trajectory", "states"), ("history", "states")),
+    *(("U", "controls"), ("input", "controls"), ("inputs", "controls"), ("lam", "costates")),
+    *((name, "cost") for name in ("J", "fun", "value", "objective", "cost_value")),
+    *((name, "horizon") for name in ("T", "tf", "duration")),
+    *((name, "statistics.iterations") for name in ("nit", "niter", "n_iter", "nfev", "iterations")),
+    *(("N", "steps"), ("h", "np.diff(solution.times)"), ("dt", "np.diff(solution.times)")),
+    *(("converged", "success"), ("exitflag", "status"), ("error", "checks.error")),
+    *(("cpu_time", "statistics.run_seconds"), ("at", "solution(t)")),
 )
+MISSPELT = ("state", "states"), ("control", "controls"), ("requires_success", "require_success")
+
+
+@pytest.mark.parametrize(("name", "words"), [*GUESSED, *MISSPELT])
 def test_an_attribute_of_a_solution_is_found_by_a_similar_name(name, words):
-    with pytest.raises(AttributeError, match=rf"^a Solution has no attribute '{name}'; did you mean {words}\?$"):
+    with pytest.raises(AttributeError) as raised:
         getattr(SOLUTION, name)
+    assert str(raised.value) == f"a Solution has no attribute {name!r}; did you mean {words}?"
+
+
+@pytest.mark.parametrize("offered", OFFERED)
+def test_a_hint_names_an_attribute_that_is_there(offered):
+    """Only names that a solution does not have get a hint."""
+    expression = offered if "solution" in offered else f"solution.{offered}"
+    eval(expression.removesuffix("(t)"), {"solution": SOLUTION, "np": np})
+    assert not [name for name in OFFERED[offered] if hasattr(SOLUTION, name)]
 
 
 def test_other_attributes_of_a_solution_are_none():

@@ -160,3 +160,19 @@ def test_an_error_in_a_function_is_found_in_it():
     given = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([q[1], u.speed]), effort, 1)
     with pytest.raises(InvalidInputError, match=rf"in dynamics, line \d+ of {__file__}: .*has no attribute"):
         solve(given, REST, AHEAD, 1.0, method=MIDPOINT, steps=4)
+
+
+@pytest.mark.parametrize(
+    ("cost", "words"),
+    [
+        (lambda q, u: jnp.arctg(u[0]) ** 2, r"did you mean arctan or"),
+        (lambda q, u: jnp.matmull(u, u), r"did you mean matmul"),
+        (lambda q, u: PLANE.projekt(q, u), r"did you mean projection\?$"),
+        (lambda q, u: PLANE.norm(u) ** 2, r"its attributes are ambient, .*projection"),
+        (lambda q, u: PLANE.distance(q, q) + u @ u, r"try the squared distance .* jnp\.sum\(\(x - y\) \*\* 2\)"),
+        (lambda q, u: u.speed, "another number of controls, or index what is there$"),
+    ],
+)
+def test_an_attribute_that_is_not_there_is_answered_with_near_names(cost, words):
+    with pytest.raises(InvalidInputError, match=words):
+        solve(OptimalControlProblem(PLANE, cart, cost, 1), REST, AHEAD, 1.0, method=MIDPOINT, steps=4)

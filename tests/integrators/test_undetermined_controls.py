@@ -103,6 +103,29 @@ def test_a_singular_arc_between_bangs_is_named_with_its_interval():
             assert [float(begin), float(end)] == pytest.approx([1.0, 1.0 + width], abs=2.5 * found.horizon / 60)
 
 
+@pytest.mark.parametrize("weight", [0.0, 1e-3, 1e-1])
+@pytest.mark.parametrize("fastest", [0.4, 0.8, 2.0])
+def test_a_control_that_chatters_at_a_limit_of_the_speed_is_named(weight, fastest):
+    """The cart is faster than 0.8 only if nothing limits it; a cost of the control ends the chattering."""
+    names = {"controls": ("push",)}
+    problem = OptimalControlProblem(
+        Euclidean(2),
+        lambda q, u: jnp.stack([q[1], u[0]]),
+        lambda q, u: 1.0 + weight * u @ u,
+        1,
+        control_bounds=(-1.0, 1.0),
+        labels=names,
+        constraints={"speed": lambda q, u: q[1] - fastest},
+    )
+    method = Gauss(2, Addition(Euclidean(2)))
+    found = solve(problem, np.zeros(2), np.array([1.0, 0.0]), Free(3.0, lower=0.1), method=method, steps=20)
+    chatters = found.success and weight == 0.0 and fastest < 1.0
+    assert ("A control chatters, push from t = " in found.result) == chatters
+    if chatters:
+        begin, end = map(float, re.search(r"from t = (\S+) to (\S+), where", found.result).groups())
+        assert [begin, end] == pytest.approx([fastest, found.horizon - fastest], abs=3 * found.horizon / 20)
+
+
 @pytest.mark.parametrize("weight", [0.0, 1e-12, 1e-6, 1.0])
 def test_curvature_determines_a_control_whose_bounds_do_not_hold_it(weight):
     def price(q: Array, u: Array, weight: Array) -> Array:

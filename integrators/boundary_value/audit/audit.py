@@ -1,17 +1,22 @@
 """Checks of a solution that its conditions do not show: jumps that it passes, controls that nothing determines."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from typing import Any, TypeVar, final
 
+import jax
 import numpy as np
 
 from ....manifolds import Euclidean
 from ....tracing import one_tracing
+from ...problem.free_quantities import is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.smoothness.derivative_check import DerivativeCheck
 from ...reporting.result_sentences import reasons, sentence
 from ..inputs.arguments import structure_of
 from ..inputs.boundary_data import PrescribedEnd
+from ..inputs.inputs import Inputs
 from ..solution.diagnostics import RegularChecks
 from ..solution.record import Solution
 from .constraint_qualification import ConstraintQualification
@@ -25,6 +30,7 @@ T = TypeVar("T")
 NO_PULL = 1e-7  # of the Hamiltonian: a switching function times the room of its control that is smaller is zero
 UNSOLVED = 10.0  # times the residuals: a smaller switching function may be zero too
 SHORTEST = 2  # steps: longer ones in which it is zero throughout hold more than a switch
+CHATTER = 1e-2  # of the range of a control: a smaller move from stage to stage is no chattering
 MOST_ARCS = 3  # of one control that a sentence names, the longest
 SMALL_COST = "a small running cost of this control, such as 1e-3 * u @ u"
 MEANINGS = {
@@ -97,14 +103,15 @@ class Audit:
 
     def _describe_dependent_constraints(self, solution: Solution) -> str:
         """A sentence on constraints that do not determine their multipliers; bounds alone do."""
-        return next(filter(None, (qualification(solution) for qualification in self._qualifications(solution))), "")
+        found = (qualification(solution) for qualification in self._qualifications(solution.parameters))
+        return next(filter(None, found), "")
 
     def _outside(self, solution: Solution, ends: tuple[PrescribedEnd, PrescribedEnd]) -> str:
         """A sentence on a constraint of the states that an end violates."""
         fixed = _prescription_mask(ends) if self._named else np.zeros(0)
         if not np.any(fixed):
             return ""
-        for qualification in self._qualifications(solution):
+        for qualification in self._qualifications(solution.parameters):
             names, excess = qualification.at_ends(solution, fixed)
             for end, over in zip(("start", "end"), excess, strict=True):
                 if np.max(over, initial=0.0) > 0:
@@ -112,11 +119,25 @@ class Audit:
                     return _outside_words(end, names[worst], float(over[worst]), qualification.at_nodes)
         return ""
 
-    def _qualifications(self, solution: Solution) -> list[ConstraintQualification]:
+    def without_vain_restarts(self, inputs: Inputs) -> Inputs:
+        """The inputs, without restarts if a prescribed end violates a constraint; found out after a failed search."""
+        restarts = cache(lambda: not self.ends_are_outside(inputs))
+        return replace(inputs, options=inputs.options._replace(restarts=restarts))
+
+    def ends_are_outside(self, inputs: Inputs) -> bool:
+        """Whether a prescribed end violates a constraint of the states, which no search can change."""
+        given, fixed = inputs.given, _prescription_mask(inputs.ends.prescribed)
+        moving = (given.parameters, given.horizon) if self.problem.time_dependent else given.parameters
+        if not (self._named and np.any(fixed)) or any(map(is_free, jax.tree.leaves(moving, is_leaf=is_free))):
+            return False
+        with one_tracing(), np.errstate(all="ignore"):
+            return any(own.is_violated(inputs, fixed) for own in self._qualifications(inputs.known.parameters))
+
+    def _qualifications(self, parameters: Any) -> list[ConstraintQualification]:
         """The qualifications of the constraints at the stages and at the nodes, if there are such constraints."""
         limits = self.problem._limits
         kinds = [at_nodes for at_nodes, names in ((False, limits.names), (True, limits.node_names)) if names]
-        return [self._once(ConstraintQualification, solution.parameters, at_nodes) for at_nodes in kinds]
+        return [self._once(ConstraintQualification, parameters, at_nodes) for at_nodes in kinds]
 
     def applies(self, parameters: Any, free_horizon: bool) -> bool:
         """Whether there may be something to say of a solution with parameters of this structure."""
@@ -136,48 +157,65 @@ class Audit:
         return self._once(SmoothnessAlongSolution, parameters, timed), self._once(DerivativeCheck, parameters)
 
     def describe_undetermined_controls(self, solution: Solution) -> str:
-        """A sentence on the controls whose switching functions vanish along an interval; empty if there are none."""
-        flat = self._flat(solution)
-        if not np.any(flat):
-            return ""
+        """Sentences on the controls whose switching functions vanish along an interval; empty if there are none."""
+        flat, chattering = self._flat(solution)
+        found, at_limits = self._intervals(solution, flat), self._intervals(solution, chattering)
+        kind = "failure" if not solution.success else "minimum" if solution.checks.strict_minimum else "stationary"
+        arcs, limited = " and that of ".join(found), " and ".join(at_limits)
+        words = {
+            f"A switching function vanishes, that of {arcs}, where the conditions of first order do not determine the "
+            f"control: {MEANINGS[kind]}": found,
+            f"A control chatters, {limited}, where a constraint holds the trajectory: the control costs nothing, and "
+            f"only its mean is determined there; try {SMALL_COST}.": at_limits,
+        }
+        return " ".join(sentence for sentence, places in words.items() if places)
+
+    def _intervals(self, solution: Solution, marked: np.ndarray) -> list[str]:
+        """The entries of the control that are marked along more than a switch, with the times.
+
+        ``marked``: the stages of each entry, shape ``(N s, m)``.
+        """
         names = [name for quantity in self.problem.quantities.controls for name in quantity.columns]
-        stages, found = len(flat) // solution.steps, []
-        for entry in np.flatnonzero(np.any(flat, axis=0)):
-            for begin, end in _longest(flat[:, entry], MOST_ARCS):
+        stages, found = len(marked) // solution.steps, []
+        for entry in np.flatnonzero(np.any(marked, axis=0)):
+            for begin, end in _longest(marked[:, entry], MOST_ARCS):
                 if end - begin > SHORTEST * stages:
                     first, last = solution.times[[begin // stages, -(-end // stages)]]
-                    found.append(f"that of {names[entry]} from t = {first:.6g} to {last:.6g}")
-        if not found:
-            return ""
-        kind = "failure" if not solution.success else "minimum" if solution.checks.strict_minimum else "stationary"
-        return (
-            f"A switching function vanishes, {' and '.join(found)}, where the conditions of first order do not "
-            f"determine the control: {MEANINGS[kind]}"
-        )
+                    found.append(f"{names[entry]} from t = {first:.6g} to {last:.6g}")
+        return found
 
-    def _flat(self, solution: Solution) -> np.ndarray:
-        """At which stages the Hamiltonian, with the constraints, does not depend on an entry of the control, ``(N s,
-        m)``.
+    def _flat(self, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
+        """The stages with a Hamiltonian that is independent of an entry of the control, and the stages with chattering.
 
-        Along a singular arc on which the control chatters, also the stages at which it is at a bound.
+        Both have the shape ``(N s, m)``. Chattering counts where a constraint holds the trajectory. Along a singular
+        arc on which the control chatters, the first also has the stages at which the control is at a bound.
         """
         limits, controls = self.problem._limits, self.problem.controls
         if not (limits.along and isinstance(controls, Euclidean)):
-            return np.zeros((len(solution.stage_times), 0), bool)
+            return (np.zeros((len(solution.stage_times), 0), bool),) * 2
         checks: Any = solution.checks
         least = max(NO_PULL, UNSOLVED * max(checks.stationarity, checks.complementarity))
         flat = switching_sizes(self.problem, solution) <= least * checks.hamiltonian_size
-        flat &= ~solution.held_by(limits.every_name)[:, None]  # one that holds the trajectory may determine controls
         if not np.any(flat):
-            return flat
+            return flat, flat
         curvature = self._once(ControlCurvature, solution.parameters)(solution, solution.parameters)
         linear = curvature == 0  # exactly: no entry of the control is in the derivative
-        flat &= linear
+        held = solution.held_by(limits.every_name)[:, None]  # a constraint there may determine controls
+        flat, chattering = flat & linear & ~held, flat & linear & held & _chatters(solution.controls)
         if not (np.any(flat) and any(limits.bounded.values())):
-            return flat
+            return flat, chattering
         structure = singular_structure(self.problem, solution, linear)
         arcs = np.searchsorted(structure.times[1:-1], solution.stage_times)
-        return flat | np.asarray(structure.singular)[arcs]
+        return flat | np.asarray(structure.singular)[arcs], chattering
+
+
+def _chatters(controls: np.ndarray) -> np.ndarray:
+    """At which stages an entry of the control goes back and forth, ``(N s, m)``."""
+    rows = controls.reshape(len(controls), -1)
+    moves = np.diff(rows, axis=0)
+    large = np.abs(moves) > CHATTER * np.ptp(rows, axis=0)
+    back = large[1:] & large[:-1] & (moves[1:] * moves[:-1] < 0)
+    return np.concatenate([back[:1], back, back[-1:]]) if len(back) else np.zeros(rows.shape, bool)
 
 
 def _outside_words(end: str, limit: str, over: float, at_nodes: bool) -> str:

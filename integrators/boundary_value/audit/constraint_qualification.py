@@ -14,9 +14,12 @@ from ....compute.base import PointwiseFunction
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.tolerances import ACTIVE, EPS, HALF
 from ...problem.boundary_conditions import boundary_words
+from ...problem.initial_controls import resting_control, within_bounds
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import entry_words
 from ...problem.point_layout import PointLayout, parameter_layout
+from ...problem_checks.inspection import probes
+from ..inputs.inputs import Inputs
 from ..solution.diagnostics import RegularChecks
 from ..solution.record import Solution
 
@@ -104,18 +107,36 @@ class ConstraintQualification:
 
         ``fixed``: which coordinates of both ends are prescribed, shape ``(2, n)``; the controls are free.
         """
-        places, (states, controls, times, given) = [0, -1], self._along(solution)
-        values, slopes = self._limits(states, controls, times, given)
-        nodes = self.state.rows(solution.states, 1)[places], controls[places]
-        ends, at_ends = self._limits(*nodes, solution.times[places][:, None], given)
-        depends = np.any(np.concatenate([slopes, at_ends]) != 0, axis=0)
+        places, (*rows, times, given) = [0, -1], self._along(solution)
+        ends = self.state.rows(solution.states, 1)[places], rows[1][places], solution.times[places][:, None]
+        return self._names(solution.parameters), self._excess(ends, (*rows, times), given, fixed)
+
+    def is_violated(self, inputs: Inputs, fixed: np.ndarray) -> bool:
+        """Whether an end violates an inequality that depends on nothing free, at a few random controls."""
+        controls, start, problem = self.problem.controls, inputs.given.start_time, self.problem
+        resting = within_bounds(problem._limits, resting_control(controls))
+        random = [problem._steer(resting, move) for move in probes(problem, resting)[0]]
+        u = np.stack([self.control.rows(control, 0) for control in random])
+        q = np.concatenate([inputs.ends.start, inputs.ends.end])
+        times = np.array([[start], [start + inputs.horizons[0]]])
+        along = np.repeat(q, len(u), axis=0), np.tile(u, (2, 1)), np.repeat(times, len(u), axis=0)
+        return bool(np.any(self._excess((q, u[:2], times), along, inputs.rows, fixed)))
+
+    def _excess(
+        self, ends: tuple[np.ndarray, ...], along: tuple[np.ndarray, ...], given: np.ndarray, fixed: np.ndarray
+    ) -> np.ndarray:
+        """By how much both ends violate inequalities that depend on nothing free, compared with points along a
+        trajectory; states, controls and times."""
+        values, slopes = self._limits(*along, given)
+        at_ends, end_slopes = self._limits(*ends, given)
+        depends = np.any(np.concatenate([slopes, end_slopes]) != 0, axis=0)
         free = np.concatenate([~fixed, np.ones((2, self.problem.controls.dimension), bool)], axis=1)
         held = ~np.any(depends & free[:, None], axis=2)
-        reach = np.concatenate([np.max(np.abs(part), axis=0) for part in (states, controls)])
-        changes, _ = self._bends(*nodes, solution.times[places][:, None], reach[None], given)
-        size, changed = np.max(np.abs(np.concatenate([values, ends])), axis=0), np.max(changes, axis=0)
-        over = np.where(held & (ends > np.maximum(NEGLIGIBLE_VIOLATION * size, STATE_ROUNDING * changed)), ends, 0.0)
-        return self._names(solution.parameters), over
+        reach = np.concatenate([np.max(np.abs(part), axis=0) for part in along[:2]])
+        changes, _ = self._bends(*ends, reach[None], given)
+        size, changed = np.max(np.abs(np.concatenate([values, at_ends])), axis=0), np.max(changes, axis=0)
+        rounding = np.maximum(NEGLIGIBLE_VIOLATION * size, STATE_ROUNDING * changed)
+        return np.where(held & (at_ends > rounding), at_ends, 0.0)
 
     def _nearer(self, values: np.ndarray) -> np.ndarray:
         """Whether each inequality may hold the trajectory: of two bounds of a control, which are apart, only the nearer

@@ -1,5 +1,6 @@
 """Reasons in the functions of a problem for a solution without success."""
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -11,7 +12,14 @@ from ....manifolds.numerics.ambient import Ambient
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import imprecise
 from ...problem_checks.smoothness.kinks import find_kinks
+from ...reporting.text import in_line
 from ..solution.record import Solution
+
+UNDEFINED = "is not finite", "has no finite derivative by the states", "has no finite derivative by the controls"
+SMOOTH = (
+    "a function that is smooth there: sqrt(x @ x + 1e-6) instead of norm(x), and for a limit x @ x - a**2 instead of "
+    "norm(x) - a"
+)
 
 
 def find_reason(problem: OptimalControlProblem, solution: Solution) -> str:
@@ -22,24 +30,34 @@ def find_reason(problem: OptimalControlProblem, solution: Solution) -> str:
 
 
 def find_undefined(problem: OptimalControlProblem, solution: Solution) -> str:
-    """Words on the function that is not finite, or has no finite derivative, at the first stage where there is one."""
-    parts = {"dynamics": problem.velocity, "running_cost": problem.cost_rate}
+    """Words on the function that is not finite, or has no finite derivative, at the first stage or node with one."""
+    limits = problem._limits
 
-    def at_stage(point: tuple[Ambient, Ambient]) -> Any:
-        return [(f(*point), *(jax.jacrev(f, k)(*point) for k in (0, 1))) for f in parts.values()]
+    def along(q: Ambient, u: Ambient) -> Any:
+        return problem.velocity(q, u), problem.cost_rate(q, u), *limits.of_points(q, u)
 
-    points = solution.stage_states, solution.controls
+    names = "dynamics", "running_cost", *limits.function_words
+    count = len(names) - len(limits.node_names)
+    return _undefined_words(names[:count], along, (solution.stage_states, solution.controls)) or _undefined_words(
+        names[count:], limits.of_nodes, (solution.states,)
+    )
+
+
+def _undefined_words(names: Sequence[str], functions: Callable[..., Any], points: tuple[Ambient, ...]) -> str:
+    """Words on the first of the functions that is not finite, or has no finite derivative, at one of the points."""
+
+    def at_point(point: tuple[Ambient, ...]) -> Any:
+        return [functions(*point), *(jax.jacrev(functions, k)(*point) for k in range(len(point)))]
+
     with np.errstate(all="ignore"):
-        at_stages = evaluate_at_each(at_stage, points)
-    for k in range(len(solution.stage_times)):
-        (q, u), functions = vec.taken((points, at_stages), k)
-        for name, parts_of in zip(parts, functions, strict=True):
-            lost = [not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(part)) for part in parts_of]
-            if any(lost):
-                by = "states" if lost[1] else "controls"
-                what = "is not finite" if lost[0] else f"has no finite derivative by the {by}"
-                return (
-                    f"{name} {what} at q = {q}, u = {u}; try a function that is smooth there, as sqrt(x @ x + 1e-6) in "
-                    "place of a norm."
-                )
+        found = evaluate_at_each(at_point, points) if names else []
+    for part, what in zip(found, UNDEFINED, strict=False):
+        for name, values in zip(names, part, strict=True):
+            lost = np.any(
+                [~np.isfinite(leaf).reshape(len(leaf), -1).all(axis=1) for leaf in jax.tree.leaves(values)], 0
+            )
+            if np.any(lost):
+                point = vec.taken(points, int(np.argmax(lost)))
+                where = ", ".join(f"{symbol} = {in_line(value)}" for symbol, value in zip("qu", point, strict=False))
+                return f"{name} {what} at {where}; try {SMOOTH}."
     return ""

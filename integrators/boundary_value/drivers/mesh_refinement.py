@@ -73,6 +73,7 @@ class MeshRefinement:
         self._estimator: StepErrorEstimator | None = None
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
         self._most, self._stopped = MOST_STAGES, False
+        self.inputs = self.solver._audit.without_vain_restarts(self.inputs)
         options = self.inputs.options
         if options.callback is not None:
             self._callback = options.callback
@@ -127,7 +128,8 @@ class MeshRefinement:
     def _first(self) -> Solution:
         """The first solution, on the given mesh or, without success, a strict minimum on a coarser or a finer mesh."""
         first, fractions = self._solve(self.solver, self.inputs), self.solver.fractions
-        if first.success or self._stopped or isinstance(self.inputs.guess, Guess):  # which belongs to its mesh
+        of_mesh = isinstance(self.inputs.guess, Guess)
+        if first.success or self._stopped or of_mesh or not self.inputs.options.restarts():
             return first
         meshes, coarse = list[np.ndarray](), fractions
         while len(coarse) >= 2 * FEWEST_STEPS:
@@ -155,8 +157,9 @@ class MeshRefinement:
             solver = self._solvers[key].with_steps(steps)
         else:
             solver = self._solvers[key] = Solver(problem, self.method, steps)
-        arcs = problem is not self.problem
-        options = self._options._replace(restarts=not arcs)  # the guess of arcs is near
+        options = self._options
+        if problem is not self.problem:  # the guess of arcs is near
+            options = options._replace(restarts=lambda: False)
         inputs = replace(self.inputs, options=options)
         return self._solve(solver, inputs.again(solver._reader, given, guess))
 

@@ -7,9 +7,9 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from ....manifolds import InvalidInputError, NotOnManifoldError
+from ....manifolds import InvalidInputError
 from ....manifolds.numerics.ambient import is_count, is_finite_number
-from ....manifolds.numerics.precision import default_tolerance, working_precision
+from ....manifolds.numerics.precision import working_precision
 from ....manifolds.numerics.tolerances import SAME_TIME
 from ....retractions import CollocationMethod, DiscretizationMap
 from ...problem.free_quantities import is_free, with_guess
@@ -51,7 +51,8 @@ class Options(NamedTuple):
     tolerance: float
     max_iterations: int
     callback: Callable[[Iteration], Any] | None
-    restarts: bool = True  # whether more searches follow if the search from the guess finds no minimum
+    # Whether more searches follow; asked if the search from the guess finds no minimum.
+    restarts: Callable[[], bool] = lambda: True
 
     @classmethod
     def of(cls, tolerance: float | None, max_iterations: int, callback: Any = None, verbose: bool = False) -> "Options":
@@ -219,14 +220,4 @@ def check_singular(
         raise InvalidInputError(
             "solve finds no abnormal singular extremals, whose conditions p = 0 meets too; integrate them from a start "
             "(q0, p0)"
-        )
-
-
-def require_tangent_dynamics(problem: OptimalControlProblem, normal: float) -> None:
-    """Raise if the dynamics leaves the tangent spaces somewhere on the trajectory; at its first point it was checked
-    before."""
-    if normal > default_tolerance():
-        raise NotOnManifoldError(
-            f"dynamics leaves the tangent space of {problem.manifold} along the trajectory: its relative normal part "
-            f"reaches {normal:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
         )

@@ -74,7 +74,7 @@ class FreeQuantitySolver:
         """The solution, or without success and with a free horizon, the solution from the nearest other magnitude that
         has one."""
         horizon = inputs.given.horizon
-        if not is_free(horizon) or status.is_final(first):
+        if not is_free(horizon) or status.is_final(first) or not inputs.options.restarts():
             return first
         effort = first.statistics
         for factor in MAGNITUDES:

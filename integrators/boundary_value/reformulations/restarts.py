@@ -19,11 +19,14 @@ NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 NARROW = 1e-2  # width of the funnel of a search from a trajectory without infeasibility
 
 
-def search_member(member: MemberSearch) -> SearchRecord:
-    """The result of the search from the guess of a member, or of the best restart."""
+def search_member(member: MemberSearch, more: Callable[[], bool] = lambda: True) -> SearchRecord:
+    """The result of the search from the guess of a member, or of the best restart.
+
+    ``more``: whether there are restarts, asked where the search finds no minimum.
+    """
     found = first = member.from_guess()
     for restart in RESTARTS:
-        if member.watch.stopped or (found.facts.claimed and found.facts.strict):
+        if member.watch.stopped or (found.facts.claimed and found.facts.strict) or not more():
             break
         try:
             found = restart(member, first, found)

@@ -2,7 +2,6 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from difflib import get_close_matches
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
@@ -20,12 +19,11 @@ from ...reporting.records import RecordFile, Values, not_finite, shapes
 from ..guess import Guess, Mesh, MeshGuess
 from .diagnostics import RegularChecks
 from .interpolation import Interpolant, Sample
+from .names_elsewhere import attribute_hint
 from .report import failure_text, report_text
 from .solution_fields import SolutionFields, at_stages
 
 FILE_VERSION = 7  # of the file
-# Names of the fields in other libraries.
-NAMED_ELSEWHERE = {"x": "states", "y": "states", "J": "cost", "T": "horizon", "nit": "statistics.iterations"}
 Status = Literal["minimum", "stationary", "failed"]
 IN_TEXT = "interpolant", "quantities"  # fields of which a file holds a text
 
@@ -162,9 +160,7 @@ class Solution(SolutionFields, HistoryPlots, MeshGuess):
     if not TYPE_CHECKING:  # a checker knows the attributes
 
         def __getattr__(self, name: str) -> Any:
-            near = NAMED_ELSEWHERE.get(name) or next(iter(get_close_matches(name, _ATTRIBUTES, 1)), "")
-            hint = f"; did you mean {near}?" if near and not name.startswith("_") else ""
-            raise AttributeError(f"a Solution has no attribute {name!r}{hint}")
+            raise AttributeError(f"a Solution has no attribute {name!r}{attribute_hint(name, _ATTRIBUTES)}")
 
     def guess(self, after: float = 0.0, horizon: float | None = None) -> Guess:
         """This solution as a guess with the same steps and stages, or a part of it from a time on, for a warm start.

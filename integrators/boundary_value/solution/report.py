@@ -23,16 +23,16 @@ def report_text(solution: SolutionFields) -> str:
 
 
 def failure_text(solution: SolutionFields) -> str:
-    """The message of the error of a solution without success: the result, a few figures and the way to the report."""
-    checks, rows = solution.checks, [("cost", f"{solution.cost:.9g} after {solution.statistics.iterations} iterations")]
-    rows += _residuals(solution)
+    """The message of the error of a solution without success: result, figures in one row, and the way to the report."""
+    checks, missed = solution.checks, {} if solution.singular is None else solution.singular.conditions
+    effort = f"cost {solution.cost:.6g} after {solution.statistics.iterations} iterations"
+    figures = [f"defect {checks.defect:.1e}", f"{_other_residual(solution)} {checks.stationarity:.1e}"]
     if isinstance(checks, RegularChecks) and (at_stages(solution.multipliers) or solution.node_multipliers):
-        rows += [("inequalities", f"violated by {checks.violation:.1e} (relative)")]
-    missed = {} if solution.singular is None else solution.singular.conditions
+        figures += [f"inequalities {checks.violation:.1e}"]
     if missed:
         name = max(missed, key=lambda name: missed[name])
-        rows += [("ends", f"{name} missed by {missed[name]:.1e}")]
-    return "\n".join([solution.result, table([*rows, REPORT_ROW])])
+        figures += [f"{name} {missed[name]:.1e}"]
+    return "\n".join([solution.result, table([("figures", f"{effort}; relative {', '.join(figures)}"), REPORT_ROW])])
 
 
 def _outcome(solution: SolutionFields) -> Iterator[tuple[str, str]]:
@@ -121,9 +121,13 @@ def _turns(solution: SolutionFields) -> Iterator[tuple[str, str]]:
 
 def _residuals(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     """The residuals of the conditions of an extremal."""
-    checks = solution.checks
-    kind, other = ("KKT residual", "stationarity") if solution.singular is None else ("residual", "equations of P_f")
-    yield kind, f"defect {checks.defect:.1e}, {other} {checks.stationarity:.1e} (relative)"
+    checks, kind = solution.checks, "KKT residual" if solution.singular is None else "residual"
+    yield kind, f"defect {checks.defect:.1e}, {_other_residual(solution)} {checks.stationarity:.1e} (relative)"
+
+
+def _other_residual(solution: SolutionFields) -> str:
+    """The name of the residual of the conditions without the defect."""
+    return "stationarity" if solution.singular is None else "equations of P_f"
 
 
 def _geometry(solution: SolutionFields) -> Iterator[tuple[str, str]]:
