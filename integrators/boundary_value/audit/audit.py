@@ -192,7 +192,8 @@ class Audit:
         """
         limits, controls = self.problem._limits, self.problem.controls
         if not (limits.along and isinstance(controls, Euclidean)):
-            return (np.zeros((len(solution.stage_times), 0), bool),) * 2
+            none = np.zeros((len(solution.stage_times), 0), bool)
+            return none, none
         checks: Any = solution.checks
         least = max(NO_PULL, UNSOLVED * max(checks.stationarity, checks.complementarity))
         flat = switching_sizes(self.problem, solution) <= least * checks.hamiltonian_size

@@ -94,7 +94,8 @@ class GuessReader:
             rows = [_rows(getattr(guess, part.name), part) for guess in guesses]
             known = [row for row in rows if row is not None]
             stacked.append(np.stack(known) if len(known) == len(rows) else None)
-        return FlatGuess(*stacked, tuple(map(self._at_stages, guesses)), tuple(map(self._at_nodes, guesses)))
+        stacked += [tuple(map(self._at_stages, guesses)), tuple(map(self._at_nodes, guesses))]
+        return FlatGuess(*stacked)
 
     def _at_stages(self, guess: Guess) -> dict[str, np.ndarray]:
         return _multipliers("multipliers", guess.multipliers or {}, self._names, (self._stages, "stage"))

@@ -188,7 +188,8 @@ def extremals_of(
     def system(k: int) -> KKTSystem:
         return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].steps)
 
-    facts = SearchFacts(*map(np.array, zip(*[record.facts for record in records], strict=True)))
+    columns: Any = map(np.array, zip(*[record.facts for record in records], strict=True))
+    facts: Any = SearchFacts(*columns)  # of all members: an array for each
     return DiscreteExtremals(
         nodes=_rows([member.nodes for member in members]).reshape(shape),
         costates=_rows([member.costates for member in members]).reshape(shape),
