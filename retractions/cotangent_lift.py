@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ..manifolds import CotangentBundle, InvalidInputError, Manifold, Product, TangentBundle
-from ..manifolds.bundles import VectorBundle
+from ..manifolds.bundles import VectorBundle, same_manifold
 from ..manifolds.numerics import ambient as vec
 from ..manifolds.numerics.ambient import Ambient
 from ..manifolds.symplectic import Phi, Phi_inverse, TulczyjewTriple, alpha_inverse
@@ -167,6 +167,11 @@ class BundleRetraction(Retraction):
 
     def __init__(self, base: Retraction, manifold: VectorBundle | None = None) -> None:
         self.base, self.manifold = base, CotangentBundle(base.manifold) if manifold is None else manifold
+        if not same_manifold(self.manifold.base, base.manifold):
+            raise InvalidInputError(
+                f"the retraction acts on {base.manifold}, and the bundle {manifold} is over another manifold; expected "
+                "a bundle over the same one"
+            )
 
     def retract(self, x: Pair, v: Pair) -> Pair:
         q = self.base(x[0], v[0])

@@ -74,7 +74,8 @@ class ExtremalRecords:
         self._multipliers = _multipliers(transcribed, found)
         # A record holds this until its figures are read, and nothing else of the search.
         find: Any = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters)
-        if builder.problem.node_cost is not None or builder.problem.sampling is not None:
+        posed = builder.problem if self._of.formulation is None else self._of.formulation.own
+        if posed.node_cost is not None or posed.sampling is not None:
             find = partial(_between_nodes, find)
         self._later = _LaterDiagnostics(find, self._active if builder.constrained else [])
 

@@ -19,7 +19,7 @@ from ..problem.argument_errors import require_known_options
 from ..problem.free_quantities import Free, is_free
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.user_functions import require_concrete
-from ..problem_checks.requirements import require_treated
+from ..problem_checks.requirements import HELD, require_treated
 from ..reporting.text import brief
 from ..singular import Classification, SingularIntegrator
 from .audit.audit import Audit
@@ -336,7 +336,7 @@ class Solver:
             A minimum of a regular problem that this solver found; ``InvalidInputError`` for others, and
             ``ConvergenceError`` if the costs do not determine the states and parameters.
         """
-        require_treated(self.problem, "covariance", *ALONG)
+        require_treated(self.problem, "covariance", *ALONG, HELD)
         origin = self._reformulation.origin(solution)
         if origin is not None:
             formulation, solver, found = origin

@@ -10,9 +10,10 @@ import numpy as np
 from ...manifolds import DomainError, Euclidean, InvalidInputError
 from ...manifolds.numerics.ambient import Ambient
 from ...retractions import default_retraction
-from ..boundary_value.inputs.arguments import structure_of
+from ..boundary_value.inputs.arguments import ALONG, BETWEEN, structure_of
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout, parameter_layout
+from ..problem_checks.requirements import require_treated
 from ..stages.explicit_runge_kutta import ExplicitRungeKutta, dop853
 
 
@@ -60,6 +61,7 @@ class Plant:
 
     def advance(self, q: Ambient, signal: Signal, begin: float, end: float, parameters: Any = None) -> Ambient:
         """The state at a time from a state at another one; ``DomainError`` if it cannot be computed."""
+        require_treated(self.problem, "a simulation", *ALONG, *BETWEEN)
         layout = None if parameters is None else parameter_layout(parameters)
         values = np.zeros(0) if layout is None else layout.rows(parameters, 0)
         method = self._method(structure_of(parameters), layout)

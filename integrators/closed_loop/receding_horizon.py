@@ -11,6 +11,7 @@ from ..boundary_value.solution.feedback import Feedback
 from ..boundary_value.solution.record import Solution
 from ..boundary_value.solver import Solver
 from ..problem.argument_errors import require_known_options
+from ..problem.sampling import Sampling
 from ..reporting.text import brief
 from .controller_export import export_c
 from .plan import Budget, Plan
@@ -110,6 +111,7 @@ class RecedingHorizon:
     ) -> None:
         _require_solver(solver)
         _require_horizon(horizon, end_time)
+        _require_samples(solver.problem.sampling, end_time, hold)
         _require_numbers(horizon, max_iterations, milliseconds, hold, delay, acceptable)
         self.problem, self.horizon, self.end_time = solver.problem, horizon, end_time
         self.solver = Solver(soften(self.problem, soft), solver.method, solver.fractions) if soft else solver
@@ -301,6 +303,15 @@ def _require_horizon(horizon: Any, end_time: Any) -> None:
         )
     if not (end_time is None or is_finite_number(end_time)):
         raise InvalidInputError(f"end_time must be a finite time, got {end_time!r}")
+
+
+def _require_samples(sampling: Sampling | None, end_time: Any, hold: Any) -> None:
+    """Raise if plans with held controls would have other steps than the samples."""
+    if sampling is not None and not (end_time is None and hold in (None, sampling.time)):
+        raise InvalidInputError(
+            f"each control of the problem is held for {sampling.time:g}, got end_time = {end_time!r} and hold = "
+            f"{hold!r}; expected plans of one duration; try horizon=... alone"
+        )
 
 
 def _require_numbers(

@@ -180,6 +180,11 @@ def _require(problem: Any, retraction: Any, moving: Any) -> None:
     """Raise unless these are a problem, a retraction of its manifold, and a truth value."""
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"tracking takes an OptimalControlProblem, got {brief(problem)}; try solver.problem")
+    if problem.sampling is not None:
+        raise InvalidInputError(
+            "the controls of the problem are held, and its cost is that of each sample; expected a problem in "
+            "continuous time; try hold_controls(tracking(problem, ...), sample_time)"
+        )
     if not (retraction is None or isinstance(retraction, Retraction)):
         raise InvalidInputError(f"retraction must be a Retraction, got {brief(retraction)}; try default_retraction(Q)")
     if retraction is not None:

@@ -26,6 +26,8 @@ def problem_notation(problem: ProblemStatement) -> str:
     lines += [f"            {text}" for text in _bounds(problem._limits.bounds(problem._shape))]
     lines += [f"            {name}(q, u{t}{p}) <= 0" for name in problem._limits.names]
     lines += [f"            {name}(q{t}{p}) <= 0 at the nodes" for name in problem._limits.node_names]
+    if problem.sampling is not None:
+        lines.append(f"            each control held for {problem.sampling.time:g}")
     last = ", T" if t else ""
     lines += [f"            {name}(q(0), q(T){last}{p}) = 0" for name in problem._boundary.names]
     turn = problem._boundary.turn

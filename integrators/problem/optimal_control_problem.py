@@ -129,6 +129,10 @@ class OptimalControlProblem(ProblemStatement):
         for name in ("abnormal", "time_dependent"):
             if not isinstance(getattr(self, name), bool | np.bool_):
                 raise InvalidInputError(f"{name} must be True or False, got {getattr(self, name)!r}")
+        if not isinstance(self.sampling, Sampling | None):
+            raise InvalidInputError(
+                f"sampling must be a Sampling, got {self.sampling!r}; try hold_controls(problem, h)"
+            )
 
     def _functions(self) -> Iterator[tuple[str, Callable[..., Any], int]]:
         """Names of the functions, the functions, and the kinds of their arguments.

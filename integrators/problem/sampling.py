@@ -42,14 +42,14 @@ class Sampling(NamedTuple):
         """
         if is_free(horizon):
             raise InvalidInputError(
-                f"the controls are held for {self.time:g} each, got the free horizon {horizon!r}; try a fixed horizon"
+                f"each control is held for {self.time:g}, got the free horizon {horizon!r}; try a fixed horizon"
             )
-        lengths = np.multiply.outer(horizon, fractions)
-        if not np.allclose(lengths, self.time, rtol=SAME_TIME, atol=0.0):
-            count = len(fractions)
+        count, lengths = len(fractions), np.multiply.outer(horizon, fractions)
+        off = float(np.max(np.abs(lengths - self.time)))
+        if off > SAME_TIME * count * self.time:
             raise InvalidInputError(
-                f"the controls are held for {self.time:g} each, got steps of {np.min(lengths):g} to "
-                f"{np.max(lengths):g}; try a horizon of {count} * {self.time:g} for {count} equal steps"
+                f"each control is held for {self.time:g}, got the horizon {brief(horizon)} with {count} steps, of which "
+                f"one is {off:.3g} off; try the horizon {count} * {self.time:g} with {count} equal steps"
             )
 
     def require_method(self, method: object) -> None:

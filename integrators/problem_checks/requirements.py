@@ -23,6 +23,7 @@ from ..reporting.text import brief
 from .control_use import warn_of_broadcast
 from .function_failures import failure_words
 
+HELD = "held controls"  # its dynamics are those of one sample
 RETRACTED = 1e-4  # relative: less is rounding of a retraction by iterations or in single precision
 
 
@@ -38,6 +39,7 @@ def require_treated(problem: OptimalControlProblem, what: str, *treated: str) ->
         "an explicit time": problem.time_dependent,
         "boundary constraints": bool(boundary.functions),
         "periodic ends": boundary.turn is not None,
+        HELD: problem.sampling is not None,
     }
     left = [words for words, there in has.items() if there and words not in treated]
     if left:

@@ -36,8 +36,8 @@ class Result(eqx.Enumeration):
     rounded_end = (
         "The equations are solved, but rounding decides whether the controls reach the prescribed end, so neither the "
         "controls nor the cost are determined to the tolerance. Expected an end that the controls move by more than "
-        "the rounding of its value; try to leave free what they hardly move (end=(..., None) in a product), or a "
-        "terminal_cost of the end in its place."
+        "the rounding of its value; try to leave free the parts of the end that the controls hardly move (end=(..., "
+        "None) in a product), or to replace the prescribed end with a terminal_cost."
     )
     concave = (
         "The derivatives of the cost vanish, but the cost is concave in a control, so this is no minimum: it may be a "

@@ -19,12 +19,11 @@ from ..problem.explicit_time import argument_names, with_signature
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.path_constraints import Inequalities
 from ..problem.sampling import Sampling
-from ..problem.table import finite_array
 from ..reporting.text import brief
 from .explicit_runge_kutta import RK4, chart_rate
 
 STATE, ENDS = (0, 1, 4), 3  # kinds of functions: of one state, of the states at both ends
-AT_SAMPLES = "control_bounds at the samples"
+BOUNDED = "control_bounds of held controls"
 
 
 @require_known_options
@@ -57,8 +56,8 @@ def hold_controls(
     -------
     OptimalControlProblem
         A problem for ``solve`` and ``Solver`` with one step for each sample. With ``order=0`` and no rate limits it has
-        the states and controls of the problem. Otherwise its states are pairs ``(q, w)`` with the control ``w`` up to
-        the sample, and its controls are the rates ``v`` of this control.
+        the states and controls of the problem. Otherwise its states are pairs ``(q, w)``, with the control ``w`` at the
+        sample, or before it with ``order=0``, and its controls are the rates ``v`` of this control.
 
     Raises
     ------
@@ -68,12 +67,11 @@ def hold_controls(
     Notes
     -----
     The Runge-Kutta method of order 4 carries the state, in the chart of ``R`` around ``q_k``, and the integral of the
-    running cost over one sample. The coordinates ``c`` that it ends at make one step of the Euler map, ``q_{k+1} =
+    running cost over one sample. The coordinates ``c`` of the next sample are one step of the Euler map, ``q_{k+1} =
     R(q_k, c)``, so the discrete problem is solved without a further error.
 
     The control at a time ``t`` after a sample is :math:`w + h v` with ``order=0`` and :math:`w + t v` with ``order=1``,
-    and the next sample has :math:`w + h v`. Constraints hold at the samples, and so do the control bounds of controls
-    with rates.
+    and the next sample has :math:`w + h v`. Constraints hold at each sample but the last, node constraints at all.
 
     References
     ----------
@@ -172,16 +170,21 @@ def _with_rates(
         return wraps(function)(call)
 
     paired = problem._map_functions(change, problem.time_dependent)
-    at_samples = dict(paired.node_constraints)
-    lower, upper = np.array(limits.lower), np.array(limits.upper)
-    finite = np.flatnonzero(np.isfinite(lower)), np.flatnonzero(np.isfinite(upper))
-    if any(entries.size for entries in finite):
-        low, high = finite
-        at_samples[AT_SAMPLES] = lambda x, *rest: jnp.concatenate(
-            [lower[low] - jnp.ravel(x[1])[low], jnp.ravel(x[1])[high] - upper[high]]
-        )
+    along, at_samples = dict(paired.constraints), dict(paired.node_constraints)
+    low, high = (np.array(side) for side in (limits.lower, limits.upper))
+    below, above = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
+
+    def outside(w: Array) -> Array:
+        return jnp.concatenate([low[below] - jnp.ravel(w)[below], jnp.ravel(w)[above] - high[above]])
+
+    at_node, at_stage = (argument_names(kind, problem.time_dependent, False) for kind in (1, 2))
+    if below.size or above.size:
+        if order:
+            at_samples[BOUNDED] = with_signature(outside, at_node, lambda x, *rest: outside(x[1]))
+        else:  # the control before the first sample has acted already
+            along[BOUNDED] = with_signature(outside, at_stage, lambda x, v, *rest: outside(x[1] + h * v))
     bounds = (-rates, rates) if np.isfinite(rates).any() else None
-    given: Any = {"constraints": Inequalities.of(bounds, paired.constraints, at_samples, problem.controls)}
+    given: Any = {"constraints": Inequalities.of(bounds, along, at_samples, problem.controls)}
     given |= sample.functions(split, lambda velocity, v: (velocity, v))
     steered = ProductRetraction(sample.retraction, default_retraction(problem.controls))
     return paired._with_arguments(
@@ -203,7 +206,7 @@ def _rates(problem: OptimalControlProblem, given: Any) -> np.ndarray:
         )
     if given is None:
         return np.full(problem.controls.shape, np.inf)
-    rates = finite_array("rate_limits", given)
+    rates = np.asarray(given, float)
     if rates.shape not in ((), problem.controls.shape) or not np.all(rates > 0):
         raise InvalidInputError(
             f"rate_limits must be a positive number or an array of shape {problem.controls.shape}, got {brief(given)}"

@@ -38,6 +38,7 @@ MODULES = {
         "integrators.initial_value.many": "integrators.initial_value.batch",
         "integrators.problem": "integrators.problem.optimal_control_problem",
         "integrators.quantities": "integrators.problem.quantities",
+        "integrators.reporting.results": "integrators.reporting.result_sentences",
         "integrators.results": "integrators.reporting.result_sentences",
         "integrators.stages.gauss": "integrators.stages.collocation",
         "integrators.singular.integrability.final": "integrators.singular.integrability.final_equations",

@@ -168,7 +168,7 @@ def test_only_steps_of_the_sample_time_are_taken(ratio):
     if ratio == 1.0:
         assert rx.solve(held, FIRST, None, STEP * STEPS, steps=STEPS).success
         return
-    with pytest.raises(InvalidInputError, match=r"held for 0\.2 each"):
+    with pytest.raises(InvalidInputError, match=r"each control is held for 0\.2"):
         rx.solve(held, FIRST, None, ratio * STEP * STEPS, steps=STEPS)
 
 
@@ -187,6 +187,41 @@ def test_a_solve_that_would_have_other_steps_is_refused(changes, words):
         rx.solve(rx.hold_controls(oscillator(), STEP), FIRST, None, **given)
 
 
+@pytest.mark.parametrize("before", [-0.5, -0.3, 0.9, 1.0])
+def test_the_control_before_a_constant_one_may_be_beyond_its_bounds(before):
+    """A sweep of the control that acted before the horizon through both bounds."""
+    held = rx.hold_controls(oscillator(control_bounds=(-0.3, 0.9)), STEP, rate_limits=[4.0])
+    found = rx.solve(held, (FIRST, np.array([before])), None, STEP * STEPS, steps=STEPS)
+    applied = found.states[1][1:, 0]
+    assert found.status == "minimum"
+    assert np.all((applied < 0.9 + 1e-9) & (applied > -0.3 - 1e-9))
+
+
+HELD = rx.hold_controls(oscillator(), STEP)
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: rx.simulate(HELD, lambda q, t: np.zeros(1), start=FIRST, horizon=1.0, sample_time=0.1), "simulation"),
+        (lambda: rx.tracking(HELD, lambda t: jnp.zeros(2)), "hold_controls"),
+        (lambda: rx.Guess.from_controls(HELD, HELD.sampling.method, FIRST, 3.0, np.zeros((15, 1))), "held controls"),
+        (lambda: rx.classify(HELD), "held controls"),
+        (
+            lambda: rx.RecedingHorizon(rx.Solver(HELD, HELD.sampling.method, STEPS), end=None, end_time=3.0),
+            "one duration",
+        ),
+        (
+            lambda: rx.Solver(HELD, HELD.sampling.method, STEPS).solve_many(np.stack([FIRST] * 2), None, [3.0, 3.1]),
+            "one is",
+        ),
+    ],
+)
+def test_what_takes_the_dynamics_as_a_differential_equation_refuses_held_controls(call, words):
+    with pytest.raises(InvalidInputError, match=words):
+        call()
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -198,6 +233,7 @@ def test_a_solve_that_would_have_other_steps_is_refused(changes, words):
         ({"substeps": 0}, "at least 1"),
         ({"rate_limits": 0.0}, "positive number"),
         ({"rate_limits": [1.0, 2.0]}, "positive number"),
+        ({"rate_limits": np.nan}, "positive number"),
         ({"retraction": rx.Cayley(BODY)}, "a retraction of"),
     ],
 )

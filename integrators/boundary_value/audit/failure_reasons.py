@@ -17,8 +17,8 @@ from ..solution.record import Solution
 
 UNDEFINED = "is not finite", "has no finite derivative by the states", "has no finite derivative by the controls"
 SMOOTH = (
-    "a function that is smooth there: sqrt(x @ x + 1e-6) instead of norm(x), and for a limit x @ x - a**2 instead of "
-    "norm(x) - a"
+    "a function that is smooth there, for example sqrt(x @ x + 1e-6) instead of norm(x), and for a limit x @ x - a**2 "
+    "instead of norm(x) - a"
 )
 
 

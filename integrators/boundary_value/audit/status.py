@@ -217,7 +217,8 @@ def explain_long_horizon(solution: Solution, guess: float) -> Solution:
 def is_final(record: Solution | PhasedSolution) -> bool:
     """Whether no other guess of the horizon is tried: with success, where it was stopped, and where its failure says
     why there is no minimum."""
-    says_why = TENDS_TO_ZERO in record.result or record.result.startswith(sentence("concave"))
+    final = sentence("concave"), sentence("rounded_end")
+    says_why = TENDS_TO_ZERO in record.result or record.result.startswith(final)
     return record.success or record.statistics.stopped or says_why
 
 

@@ -14,8 +14,9 @@ from ....compute.base import PointwiseFunction
 from ....manifolds import DomainError, Euclidean, InvalidInputError, Product
 from ....tracing import one_tracing, reads_once
 from ...problem.optimal_control_problem import OptimalControlProblem
+from ...problem_checks.requirements import require_treated
 from ...reporting.text import brief
-from ..inputs.arguments import check_parameters
+from ..inputs.arguments import ALONG, BETWEEN, check_parameters
 from ..solution.record import Solution
 from .control_curvature import ControlCurvature
 from .discretization_error import RESOLUTION, Propagator
@@ -87,6 +88,7 @@ def step_errors(problem: OptimalControlProblem, solution: Solution, parameters: 
     InvalidInputError
         For missing parameters, and for a solution without polynomials between its nodes.
     """
+    require_treated(problem, "step_errors", *ALONG, *BETWEEN)
     check_parameters(problem, parameters)
     if not isinstance(solution, Solution) or solution.interpolant is None or solution.singular is not None:
         raise InvalidInputError(

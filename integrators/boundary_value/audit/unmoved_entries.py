@@ -35,9 +35,9 @@ def unmoved_words(system: KKTSystem, names: list[str]) -> str:
 def rounding_of_controls(system: KKTSystem, controls: np.ndarray) -> float:
     """The error of controls, shape (S, ...), that rounding and defects of the prescribed end cause.
 
-    It is relative to the largest control, or to the natural size of controls where all are smaller. The rounding of an
+    It is relative to the largest control, or to the scaling of the controls where all are smaller. The rounding of an
     entry of the end is relative to its largest size along the trajectory. Entries that follow from the others are left
-    out: whether they agree, the defects tell.
+    out: the defects show whether these entries agree.
     """
     prescribed, nodes = system.fixed[1] > 0, system.scale.nodes
     moved, defects = _linearized_end(system)

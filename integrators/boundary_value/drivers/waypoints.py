@@ -12,7 +12,7 @@ from ....manifolds.numerics.ambient import is_finite_number
 from ....manifolds.numerics.tolerances import SAME_TIME
 from ...problem.free_quantities import is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
-from ...problem_checks.requirements import require_treated
+from ...problem_checks.requirements import HELD, require_treated
 from ...reporting.records import Along
 from ...reporting.text import brief
 from ..guess import Guess
@@ -30,7 +30,7 @@ def phases_through(
     problem: OptimalControlProblem, method: Method, steps: Any, given: BoundaryData, through: Any, guess: Any
 ) -> list[Phase]:
     """The phases between the waypoints, with the parts of a guess; ``through`` has the points by their times."""
-    require_treated(problem, "solve with through", *LIMITS, "an initial cost", "an explicit time")
+    require_treated(problem, "solve with through", *LIMITS, "an initial cost", "an explicit time", HELD)
     free = any(map(is_free, jax.tree.leaves((given.horizon, given.parameters), is_leaf=is_free)))
     if free or given.start_time or not is_finite_number(given.horizon):
         raise InvalidInputError(

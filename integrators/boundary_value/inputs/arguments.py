@@ -14,7 +14,7 @@ from ....manifolds.numerics.tolerances import SAME_TIME
 from ....retractions import CollocationMethod, DiscretizationMap
 from ...problem.free_quantities import is_free, with_guess
 from ...problem.optimal_control_problem import OptimalControlProblem
-from ...problem_checks.requirements import require_same_manifold, require_treated
+from ...problem_checks.requirements import HELD, require_same_manifold, require_treated
 from ...reporting.result_sentences import warn_about_precision
 from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
@@ -146,8 +146,8 @@ def require_refinable(problem: Any) -> None:
         )
     if problem.sampling is not None:
         raise InvalidInputError(
-            f"the controls are held for {problem.sampling.time:g} each, and a refined mesh has other steps; expected "
-            "one step for each sample; try steps=round(horizon / sample_time), and no accuracy"
+            f"each control is held for {problem.sampling.time:g}, and a refined mesh has other steps; expected a step "
+            "for each sample; try steps=round(horizon / sample_time), and no accuracy"
         )
 
 
@@ -158,7 +158,7 @@ def check_problem(problem: Any, method: Any) -> None:
             f"solve takes a collocation method or a discretization map, got {brief(method)}; try "
             "Midpoint(default_retraction(manifold))"
         )
-    require_treated(problem, "solve", *ALONG, *BETWEEN)
+    require_treated(problem, "solve", *ALONG, *BETWEEN, HELD)
     require_same_manifold(problem, method)
     if problem.sampling is not None:
         problem.sampling.require_method(method)

@@ -38,7 +38,7 @@ class FlatGuess(NamedTuple):
         return self[:-2]
 
     def of(self, count: int) -> "FlatGuess":
-        """The guesses of so many members, in arrays that are not to be written to."""
+        """The guesses of so many members; arrays that are repeated for them are not to be written to."""
         if len(self.states) == count:
             return self
         parts: Any = (None if a is None else np.broadcast_to(a, (count, *a.shape[1:])) for a in self.arrays)

@@ -15,7 +15,7 @@ from ....retractions import Retraction
 from ....tracing import one_tracing
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
-from ...problem_checks.requirements import require_treated
+from ...problem_checks.requirements import HELD, require_treated
 from ...reporting.records import shapes, write_protect
 from ...reporting.text import brief
 from ..inputs.arguments import LIMITS, structure_of
@@ -146,7 +146,7 @@ def _require_minimum(problem: OptimalControlProblem, kept: Any, reformulated: bo
 
     ``reformulated``: whether the solver found the solution in more states, with a free horizon or free parameters.
     """
-    require_treated(problem, "feedback", *LIMITS)
+    require_treated(problem, "feedback", *LIMITS, HELD)
     if reformulated:
         raise InvalidInputError(
             "feedback needs a fixed horizon and fixed parameters, got a solution with a free horizon or a free "
