@@ -126,13 +126,10 @@ class OptimalControlProblem(ProblemStatement):
         for name, example in (("manifold", "SO(3)"), ("controls", "Euclidean(3)")):
             if not isinstance(getattr(self, name), Manifold):
                 raise InvalidInputError(f"{name} must be a Manifold, got {getattr(self, name)!r}; try {example}")
-        for name in ("abnormal", "time_dependent"):
-            if not isinstance(getattr(self, name), bool | np.bool_):
-                raise InvalidInputError(f"{name} must be True or False, got {getattr(self, name)!r}")
-        if not isinstance(self.sampling, Sampling | None):
-            raise InvalidInputError(
-                f"sampling must be a Sampling, got {self.sampling!r}; try hold_controls(problem, h)"
-            )
+        flag, sampled = (bool | np.bool_, "True or False"), (Sampling | None, "made by hold_controls")
+        for name, (kind, words) in {"abnormal": flag, "time_dependent": flag, "sampling": sampled}.items():
+            if not isinstance(getattr(self, name), kind):
+                raise InvalidInputError(f"{name} must be {words}, got {getattr(self, name)!r}")
 
     def _functions(self) -> Iterator[tuple[str, Callable[..., Any], int]]:
         """Names of the functions, the functions, and the kinds of their arguments.
@@ -237,8 +234,7 @@ class OptimalControlProblem(ProblemStatement):
         return self._with_arguments(**more, **{name: given[name] for name in names if name in given})
 
     def _with_arguments(self, **changes: Any) -> "OptimalControlProblem":
-        """The problem with other arguments; ``constraints`` may be ``limits``, ``boundary_constraints`` a
-        ``boundary``."""
+        """The problem with other arguments, which may be ``Inequalities`` and ``BoundaryConditions`` too."""
         names = "manifold", "dynamics", "running_cost", "controls", "terminal_cost", "initial_cost", "node_cost"
         given: Any = {name: getattr(self, name) for name in (*names, "abnormal", "time_dependent", "sampling")}
         given |= {"constraints": self._limits, "boundary_constraints": self._boundary, "labels": self.quantities}

@@ -48,8 +48,8 @@ class Sampling(NamedTuple):
         off = float(np.max(np.abs(lengths - self.time)))
         if off > SAME_TIME * count * self.time:
             raise InvalidInputError(
-                f"each control is held for {self.time:g}, got the horizon {brief(horizon)} with {count} steps, of which "
-                f"one is {off:.3g} off; try the horizon {count} * {self.time:g} with {count} equal steps"
+                f"each control is held for {self.time:g}, got the horizon {brief(horizon)} with {count} steps, and one "
+                f"is {off:.3g} off; try the horizon {count} * {self.time:g} with {count} equal steps"
             )
 
     def require_method(self, method: object) -> None:

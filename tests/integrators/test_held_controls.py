@@ -205,7 +205,7 @@ HELD = rx.hold_controls(oscillator(), STEP)
     [
         (lambda: rx.simulate(HELD, lambda q, t: np.zeros(1), start=FIRST, horizon=1.0, sample_time=0.1), "simulation"),
         (lambda: rx.tracking(HELD, lambda t: jnp.zeros(2)), "hold_controls"),
-        (lambda: rx.Guess.from_controls(HELD, HELD.sampling.method, FIRST, 3.0, np.zeros((15, 1))), "held controls"),
+        (lambda: rx.Guess.from_controls(HELD, HELD.sampling.method, FIRST, np.zeros(1), 3.0, STEPS), "held controls"),
         (lambda: rx.classify(HELD), "held controls"),
         (
             lambda: rx.RecedingHorizon(rx.Solver(HELD, HELD.sampling.method, STEPS), end=None, end_time=3.0),
@@ -213,7 +213,7 @@ HELD = rx.hold_controls(oscillator(), STEP)
         ),
         (
             lambda: rx.Solver(HELD, HELD.sampling.method, STEPS).solve_many(np.stack([FIRST] * 2), None, [3.0, 3.1]),
-            "one is",
+            "is 0",
         ),
     ],
 )
