@@ -31,7 +31,7 @@ def failure_text(solution: SolutionFields) -> str:
         figures += [f"inequalities {checks.violation:.1e}"]
     if missed:
         name = max(missed, key=lambda name: missed[name])
-        figures += [f"{name} {missed[name]:.1e}"]
+        figures += [f"{name} missed by {missed[name]:.1e}"]
     return "\n".join([solution.result, table([("figures", f"{effort}; relative {', '.join(figures)}"), REPORT_ROW])])
 
 
