@@ -175,8 +175,8 @@ def test_only_steps_of_the_sample_time_are_taken(ratio):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"steps": None}, "one step for each sample"),
-        ({"accuracy": 1e-3}, "one step for each sample"),
+        ({"steps": None}, "a step for each sample"),
+        ({"accuracy": 1e-3}, "a step for each sample"),
         ({"horizon": rx.Free(3.0)}, "free horizon"),
         ({"method": rx.Midpoint(rx.default_retraction(rx.Euclidean(2)))}, "Euler map of its retraction"),
     ],
