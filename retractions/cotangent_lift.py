@@ -148,6 +148,11 @@ class BundleRetraction(Retraction):
     manifold : CotangentBundle or TangentBundle, optional
         The bundle of ``Q``, by default ``T*Q``.
 
+    Raises
+    ------
+    InvalidInputError
+        For a bundle over another manifold than that of ``base``.
+
     Notes
     -----
     :math:`R((q, p), (\dot q, \dot p)) = (R_Q(q, \dot q), P(p + \dot p))` with the tangent projection ``P`` at the moved
