@@ -61,7 +61,6 @@ class Plant:
 
     def advance(self, q: Ambient, signal: Signal, begin: float, end: float, parameters: Any = None) -> Ambient:
         """The state at a time from a state at another one; ``DomainError`` if it cannot be computed."""
-        require_treated(self.problem, "a simulation", *ALONG, *BETWEEN)
         layout = None if parameters is None else parameter_layout(parameters)
         values = np.zeros(0) if layout is None else layout.rows(parameters, 0)
         method = self._method(structure_of(parameters), layout)
@@ -85,6 +84,7 @@ class Plant:
 
     def _method(self, structure: Any, layout: PointLayout | None) -> ExplicitRungeKutta:
         if structure not in self._methods:
+            require_treated(self.problem, "a simulation", *ALONG, *BETWEEN)
             retraction = default_retraction(self.problem.manifold)
             self._methods[structure] = ExplicitRungeKutta(self.problem, retraction, dop853(), layout)
         return self._methods[structure]

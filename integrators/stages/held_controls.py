@@ -171,18 +171,13 @@ def _with_rates(
 
     paired = problem._map_functions(change, problem.time_dependent)
     along, at_samples = dict(paired.constraints), dict(paired.node_constraints)
-    low, high = (np.array(side) for side in (limits.lower, limits.upper))
-    below, above = np.flatnonzero(np.isfinite(low)), np.flatnonzero(np.isfinite(high))
-
-    def outside(w: Array) -> Array:
-        return jnp.concatenate([low[below] - jnp.ravel(w)[below], jnp.ravel(w)[above] - high[above]])
-
     at_node, at_stage = (argument_names(kind, problem.time_dependent, False) for kind in (1, 2))
-    if below.size or above.size:
+    if any(limits.bounded.values()):
+        outside = Inequalities(limits.lower, limits.upper).values
         if order:
-            at_samples[BOUNDED] = with_signature(outside, at_node, lambda x, *rest: outside(x[1]))
+            at_samples[BOUNDED] = with_signature(outside, at_node, lambda x, *rest: outside(*x))
         else:  # the control before the first sample has acted already
-            along[BOUNDED] = with_signature(outside, at_stage, lambda x, v, *rest: outside(x[1] + h * v))
+            along[BOUNDED] = with_signature(outside, at_stage, lambda x, v, *rest: outside(x[0], x[1] + h * v))
     bounds = (-rates, rates) if np.isfinite(rates).any() else None
     given: Any = {"constraints": Inequalities.of(bounds, along, at_samples, problem.controls)}
     given |= sample.functions(split, lambda velocity, v: (velocity, v))
