@@ -357,19 +357,3 @@ def test_in_a_browser_records_to_compare_move_each_on_its_own(browser, tmp_path)
     assert "<long>" in legend
     assert wrong == []
     page.close()
-
-
-@pytest.mark.slow
-@IN_A_BROWSER
-def test_a_page_of_a_solution_is_ready_within_two_seconds(browser, tmp_path):
-    """Of the processor, and without a graphics card: a clock on the wall would measure the neighbours too."""
-    problem = OptimalControlProblem(SO(3), lambda q, u: q @ hat(u), lambda q, u: u @ u / 2, 3)
-    solve(problem, np.eye(3), TURNS[8], 2.0, method=Midpoint(Cayley(SO(3))), steps=50).to_html(tmp_path / "page.html")
-    page = browser.new_page()
-    session = page.context.new_cdp_session(page)
-    session.send("Performance.enable", {"timeDomain": "threadTicks"})
-    page.goto((tmp_path / "page.html").as_uri())
-    page.wait_for_selector("body[data-ready=true]", timeout=60_000)
-    measured = {entry["name"]: entry["value"] for entry in session.send("Performance.getMetrics")["metrics"]}
-    assert 0.1 < measured["ThreadTime"] < 2
-    page.close()
