@@ -185,7 +185,7 @@ class LevelSet(Manifold):
         return rows if found.size and dependent.size > 1 else ""
 
     def _hint(self, words: str, value: float) -> str:
-        lost = "its equations must be independent: leave out one that follows from others, and take c in place of c**2"
+        lost = "its equations must be independent: leave out one that follows from others, and take c instead of c**2"
         return f"; {lost}" if words == LOST_RANK else super()._hint(words, value)
 
     def random_point(self, key: Array) -> Array:

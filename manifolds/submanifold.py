@@ -46,7 +46,7 @@ class Submanifold(Manifold):
         if getattr(values, "ndim", None) != 1:
             raise InvalidInputError(
                 f"the equations of a submanifold return a vector, one entry an equation, got {values}; "
-                "try x[2:] in place of x[2], or jnp.stack([...])"
+                "try x[2:] instead of x[2], or jnp.stack([...])"
             )
 
     @property

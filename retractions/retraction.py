@@ -191,7 +191,7 @@ class Retraction(Module):
         return v
 
     def _explain_miss(self, x: Ambient, y: Ambient, z: Ambient) -> NoReturn:
-        """Raise the error for an inverse that leads to ``z`` in place of ``y``."""
+        """Raise the error for an inverse that leads to ``z`` instead of ``y``."""
         for role, point in {"the base point": x, "the point": y}.items():
             verdict = self.manifold.contains(point)
             if not verdict:

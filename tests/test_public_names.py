@@ -160,7 +160,7 @@ def test_the_test_sees_what_lacks():
 
 
 def write() -> None:
-    """Record what is lacking now, in place of what was."""
+    """Record what is lacking now, instead of what was."""
     lines = ["# Public names whose documentation lacks something; python tests/test_public_names.py writes this list."]
     for room in ROOMS:
         lines += ["", f'["{room}"]' if "." in room else f"[{room}]"]

@@ -13,7 +13,7 @@ from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.ambient import Ambient
 from .integrator import Integrator
 
-SMOOTH = "a function that is smooth there, as jnp.sqrt(x @ x + 1e-6) in place of a norm"
+SMOOTH = "a function that is smooth there, as jnp.sqrt(x @ x + 1e-6) instead of a norm"
 AT_START = f"try another start, or {SMOOTH}"
 LATER = f"try a smaller step size if the motion should not come there, or {SMOOTH}"
 

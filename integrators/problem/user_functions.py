@@ -35,7 +35,7 @@ def real_number(name: str, value: Any) -> Array:
 def real_vector(name: str, value: Any, truth: str) -> Array:
     """The result of a user's function as a real number or a vector; raises if the result is something else.
 
-    ``truth``: what to try in place of a comparison.
+    ``truth``: what to try instead of a comparison.
     """
     return _real(name, value, 1, truth)
 

@@ -232,10 +232,10 @@ def _lasts(change: np.ndarray, rounding: np.ndarray) -> np.ndarray:
 
 
 SMOOTH_COSTS = (
-    "u = a - b with the cost a + b in place of |u|, for controls a and b with control_bounds=(0, jnp.inf), which is "
+    "u = a - b with the cost a + b instead of |u|, for controls a and b with control_bounds=(0, jnp.inf), which is "
     "exact; or jnp.sqrt(u**2 + d**2), at first with d as large as the controls, then with smaller ones and the last "
     "solution as guess",
-    "a * jnp.tanh(u / a) in place of jnp.clip(u, -a, a)",
+    "a * jnp.tanh(u / a) instead of jnp.clip(u, -a, a)",
 )
 
 

@@ -13,20 +13,20 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.user_functions import BoundFunction, failing_line
 
 HINTS = {  # by parts of what an error says
-    "overloaded function": "try jax.numpy: jnp.stack([...]) in place of ca.vertcat, u @ u in place of ca.sumsqr(u)",
-    "with a sequence": "try jnp.stack([...]) of all entries, in place of np.zeros and an assignment",
+    "overloaded function": "try jax.numpy: jnp.stack([...]) instead of ca.vertcat, u @ u instead of ca.sumsqr(u)",
+    "with a sequence": "try jnp.stack([...]) of all entries, instead of np.zeros and an assignment",
     "item assignment": "try jnp.stack([...]) of all entries, or x = x.at[0].set(...)",
     "object has no attribute 'dist": "try the squared distance in the ambient space, jnp.sum((x - y) ** 2)",
-    "unsupported operand": "try an array, jnp.array([...]), in place of a list or a tuple",
+    "unsupported operand": "try an array, jnp.array([...]), instead of a list or a tuple",
 }
 
 
 IN_JAX = {  # what to write in a line that JAX cannot trace, by what is in it
-    r"\b(max|min)\(": r"jnp.\1imum in place of \1",
-    r"\bmath\.(\w+)": r"jnp.\1 in place of math.\1",
-    r"\bnp\.(\w+)": r"jnp.\1 in place of np.\1",
+    r"\b(max|min)\(": r"jnp.\1imum instead of \1",
+    r"\bmath\.(\w+)": r"jnp.\1 instead of math.\1",
+    r"\bnp\.(\w+)": r"jnp.\1 instead of np.\1",
     r"\b(float|int)\(": r"the number without \1(...)",
-    r"\bif\b": "jnp.where(condition, a, b) in place of if",
+    r"\bif\b": "jnp.where(condition, a, b) instead of if",
 }
 
 

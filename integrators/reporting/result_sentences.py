@@ -50,7 +50,7 @@ class Result(eqx.Enumeration):
     )
     jump = (
         "The Hamiltonian jumps where the trajectory passes, and no derivative tells of the jump: the momenta jump with "
-        "it, and those of the trajectory do not; try jnp.tanh(x / a) with a small a in place of a step."
+        "it, and those of the trajectory do not; try jnp.tanh(x / a) with a small a instead of a step."
     )
     interrupted = "The computation was interrupted; the trajectory ends with the last state that was kept."
     stopped = "The iteration was stopped before the conditions were met; this is its best iterate."

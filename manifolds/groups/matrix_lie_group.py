@@ -56,7 +56,7 @@ class MatrixLieGroup(HomogeneousSpace):
     def __check_init__(self) -> None:
         lie_algebra(self.algebra)
         if type(self).violations is MatrixLieGroup.violations:
-            # An error here in place of one at every use: of groups that their invariants do not tell.
+            # An error here instead of one at every use: of groups that their invariants do not tell.
             shapes_of(self.equations, f"the function equations of {type(self).__name__}", self.ambient)
 
     @property

@@ -12,7 +12,7 @@ R = TypeVar("R")
 
 TRACING = frozenset({"retrax", "jax", "jaxlib", "equinox"})  # packages between a call and the user's functions
 CONCISE = "_retrax_concise"  # attribute of a concise function, for the parts of its calls
-TRACEABLE = "try functions written in jax.numpy: jnp.sin in place of np.sin, jnp.where in place of if"
+TRACEABLE = "try functions written in jax.numpy: jnp.sin instead of np.sin, jnp.where instead of if"
 
 # Errors of functions that are given something else than expected.
 FAILURES = TypeError, ValueError, IndexError, AttributeError, KeyError, NotImplementedError

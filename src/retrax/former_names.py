@@ -105,7 +105,7 @@ class _FormerModule(MetaPathFinder, Loader):
     """Modules by their former names, with the objects of the present modules."""
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        """The module that runs in place of a former one; None for all other names."""
+        """The module that runs instead of a former one; None for all other names."""
         return spec_from_loader(fullname, self) if fullname in MODULES else None
 
     def exec_module(self, module: ModuleType) -> None:

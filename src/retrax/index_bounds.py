@@ -1,4 +1,4 @@
-"""Indices of entries that an array does not have: JAX takes the nearest entry in place of one, without a word."""
+"""Indices of entries that an array does not have: JAX takes the nearest entry instead of one, without a word."""
 
 import sys
 from collections.abc import Generator, Sequence

@@ -63,13 +63,13 @@ METHOD = Midpoint(Cayley(Q))
 MISTAKES = {
     # In the user's own functions.
     "numpy in dynamics": ("move(lambda q, u: np.array([q[1], u[0]]))", "jnp"),
-    "numpy sin": ("move(lambda q, u: jnp.stack([q[1], np.sin(float(q[0])) + u[0]]))", "jnp.sin in place of np.sin"),
+    "numpy sin": ("move(lambda q, u: jnp.stack([q[1], np.sin(float(q[0])) + u[0]]))", "jnp.sin instead of np.sin"),
     "math sin": ("move(lambda q, u: jnp.stack([q[1], math.sin(q[0]) + u[0]]))", "jnp.sin"),
     "math sqrt": ("move(effort=lambda q, u: math.sqrt(u @ u))", "jnp"),
     "if": ("move(lambda q, u: jnp.stack([q[1], u[0]]) if q[0] > 0 else jnp.stack([q[1], 2 * u[0]]))", "jnp.where"),
     "and": ("move(effort=lambda q, u: u @ u if q[0] > 0 and q[1] > 0 else 2 * u @ u)", "jnp.where"),
     "while": ("move(effort=lambda q, u: [1 for _ in iter(lambda: bool(q[0] > 0), False)] and u @ u)", "jnp.where"),
-    "max": ("move(effort=lambda q, u: max(u[0], 0.0) ** 2)", "jnp.maximum in place of max"),
+    "max": ("move(effort=lambda q, u: max(u[0], 0.0) ** 2)", "jnp.maximum instead of max"),
     "float": ("move(effort=lambda q, u: float(u[0]) ** 2)", "without float"),
     "int index": ("move(lambda q, u: jnp.stack([q[1], [1.0, 2.0][int(q[0])] * u[0]]))", "without int"),
     "item assignment": (

@@ -168,7 +168,7 @@ DECAY = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: q @ q, 1, contr
 
 @pytest.mark.parametrize("force", [4.0, pytest.param(0.25, marks=pytest.mark.slow)])
 def test_parameters_hold_in_arcs_too(force):
-    """A force of ``c`` in place of one, with times ``sqrt(c)`` times as short."""
+    """A force of ``c`` instead of one, with times ``sqrt(c)`` times as short."""
     problem = OptimalControlProblem(
         PLANE, lambda q, u, c: jnp.stack([q[1], c * u[0]]), lambda q, u, c: 1.0, 1, control_bounds=(-1, 1)
     )

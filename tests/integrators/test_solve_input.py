@@ -183,7 +183,7 @@ def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
         ({"dynamics": lambda q, u: u}, InvalidInputError, r"dynamics.*shape \(3, 3\), got \(3,\)"),
         ({"dynamics": lambda q, u: (q @ hat(u),)}, InvalidInputError, "dynamics.*structure"),
         ({"controls": 2}, InvalidInputError, r"fail at .*control u of R\^2.*try another number of controls"),
-        ({"dynamics": lambda q, u: q @ hat(u / [1.0, 2.0, 3.0])}, InvalidInputError, r"line .*in place of a list"),
+        ({"dynamics": lambda q, u: q @ hat(u / [1.0, 2.0, 3.0])}, InvalidInputError, r"line .*instead of a list"),
         ({"dynamics": lambda q, u: (q, u)[2]}, InvalidInputError, r"out of .*index what is there"),
         ({"dynamics": written}, InvalidInputError, r"item assignment.*try jnp.stack"),
         (
@@ -212,7 +212,7 @@ def test_a_manifold_of_the_same_shape_and_dimension_is_another_manifold():
         (
             {"cost": lambda q, u: np.sin(u) @ u},
             InvalidInputError,
-            r"JAX cannot trace them \(Tracer\w+\), in .*; try jnp.sin in place of np.sin",
+            r"JAX cannot trace them \(Tracer\w+\), in .*; try jnp.sin instead of np.sin",
         ),
     ],
 )

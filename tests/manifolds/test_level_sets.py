@@ -71,7 +71,7 @@ def test_the_apex_of_a_cone_is_not_a_point_of_a_manifold():
     verdict = Cone(3).contains(jnp.zeros(3))
     assert not verdict
     assert "rank lost by the constraint's Jacobian is 1" in verdict.reason
-    assert verdict.reason.endswith("and take c in place of c**2")
+    assert verdict.reason.endswith("and take c instead of c**2")
 
 
 def test_a_level_set_without_points_says_so():
@@ -149,7 +149,7 @@ def test_equations_that_are_none_are_refused_in_words():
     with pytest.raises(InvalidInputError, match=r"the constraint of TooMany has 6 equations for points of 3 numbers"):
         TooMany(3)
     with pytest.raises(
-        InvalidInputError, match=r"return a vector, one entry an equation, got .*try x\[2:\] in place of x\[2\]"
+        InvalidInputError, match=r"return a vector, one entry an equation, got .*try x\[2:\] instead of x\[2\]"
     ):
         Submanifold(Sphere(2), lambda x: x[2])
 

@@ -361,7 +361,7 @@ def test_places_of_arguments_are_those_of_jax():
             1.0,
             r"in line \d+ of .*test_tape.py \(TracerArrayConversionError\); try functions written",
         ),
-        (lambda x: x if x > 0 else -x, 1.0, "jnp.where in place of if"),
+        (lambda x: x if x > 0 else -x, 1.0, "jnp.where instead of if"),
         (lambda x: x[x > 0], np.ones(2), "NonConcreteBooleanIndexError"),
         (3, 1.0, "of a function, got 3"),
         (lambda x: x, "a", "arrays of numbers as arguments"),

@@ -123,7 +123,7 @@ def test_the_tables_have_a_row_for_each_mutant_and_each_check():
 
 
 def write() -> None:
-    """Write both tables into the documentation, in place of those that are there."""
+    """Write both tables into the documentation, instead of those that are there."""
     tables = {
         "The checks": ["| of a | check | fact |", "|---|---|---|", *fact_rows()],
         "Which check catches which mutant": ["| mutant | caught by |", "|---|---|", *map(measured_row, MUTANTS)],

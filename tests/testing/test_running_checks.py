@@ -216,7 +216,7 @@ def test_the_square_of_an_equation_is_reported_before_what_follows_from_it():
     only = "restore_makes_errors_second_order"
     words = (
         r"rank lost by the constraint's Jacobian is 1 on Doubled\(\(3,\)\): the gradient of equation 1 is \S+ at "
-        r"random points, and \S+ at a distance of 0.01 from them; expected .* in place of its square$"
+        r"random points, and \S+ at a distance of 0.01 from them; expected .* instead of its square$"
     )
     report = check_manifold(Doubled(shape=(3,)), only=only, throw=False)
     assert len(report.failures) == 1

@@ -27,7 +27,7 @@ TWO_EQUATIONS = Submanifold(Sphere(3), lambda x: x[:1] - x[1:2] * x[2] - 0.25)
 
 @final
 class MutantManifold(Manifold):
-    """A manifold with some of its methods, or its dimension, in place of which others are given."""
+    """A manifold with some of its methods, or its dimension, instead of which others are given."""
 
     base: Manifold
     changes: tuple[tuple[str, Any], ...] = eqx.field(static=True)

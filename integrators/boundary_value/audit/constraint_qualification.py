@@ -78,7 +78,7 @@ class ConstraintQualification:
             return (
                 f"The derivative of {names[i]} vanishes where it holds the trajectory, {place}, and no multiplier can "
                 "hold it there: it may be passed by far more than the tolerance, and no strict minimum is shown; try a "
-                "function that passes through zero with a slope, as q[0] - a in place of its square or cube."
+                "function that passes through zero with a slope, as q[0] - a instead of its square or cube."
             )
         rows = slopes / np.where(lengths > 0, lengths, 1.0)[:, :, None]
         return self._dependent(solution, times[:, 0], (active, rows, names), units)

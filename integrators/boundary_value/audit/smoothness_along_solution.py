@@ -179,7 +179,7 @@ class SmoothnessAlongSolution:
             f"{f' near t = {float(time):.6g}' if self.timed else ''}: it computes {' and '.join(steps)} from "
             f"{'states and times' if self.timed else 'states'}, and no derivative tells of the jump; expected "
             "functions without jumps along the trajectory, because the costates jump there too, and these do not; try "
-            "jnp.tanh(x / a) with a small a in place of a step, or solve_phases, with one phase on each side that ends "
+            "jnp.tanh(x / a) with a small a instead of a step, or solve_phases, with one phase on each side that ends "
             "where the jump is"
         )
 

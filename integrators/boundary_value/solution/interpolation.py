@@ -206,7 +206,7 @@ class Interpolant:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them.
 
-        There is an empty array in place of the costates unless these are asked for.
+        There is an empty array instead of the costates unless these are asked for.
         """
         through, centres, coordinates = self._polynomials(steps)
         shares, covectors = lagrange(through, places), np.zeros(0)

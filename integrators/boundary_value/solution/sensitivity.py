@@ -228,7 +228,7 @@ def require_isolated(found: Derivatives, solution: Solution) -> None:
     if lost:
         raise ConvergenceError(
             f"the problem's functions have no finite derivative by {' and '.join(sorted(lost))} along this extremal; "
-            "try functions that are smooth there, as sqrt(x @ x + 1e-6) in place of a norm",
+            "try functions that are smooth there, as sqrt(x @ x + 1e-6) instead of a norm",
             solution,
         )
 

@@ -58,7 +58,7 @@ class PassedJump(NamedTuple):
         """The fact for a trajectory, and what can be done about it."""
         return (
             f"{self.fact('where the trajectory passes')}; expected a Hamiltonian without jumps there, because the "
-            "momenta jump with it, and those of the trajectory do not; try jnp.tanh(x / a) with a small a in place of "
+            "momenta jump with it, and those of the trajectory do not; try jnp.tanh(x / a) with a small a instead of "
             "a step"
         )
 

@@ -20,7 +20,7 @@ from .step_primitives import find_step_primitives
 # Distances from a control, times its size, between which a jump is looked for.
 CONTROL_DISTANCES = np.concatenate([-(10.0 ** np.arange(6, -5, -1)), [0.0], 10.0 ** np.arange(-4, 7)])
 SMOOTH_STEPS = (
-    "try jnp.tanh(u / a) with a small a in place of a step, or, for controls from a finite set, a problem for each of "
+    "try jnp.tanh(u / a) with a small a instead of a step, or, for controls from a finite set, a problem for each of "
     "them"
 )
 BOUND_ROUNDING = 1e-9  # of a bound: a control beyond it by more is not admitted

@@ -174,7 +174,7 @@ class Representatives(Conventions):
 class PartList(Conventions):
     """A point with several arrays is written as one flat list of the points of its parts, however ours are nested.
 
-    ``parts`` has the structure of our points, with conventions in place of the points of the factors.
+    ``parts`` has the structure of our points, with conventions instead of the points of the factors.
     """
 
     parts: tuple[Conventions, ...]

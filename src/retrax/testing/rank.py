@@ -32,6 +32,6 @@ def lost_rank(manifold: LevelSet, points: np.ndarray) -> str:
         f"rank lost by the constraint's Jacobian is {gone.size} on {manifold}: the gradient of equation {k} is "
         f"{number(np.max(on[:, k]))} at random points, and {number(np.min(beside[:, k]))} at a distance of "
         f"{number(GRADIENT_DISTANCE)} from them; expected a gradient that is not zero; try the "
-        "equation itself in place of its "
+        "equation itself instead of its "
         "square"
     )

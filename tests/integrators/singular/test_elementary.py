@@ -217,8 +217,8 @@ ODD = {
     "use the operation gt": lambda x, y: jnp.where(y > 0, y, 0.0),
     "use the operation convert_element_type": lambda x, y: 1.0 * y.astype(int),
     "use the operation while|use the operation scan": lambda x, y: jax.lax.fori_loop(0, 3, lambda i, a: a + y, x),
-    "jnp.where in place of if": lambda x, y: y if x > 0 else x,
-    "jnp.sin in place of np.sin": lambda x, y: np.sin(y),
+    "jnp.where instead of if": lambda x, y: y if x > 0 else x,
+    "jnp.sin instead of np.sin": lambda x, y: np.sin(y),
     "contain the constant nan": lambda x, y: y + jnp.nan,
     "problem's functions fail at a point": lambda x, y: jnp.stack([y, jnp.ones(2)]),
 }

@@ -283,7 +283,7 @@ def restore_is_the_identity_on_the_manifold(facts: ManifoldFacts) -> Comparison:
 @fact
 def restore_makes_errors_second_order(facts: ManifoldFacts) -> Comparison:
     """A point at distance ``t`` from the manifold is restored to one that violates the equations by ``O(t^2)``."""
-    # A bound in place of a slope: along some directions the error changes sign, which no power of the distance does.
+    # A bound instead of a slope: along some directions the error changes sign, which no power of the distance does.
     f = facts.measure(_equations, "points")
     rate = np.max((f["after restoring"] - f["on"][:, None]) / precision().distances ** 2, axis=1)
     return facts.bound(
