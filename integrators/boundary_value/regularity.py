@@ -21,6 +21,12 @@ from .iteration_reports import say
 from .solution.record import Solution
 from .transcription.transcribed_problem import Transcription
 
+SINGULAR_WORDS = (
+    "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters "
+    "or an explicit time; expected a running cost with curvature in every control, as u @ u / 2, or bounds that hold "
+    "the controls; a running cost that is constant with a free horizon is minimum time, and needs control_bounds or "
+    "constraints"
+)
 CLASSIFYING = "the problem is singular, and is classified: functions are compiled; classification=... saves it"
 
 
@@ -28,14 +34,15 @@ CLASSIFYING = "the problem is singular, and is classified: functions are compile
 class Regularity:
     """The classification of a problem with the parameters that it was last asked for."""
 
-    def __init__(self, transcription: Transcription, refusal: str = "") -> None:
-        """``refusal``: words for a singular problem, where that is not to be solved."""
-        self._transcription, self.refusal = transcription, refusal
+    def __init__(self, transcription: Transcription, posed: OptimalControlProblem) -> None:
+        """``posed``: the problem of the user, of which the transcribed problem may be a reformulation."""
+        self._transcription, self.posed = transcription, posed
+        self._reformulated = posed is not transcription.problem
         self._classes: dict[Any, tuple[Any, Classification | None]] = {}  # with the parameters that it belongs to
 
     def on(self, transcription: Transcription) -> "Regularity":
         """The regularity of the problem on another mesh; both share the classifications."""
-        other = Regularity(transcription, self.refusal)
+        other = Regularity(transcription, self.posed)
         other._classes = self._classes
         return other
 
@@ -47,11 +54,11 @@ class Regularity:
             problem, (first, last), guess = inputs.problem_of(k), inputs.conditions_of(k), inputs.guess_of(k)
             known, control = (first.point, None) if guess is None else vec.taken((guess.states, guess.controls), 0)
             inspection = inspect_problem(problem, known, control)
-            inspection.require_sound()
+            inspection.require_sound(self.posed)
             # Where there are inequalities the barrier determines the controls that the Hamiltonian leaves open.
             regular = inspection.is_regular or problem._limits.along
-            if not regular and self.refusal:
-                raise InvalidInputError(self.refusal)
+            if not regular and self._reformulated:
+                raise InvalidInputError(SINGULAR_WORDS)
             require_cost(problem, (known, inspection.u, inspection.directions), last.point, last.fixed_leaves)
             excluded = None if problem.abnormal or is_steep(problem, last.fixed_leaves) else False
             if not regular:
@@ -119,7 +126,9 @@ class Regularity:
         except InvalidInputError as error:
             if not inputs.rows.size:
                 raise
-            whose = "" if self.refusal else "the parameters of "  # with a refusal bounds of a horizon are among them
+            whose = (
+                "" if self._reformulated else "the parameters of "
+            )  # a reformulation adds bounds of the horizon
             raise InvalidInputError(f"with {whose}member {k}: {error}") from error
         if found is not None and not found.regular:
             which = f" with the parameters of member {k}" if inputs.rows.size else ""

@@ -13,7 +13,6 @@ from ...manifolds.numerics.precision import default_tolerance
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.path_constraints import LOWER, UPPER
 from ..problem.point_layout import PointLayout
-from ..problem.quantities import Quantities
 from ..problem_checks.requirements import leaving_words
 from ..reporting.result_sentences import sentence
 from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
@@ -45,9 +44,9 @@ class SolutionBuilder:
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
     @property
-    def names_for_user(self) -> Quantities:
-        """The names of the problem as its user gave it."""
-        return self.quantities if self.formulation is None else self.formulation.own.quantities
+    def posed(self) -> OptimalControlProblem:
+        """The problem as its user posed it."""
+        return self.problem if self.formulation is None else self.formulation.own
 
 
 @final
@@ -74,7 +73,7 @@ class ExtremalRecords:
         self._multipliers = _multipliers(transcribed, found)
         # A record holds this until its figures are read, and nothing else of the search.
         find: Any = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters)
-        posed = builder.problem if self._of.formulation is None else self._of.formulation.own
+        posed = builder.posed
         if posed.node_cost is not None or posed.sampling is not None:
             find = partial(_between_nodes, find)
         self._later = _LaterDiagnostics(find, self._active if builder.constrained else [])
@@ -88,7 +87,7 @@ class ExtremalRecords:
         worst: Any = np.unravel_index(np.nanargmax(normal), normal.shape)
         states, controls, _ = self._stages
         q, u = self._of.state.points(states[worst]), self._of.control.points(controls[worst])
-        where = leaving_words(inputs.problem_of(int(worst[0])), q, u, self._of.names_for_user)
+        where = leaving_words(inputs.problem_of(int(worst[0])), q, u, self._of.posed)
         raise NotOnManifoldError(
             f"dynamics leaves the tangent space of {where} along the trajectory: its relative normal part reaches "
             f"{normal[worst]:.3g}, expected 0; return a tangent vector, for rotations R @ hat(w), not hat(w)"
@@ -148,7 +147,7 @@ class ExtremalRecords:
 
     def _dependent_entries(self, k: int) -> str:
         """Words on a part of the end that follows from the rest, by the names of the user."""
-        names = [name for quantity in self._of.names_for_user.states for name in quantity.columns]
+        names = [name for quantity in self._of.posed.quantities.states for name in quantity.columns]
         return unmoved_words(self.found.system(k), names)
 
     def _is_rounding(self, k: int, tolerance: float) -> bool:
@@ -158,7 +157,7 @@ class ExtremalRecords:
 
     def _where(self, one: ConcaveDirection, k: int) -> str:
         """Where the cost of a member is concave, by the names and in the time that its user knows."""
-        quantities, times, formulation = self._of.names_for_user, self._stage_times[k], self._of.formulation
+        quantities, times, formulation = self._of.posed.quantities, self._stage_times[k], self._of.formulation
         if formulation is not None:
             times = times * float(formulation.rate(self._of.state.points(self.found.nodes[k, 0])))
         names = [name for quantity in quantities.controls for name in quantity.columns]

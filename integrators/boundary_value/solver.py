@@ -30,7 +30,7 @@ from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_proble
 from .inputs.inputs import InputReader, Inputs
 from .iteration_reports import Iteration
 from .reformulations.free_quantities import FreeQuantities
-from .reformulations.free_quantity_solver import SINGULAR_WORDS, FreeQuantitySolver
+from .reformulations.free_quantity_solver import FreeQuantitySolver
 from .regular_extremals import find_extremals
 from .regularity import Regularity
 from .shooting import solve_on_final_manifold
@@ -99,7 +99,7 @@ class Solver:
         self._reader = InputReader(problem, method, mesh, self._evaluator)
         self._builder = SolutionBuilder(problem, self._transcription.stages, interpolant)
         self._reformulation = FreeQuantitySolver(self._reader, self._inner)
-        self._regularity, self._audit = Regularity(self._transcription), Audit(problem)
+        self._regularity, self._audit = Regularity(self._transcription, problem), Audit(problem)
         self._kept: WeakKeyDictionary[Solution, _LastSolution] = WeakKeyDictionary()
         self._derivatives: dict[Any, Any] = {}  # the traced functions
         # Of a solver that is made where functions are read, whoever made it looks after that.
@@ -120,7 +120,8 @@ class Solver:
     def _inner(self, formulation: FreeQuantities) -> "Solver":
         """A solver of a reformulation of the problem."""
         solver = Solver(formulation.problem, formulation.method, self.fractions, self._evaluator)
-        solver._regularity.refusal, solver._builder.formulation = SINGULAR_WORDS, formulation
+        solver._regularity = Regularity(solver._transcription, formulation.own)
+        solver._builder.formulation = formulation
         return solver
 
     def with_steps(self, steps: Any) -> "Solver":

@@ -76,7 +76,7 @@ def inspect_problem(problem: OptimalControlProblem, q: Ambient, guessed: Ambient
 def _check(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> None:
     """Raise if the functions return a wrong kind at ``(q, u)``, or are not smooth in the controls there."""
     require_values(problem)
-    Inspection(problem, q, u).require_sound()
+    Inspection(problem, q, u).require_sound(problem)
 
 
 @final
@@ -92,19 +92,22 @@ class Inspection:
         self.problem, self.q, self.u = problem, q, u
         self.directions, self._covectors = probes(problem, u, near)
 
-    def require_sound(self) -> None:
-        """Raise if the functions return something of the wrong kind, or are not smooth in the controls."""
-        self.require_tangent()
+    def require_sound(self, posed: OptimalControlProblem) -> None:
+        """Raise if the functions return something of the wrong kind, or are not smooth in the controls.
+
+        ``posed``: the problem of the user, whose labels the error names.
+        """
+        self.require_tangent(posed)
         self.require_smooth()
 
-    def require_tangent(self) -> None:
+    def require_tangent(self, posed: OptimalControlProblem) -> None:
         """Raise if the functions are not finite, or ``dynamics`` leaves the tangent space."""
         if self.undefined:
             raise InvalidInputError(self.undefined)
         normal, size = np.max(self._probed.normals), np.max(self._probed.sizes)
         if not normal <= default_tolerance() * (1 + size):
             u = vec.taken(self._probed.controls, int(np.argmax(self._probed.normals)))
-            where = leaving_words(self.problem, self.q, u, self.problem.quantities)
+            where = leaving_words(self.problem, self.q, u, posed)
             raise NotOnManifoldError(
                 f"dynamics leaves the tangent space of {where}: its normal part is {normal:.3g} (size of the velocity "
                 f"{size:.3g}), expected 0; return a tangent vector, for instance manifold.projection(q, ...) of it"

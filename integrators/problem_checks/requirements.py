@@ -18,7 +18,6 @@ from ...manifolds.numerics.ambient import Ambient
 from ...retractions import CollocationMethod, DiscretizationMap, Retraction
 from ...tracing import trace_program
 from ..problem.optimal_control_problem import OptimalControlProblem
-from ..problem.quantities import Quantities
 from ..reporting.text import brief
 from .control_use import warn_of_broadcast
 from .function_failures import failure_words
@@ -67,16 +66,17 @@ def require_values(problem: OptimalControlProblem) -> ClosedJaxpr:
     return program
 
 
-def leaving_words(problem: OptimalControlProblem, q: Ambient, u: Ambient, names: Quantities) -> str:
+def leaving_words(problem: OptimalControlProblem, q: Ambient, u: Ambient, posed: OptimalControlProblem) -> str:
     """The manifold whose tangent space the dynamics leaves at ``(q, u)``; of a product the factor with the largest
-    normal part, by its label."""
-    manifold, velocity, found = problem.manifold, problem.velocity(q, u), ""
+    normal part, by its label in the problem as its user posed it."""
+    manifold, velocity, label = problem.manifold, problem.velocity(q, u), ""
     while isinstance(manifold, Product):
         normal = vec.subtract(velocity, manifold.projection(q, velocity))
         worst = int(np.argmax([vec.size(part) for part in normal]))
-        found = f"{names.factors(len(manifold.factors))[worst]}, "
+        if same_manifold(manifold, posed.manifold):
+            label = f"{posed.quantities.factors(len(manifold.factors))[worst]}, "
         manifold, q, velocity = manifold.factors[worst], q[worst], velocity[worst]
-    return f"{found}{manifold}"
+    return f"{label}{manifold}"
 
 
 def require_same_manifold(problem: OptimalControlProblem, method: DiscretizationMap | CollocationMethod) -> None:

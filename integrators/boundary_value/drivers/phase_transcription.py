@@ -12,7 +12,7 @@ from ..audit.status import explain_failure
 from ..inputs.arguments import BoundaryData, Options, step_fractions
 from ..inputs.inputs import Inputs
 from ..reformulations.free_quantities import FreeQuantities
-from ..reformulations.free_quantity_solver import SINGULAR_WORDS
+from ..regularity import SINGULAR_WORDS
 from ..solution.record import Solution
 from ..solution_builder import ExtremalRecords
 from ..solver import Solver
@@ -134,7 +134,7 @@ def transcribe_phase(
         ends = own.conditions_of(0)[0].point, None
         first, control = ends if guess is None else vec.taken((guess.states, guess.controls), 0)
         inspection = inspect_problem(bound, first, control)
-        inspection.require_sound()
+        inspection.require_sound(phase.problem)
         regular = inspection.is_regular or bound._limits.along
     except PHASE_ERRORS as error:
         raise type(error)(f"phase {number}: {error}") from error

@@ -21,12 +21,6 @@ from ..solution.record import Solution
 from .free_quantities import FreeQuantities
 from .vanishing_horizons import VanishingHorizon
 
-SINGULAR_WORDS = (
-    "the problem is singular, its controls are not determined by dH/du = 0, and it has a free horizon, free parameters "
-    "or an explicit time; expected a running cost with curvature in every control, as u @ u / 2, or bounds that hold "
-    "the controls; a running cost that is constant with a free horizon is minimum time, and needs control_bounds or "
-    "constraints"
-)
 # Times a bound that holds the horizon; a share of the parts of a Hamiltonian that is not zero.
 HORIZON_AT_BOUND, UNMET = 1.01, 1e-3
 LOST_HORIZON = 1e3  # times the guess, or a share of it: a horizon that is found without success, and named
