@@ -7,7 +7,7 @@ import numpy as np
 
 from ...compute.threads import each_in_threads
 from .audit.independence_of_boundary_conditions import dependence_notes, equation_words, require_independent
-from .inputs.arguments import Options
+from .inputs.options import Options
 from .reformulations.restarts import search_member
 from .transcription.core_transcription import extremals_of
 from .transcription.discrete_extremals import DiscreteExtremals

@@ -126,9 +126,7 @@ class Regularity:
         except InvalidInputError as error:
             if not inputs.rows.size:
                 raise
-            whose = (
-                "" if self._reformulated else "the parameters of "
-            )  # a reformulation adds bounds of the horizon
+            whose = "" if self._reformulated else "the parameters of "  # a reformulation adds bounds of the horizon
             raise InvalidInputError(f"with {whose}member {k}: {error}") from error
         if found is not None and not found.regular:
             which = f" with the parameters of member {k}" if inputs.rows.size else ""

@@ -15,8 +15,9 @@ from .drivers.mesh_refinement import MeshRefinement
 from .drivers.phases import solve_phases
 from .drivers.waypoints import join_phases, phases_through
 from .guess import Guess
-from .inputs.arguments import BoundaryData, Method, Options, check_accuracy, require_problem, require_refinable
+from .inputs.arguments import BoundaryData, Method, check_accuracy, require_problem, require_refinable
 from .inputs.inputs import Inputs
+from .inputs.options import Options
 from .iteration_reports import Iteration
 from .solution.differentiable_solution import INSTEAD
 from .solution.record import Solution

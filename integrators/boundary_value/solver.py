@@ -26,8 +26,9 @@ from .audit.audit import Audit
 from .audit.status import explain_failure
 from .export.c_export import export_c
 from .guess import Guess, Mesh
-from .inputs.arguments import ALONG, BoundaryData, Method, Options, check_problem, step_fractions, structure_of
+from .inputs.arguments import ALONG, BoundaryData, Method, check_problem, step_fractions, structure_of
 from .inputs.inputs import InputReader, Inputs
+from .inputs.options import Options
 from .iteration_reports import Iteration
 from .reformulations.free_quantities import FreeQuantities
 from .reformulations.free_quantity_solver import FreeQuantitySolver

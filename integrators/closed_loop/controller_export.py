@@ -8,7 +8,7 @@ import numpy as np
 
 from ...manifolds import Euclidean, InvalidInputError
 from ..boundary_value.export.c_export import origin_of, pose, require_name, require_new, write_folder
-from ..boundary_value.inputs.arguments import Options
+from ..boundary_value.inputs.options import Options
 from ..problem.path_constraints import count
 from ..problem.point_layout import PointLayout
 

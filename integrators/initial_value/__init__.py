@@ -4,9 +4,10 @@ from .batch import integrate_many
 from .composition import KAHAN_LI_6, KAHAN_LI_8, SUZUKI, TRIPLE_JUMP, YOSHIDA_6, Composition
 from .flow import Flow
 from .geodesic import GeodesicRetraction
+from .integrate import integrate
 from .integrator import Integrator, LiftedIntegrator, PresymplecticIntegrator, SymplecticIntegrator
 from .preservation import symplecticity_defect
-from .trajectory import Trajectory, integrate, load_trajectory
+from .trajectory import Trajectory, load_trajectory
 
 __all__ = [
     "KAHAN_LI_6",

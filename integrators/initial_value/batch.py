@@ -16,8 +16,9 @@ from ...manifolds.numerics.precision import default_tolerance
 from ...tracing import reads_once
 from ..problem.user_functions import require_concrete
 from .evaluator_choice import tape_steps
+from .integrate import check_call, require_finite_step, run_on_tape, scan, without_jumps
 from .integrator import Integrator
-from .trajectory import Trajectory, check_call, require_finite_step, run_on_tape, scan, without_jumps
+from .trajectory import Trajectory
 
 
 @reads_once

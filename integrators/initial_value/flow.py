@@ -11,8 +11,9 @@ from ...manifolds.numerics.ambient import Ambient
 from ...tracing import Tracing, resume_tracing
 from ..problem.user_functions import require_concrete
 from .batch import integrate_many
+from .integrate import check_call, integrate
 from .integrator import Integrator
-from .trajectory import Trajectory, check_call, integrate
+from .trajectory import Trajectory
 
 
 @final

@@ -67,8 +67,10 @@ def require_values(problem: OptimalControlProblem) -> ClosedJaxpr:
 
 
 def leaving_words(problem: OptimalControlProblem, q: Ambient, u: Ambient, posed: OptimalControlProblem) -> str:
-    """The manifold whose tangent space the dynamics leaves at ``(q, u)``; of a product the factor with the largest
-    normal part, by its label in the problem as its user posed it."""
+    """The manifold whose tangent space the dynamics leaves at ``(q, u)``.
+
+    Of a product this is the factor with the largest normal part, by its label in the problem as its user posed it.
+    """
     manifold, velocity, label = problem.manifold, problem.velocity(q, u), ""
     while isinstance(manifold, Product):
         normal = vec.subtract(velocity, manifold.projection(q, velocity))

@@ -180,16 +180,16 @@ bool retrax_is_extremal(const retrax_search *search);
 /* conclusion.c: finds out whether the conditions of second order hold at the extremal, if it is one. */
 void retrax_conclude(retrax_search *search);
 
-/* convergence.c: raises the stationarity of an iterate, of which each trajectory was measured, to that relative to what
+/* residuals.c: raises the stationarity of an iterate, of which each trajectory was measured, to that relative to what
  * its unknowns span: scaling factors are what controls reach, and an unstable system reaches farther than any
  * solution. */
 void retrax_measure_by_spans(const retrax_search *search, double *iterate);
 
-/* convergence.c: what an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size
+/* residuals.c: what an unknown of the steps spans along the trajectory: its spread, or a share of its value; the size
  * of a control. */
 double retrax_span_of(const retrax_layout *layout, const double *trajectory, retrax_index i);
 
-/* convergence.c: whether an entry has a coordinate of its own, which moves nothing else. */
+/* residuals.c: whether an entry has a coordinate of its own, which moves nothing else. */
 bool retrax_is_alone(const double *support, retrax_index n, retrax_index E, retrax_index entry);
 
 /* warm_start.c: sets first slacks and multipliers near to the multipliers that the guess, search->first, knows, of which

@@ -10,9 +10,10 @@ import pytest
 from retrax.integrators import Free, Guess, OptimalControlProblem, Solver, default_guess, solve
 from retrax.integrators.boundary_value.guess import DefaultGuess
 from retrax.integrators.boundary_value.inputs import connecting_curve
-from retrax.integrators.boundary_value.inputs.arguments import BoundaryData, Options
+from retrax.integrators.boundary_value.inputs.arguments import BoundaryData
 from retrax.integrators.boundary_value.inputs.connecting_curve import ConnectingCurve
 from retrax.integrators.boundary_value.inputs.inputs import Inputs
+from retrax.integrators.boundary_value.inputs.options import Options
 from retrax.manifolds import SE, SO, DomainError, Euclidean, InvalidInputError, LevelSet, NotOnManifoldError, Sphere
 from retrax.manifolds.numerics import ambient as vec
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, Projection, Retraction, default_retraction

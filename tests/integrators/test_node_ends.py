@@ -15,8 +15,9 @@ from retrax.integrators import (
     solve,
     solve_phases,
 )
-from retrax.integrators.boundary_value.inputs.arguments import BoundaryData, Options
+from retrax.integrators.boundary_value.inputs.arguments import BoundaryData
 from retrax.integrators.boundary_value.inputs.inputs import Inputs
+from retrax.integrators.boundary_value.inputs.options import Options
 from retrax.integrators.boundary_value.reformulations import restarts
 from retrax.manifolds import Euclidean, Sphere, hat
 from retrax.retractions import Addition, Cayley, Gauss, Midpoint, default_retraction

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, classify, solve, solve_phases
 from retrax.integrators.boundary_value.inputs import inputs
-from retrax.integrators.boundary_value.inputs.arguments import BoundaryData, Options
+from retrax.integrators.boundary_value.inputs.arguments import BoundaryData
 from retrax.integrators.boundary_value.inputs.inputs import Inputs
+from retrax.integrators.boundary_value.inputs.options import Options
 from retrax.integrators.singular.strategies import RattleIntegrator
 from retrax.manifolds import Euclidean, InvalidInputError
 from retrax.retractions import Addition, CotangentLift, Gauss, Midpoint, Theta

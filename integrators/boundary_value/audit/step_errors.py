@@ -18,8 +18,8 @@ from ...problem_checks.requirements import require_treated
 from ...reporting.text import brief
 from ..inputs.arguments import ALONG, BETWEEN, check_parameters
 from ..solution.record import Solution
-from .control_curvature import ControlCurvature
 from .discretization_error import RESOLUTION, Propagator
+from .hamiltonian_curvature import ControlCurvature
 
 ACTIVE_MARGIN = (
     0.01  # of what the unknowns change it by: an inequality that comes no farther off its bound is held all along

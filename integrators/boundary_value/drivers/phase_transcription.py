@@ -9,8 +9,9 @@ from ....manifolds import DomainError, InvalidInputError, NotOnManifoldError
 from ....manifolds.numerics import ambient as vec
 from ...problem_checks.inspection import inspect_problem
 from ..audit.status import explain_failure
-from ..inputs.arguments import BoundaryData, Options, step_fractions
+from ..inputs.arguments import BoundaryData, step_fractions
 from ..inputs.inputs import Inputs
+from ..inputs.options import Options
 from ..reformulations.free_quantities import FreeQuantities
 from ..regularity import SINGULAR_WORDS
 from ..solution.record import Solution

@@ -20,7 +20,8 @@ from ...problem.user_functions import require_concrete
 from ...reporting.text import brief, plural
 from ..audit import status
 from ..audit.independence_of_boundary_conditions import equation_words
-from ..inputs.arguments import Method, Options, check_problem
+from ..inputs.arguments import Method, check_problem
+from ..inputs.options import Options
 from ..iteration_reports import Iteration
 from ..reformulations.free_quantity_solver import MAGNITUDES
 from ..reformulations.reformulation import Reformulation

@@ -15,7 +15,8 @@ from ....manifolds.numerics.ambient import taken
 from ...problem.point_layout import PointLayout
 from ...problem_checks.requirements import require_treated
 from ...reporting.text import brief
-from ..inputs.arguments import ALONG, Options
+from ..inputs.arguments import ALONG
+from ..inputs.options import Options
 from ..solution.record import Solution
 from ..transcription.core_transcription import flat_limits, make_transcription, put
 

@@ -1,6 +1,5 @@
 """The arguments of a solve, checked and in the form that the solver computes with."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -9,18 +8,14 @@ import numpy as np
 
 from ....manifolds import InvalidInputError
 from ....manifolds.numerics.ambient import is_count, is_finite_number
-from ....manifolds.numerics.precision import working_precision
 from ....manifolds.numerics.tolerances import SAME_TIME
 from ....retractions import CollocationMethod, DiscretizationMap
 from ...problem.free_quantities import is_free, with_guess
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.requirements import HELD, require_same_manifold, require_treated
-from ...reporting.result_sentences import warn_about_precision
 from ...reporting.text import brief
 from ...singular import Classification, SingularIntegrator
-from ..iteration_reports import Iteration, IterationTable
 
-DEFAULT_TOLERANCE_POWER = 0.7  # of the rounding, the tolerance by default: 1e-11 in double precision
 MOST_STEPS = 10_000_000  # with arrays much longer memory ends
 LIMITS = "control bounds", "constraints", "node constraints"
 ALONG = *LIMITS, "an initial cost", "a node cost", "an explicit time"
@@ -43,34 +38,6 @@ class BoundaryData(NamedTuple):
         found = solution.horizon, solution.parameters
         horizon, parameters = jax.tree.map(with_guess, (self.horizon, self.parameters), found, is_leaf=is_free)
         return self._replace(horizon=horizon, parameters=parameters)
-
-
-class Options(NamedTuple):
-    """The options of an iteration, checked."""
-
-    tolerance: float
-    max_iterations: int
-    callback: Callable[[Iteration], Any] | None
-    # Whether more searches follow; asked if the search from the guess finds no minimum.
-    restarts: Callable[[], bool] = lambda: True
-
-    @classmethod
-    def of(cls, tolerance: float | None, max_iterations: int, callback: Any = None, verbose: bool = False) -> "Options":
-        """The options as they are given."""
-        warn_about_precision()
-        precision = working_precision()
-        rounding = np.finfo(precision).eps
-        limit = rounding**DEFAULT_TOLERANCE_POWER if tolerance is None else tolerance
-        if not (is_finite_number(limit) and limit >= rounding):
-            raise InvalidInputError(
-                f"tolerance must be a positive finite number, at least {rounding:.1e}, which is rounding of "
-                f"{precision}; got {tolerance!r}; try None, for {rounding**DEFAULT_TOLERANCE_POWER:.0e}"
-            )
-        if not is_count(max_iterations):
-            raise InvalidInputError(f"max_iterations must be a whole number of at least 1, got {max_iterations!r}")
-        if callback is not None and not callable(callback):
-            raise InvalidInputError(f"callback must be a function of an Iteration, got {callback!r}")
-        return cls(float(limit), int(max_iterations), IterationTable(callback) if verbose else callback)
 
 
 def structure_of(parameters: Any, axes: int = 0) -> Any:

@@ -34,7 +34,6 @@ from ..guess import Guess, Mesh, MeshGuess
 from .arguments import (
     BoundaryData,
     Method,
-    Options,
     check_classification,
     check_parameters,
     check_regular,
@@ -44,6 +43,7 @@ from .arguments import (
 from .boundary_data import BoundaryDataReader, EndPoints, NodeCondition
 from .guess_arrays import FlatGuess, GuessReader
 from .members import are_several, count_members, member_of, repeat_for_all, row_of
+from .options import Options
 from .reformulation_kind import ReformulationKind, needs_reformulation
 
 ROUNDED_POINT = 5e-6  # violation of its equations by a point whose entries have six digits

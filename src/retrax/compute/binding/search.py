@@ -18,7 +18,7 @@ from .multiphase import Multiphase
 from .structs import REPORT, IterationStruct, OptionsStruct, SearchResultStruct
 from .transcription import IterateNumbers, Scale, Sizes, Trajectory, Transcription, array_places
 
-MOST_ITERATIONS = 1 << 20  # as in search.c
+MOST_ITERATIONS = 1 << 20  # as in search_memory.c
 WAVES = 3  # as in perturbed_guess.c
 
 

@@ -1,5 +1,5 @@
 /*
- * Convergence: how far a trajectory is from satisfying its conditions, relative to what these are made of.
+ * Residuals: how far a trajectory is from satisfying its conditions, relative to what these are made of.
  *
  * An entry of a gap is measured by the spread of the trajectory in it, or by a share of its value, or of its unit. The
  * derivative of the Lagrangian is measured by the parts that cancel in it, coordinate by coordinate; where all parts
