@@ -228,8 +228,7 @@ class Solver:
         regularity = self._regularity
         solution = self._member(self._search(inputs)) if regularity.needs_proof(inputs) else None
         if solution is None or not regularity.proves(inputs, solution):
-            known = inputs.classification
-            inputs = inputs.with_classification(regularity.classification(inputs) if known is None else known)
+            inputs = inputs.with_classification(inputs.classification or regularity.classification(inputs))
             if inputs.classification is not None:
                 solution = solve_on_final_manifold(inputs, inputs.classification)
             elif solution is None:
