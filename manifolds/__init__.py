@@ -74,3 +74,8 @@ __all__ = [
 __all__ += groups.__all__
 __all__ += matrices.__all__
 __all__ += vectors.__all__
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)

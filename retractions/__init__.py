@@ -73,3 +73,8 @@ FORMER = {
 def __getattr__(name: str) -> Any:
     """Objects by their former names."""
     return former(__name__, FORMER, name)
+
+
+def __dir__() -> list[str]:
+    """The public names."""
+    return sorted(__all__)

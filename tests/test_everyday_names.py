@@ -27,7 +27,7 @@ def solver():
     return rx.Solver(problem(), rx.Midpoint(rx.Cayley(LINE)), 3)
 
 
-@pytest.mark.parametrize("module", ["retrax", "retrax.integrators"])
+@pytest.mark.parametrize("module", ["retrax", "retrax.integrators", "retrax.manifolds", "retrax.retractions"])
 def test_a_directory_lists_public_names(module):
     found = import_module(module)
     assert dir(found) == sorted(found.__all__)
