@@ -11,7 +11,6 @@ from ...manifolds import NotOnManifoldError
 from ...manifolds.numerics import ambient as vec
 from ...manifolds.numerics.precision import default_tolerance
 from ..problem.optimal_control_problem import OptimalControlProblem
-from ..problem.path_constraints import LOWER, UPPER
 from ..problem.point_layout import PointLayout
 from ..problem_checks.requirements import leaving_words
 from ..reporting.result_sentences import sentence
@@ -39,7 +38,7 @@ class SolutionBuilder:
 
     def __init__(self, problem: OptimalControlProblem, stages: np.ndarray, interpolant: Interpolant) -> None:
         self.problem, self.stages, self.interpolant = problem, stages, interpolant
-        self.quantities, self.constrained = problem.quantities, problem._limits.of_points_along
+        self.quantities = problem.quantities
         self.formulation: Any = None  # the reformulation that made the problem; users know the names before
         self.state, self.control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
 
@@ -72,11 +71,12 @@ class ExtremalRecords:
         self._active = _active(transcribed, self._held)
         self._multipliers = _multipliers(transcribed, found)
         # A record holds this until its figures are read, and nothing else of the search.
-        find: Any = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters)
+        held = np.array([any(counts.values()) for counts in self._active])
+        find: Any = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters, held)
         posed = builder.posed
         if posed.node_cost is not None or posed.sampling is not None:
             find = partial(_between_nodes, find)
-        self._later = _LaterDiagnostics(find, self._active if builder.constrained else [])
+        self._later = _LaterDiagnostics(find)
 
     def _require_tangent_dynamics(self, inputs: Inputs) -> None:
         """Raise if the dynamics leaves the tangent spaces along a trajectory; at the first point it was checked
@@ -190,24 +190,15 @@ class ExtremalRecords:
 
 @final
 class _LaterDiagnostics:
-    """The diagnostics of all members, found when they are first read.
+    """The diagnostics of all members, found when they are first read."""
 
-    Momenta may change where constraints hold a trajectory: they may break symmetries. ``active``: at how many places
-    constraints and bounds hold each; empty without constraints of points.
-    """
-
-    def __init__(self, find: Callable[[], Diagnostics], active: list[dict[str, int]]) -> None:
-        self._find, self._active = find, active
+    def __init__(self, find: Callable[[], Diagnostics]) -> None:
+        self._find = find
 
     @cached_property
     def found(self) -> Diagnostics:
         with np.errstate(all="ignore"):
-            diagnostics = self._find()
-        if not self._active:
-            return diagnostics
-        held = [any(count for name, count in counts.items() if name not in (LOWER, UPPER)) for counts in self._active]
-        free = np.where(held, np.inf, 0.0)[:, None]
-        return diagnostics._replace(brackets={name: rates + free for name, rates in diagnostics.brackets.items()})
+            return self._find()
 
 
 def _figures(later: _LaterDiagnostics, k: int) -> dict[str, Any]:

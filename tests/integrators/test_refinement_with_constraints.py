@@ -90,7 +90,7 @@ def test_what_is_violated_between_the_points():
     assert abs(found.cost - 4) < 1e-5
 
 
-@pytest.mark.long("True-horizon3-constraints3-0-0.0001")
+@pytest.mark.long("True-horizon3-constraints3-1-0.0001")
 @pytest.mark.parametrize(
     ("horizon", "constraints", "count", "accuracy"),
     [
@@ -98,12 +98,12 @@ def test_what_is_violated_between_the_points():
         (Free(3.0, lower=0.5), None, 1, 1e-6),
         (Free(3.0, lower=2.5), None, 1, 1e-6),
         # The control, which costs nothing, chatters within the steps and exceeds the limit between the points.
-        (Free(3.0), {"slow": lambda q, u: q[1] - 0.8}, 0, 1e-4),
+        (Free(3.0), {"slow": lambda q, u: q[1] - 0.8}, 1, 1e-4),
     ],
 )
 @pytest.mark.parametrize("refined", [False, True])
 def test_bounds_of_durations_and_horizons_break_no_symmetry(horizon, constraints, count, accuracy, refined, capsys):
-    """The price of the place is constant; a constraint of states may change that of another component."""
+    """The costate of the position is constant, because no function depends on the position."""
     bounds = {"control_bounds": (-1, 1), "constraints": constraints}
     problem = OptimalControlProblem(PLANE, cart, lambda q, u: 1.0, 1, **bounds)
     ends = np.zeros(2), np.array([1.0, 0.0])

@@ -66,7 +66,7 @@ class Checks(ABC):
         For each factor on which a group acts, the largest spread of a component of its momentum over the nodes.
     conserved : dict of str to int
         The number of components of the momentum that are constant along this extremal: their brackets ``{J, H}``
-        vanish.
+        vanish, and so do the derivatives of the inequalities along their generators, if inequalities are active.
     """
 
     defect: float
@@ -149,7 +149,6 @@ class RegularChecks(Checks):
     ----------
     defect, stationarity, violations, hamiltonian, hamiltonian_spread, hamiltonian_size, momentum_spreads, conserved
         As in ``Checks``. ``stationarity`` is the largest derivative of the Lagrangian relative to its parts.
-        ``conserved`` is empty for problems with ``constraints``, which may break a symmetry.
     strict_minimum : bool
         Whether the Hessian is positive definite on the null space of the constraints: the second-order conditions hold.
     violation : float

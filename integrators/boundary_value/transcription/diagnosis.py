@@ -13,7 +13,7 @@ from jaxtyping import Array
 from ....compute.base import Evaluator, PointwiseFunction
 from ....manifolds import Manifold, MatrixLieGroup
 from ....manifolds.numerics import ambient as vec
-from ....manifolds.numerics.ambient import Ambient
+from ....manifolds.numerics.ambient import Ambient, Frame
 from ....manifolds.numerics.tolerances import EPS, ROUNDING
 from ....manifolds.product import homogeneous_factors
 from ...problem.optimal_control_problem import OptimalControlProblem
@@ -93,9 +93,15 @@ class Diagnosis:
         """Values of states, controls and costates at the stages, (B, S, ...)."""
         return AlongStages(*self._stage.at(2, *stages, parameters[:, None]))
 
-    def of(self, nodes: AtNodes, along: AlongStages, stages: Stages, parameters: np.ndarray) -> Diagnostics:
-        """Diagnostics from the values along nodes and stages."""
-        rounding, brackets = self._at_samples(stages, parameters[:, None])
+    def of(
+        self, nodes: AtNodes, along: AlongStages, stages: Stages, parameters: np.ndarray, held: np.ndarray | None = None
+    ) -> Diagnostics:
+        """Diagnostics from the values along nodes and stages.
+
+        ``held``, shape (B,): whether inequalities hold the trajectory, whose symmetries are then also those of the
+        inequalities.
+        """
+        rounding, brackets = self._at_samples(stages, parameters[:, None], held)
         size = np.maximum(along.sizes.max(axis=1), rounding)
         return Diagnostics(along.hamiltonians, size, nodes.momenta, nodes.violations, brackets)
 
@@ -141,17 +147,25 @@ class Diagnosis:
         problem, point, control, _ = self._problem_at(q, u, q, parameters)
         return pull @ problem.inequalities(point, problem._steer(control, d)), jnp.zeros(0)
 
-    def _at_samples(self, stages: Stages, given: np.ndarray) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    def _at_samples(
+        self, stages: Stages, given: np.ndarray, held: np.ndarray | None
+    ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
         """Size below which ``<p, X>`` and ``F`` are rounding of the terms that they are sums of; and the brackets.
 
         The terms of ``F`` show in its derivatives, by coordinates in units of their size or of 1, whichever is larger:
         where ``F = (q + u)^2 / 2`` is zero, the second ones are not.
         """
-        curvature, slope, _, _, power, rate, sizes, *brackets = self._terms.at(2, *_samples(stages), given)
+        curvature, slope, _, _, power, rate, sizes, *rates = self._terms.at(2, *_samples(stages), given)
         slopes = np.abs(slope) + (np.abs(curvature) @ sizes[..., None])[..., 0]
         parts = power + np.abs(rate) + (slopes * sizes).sum(axis=2)
         rounding = ROUNDING * EPS * parts.max(axis=1)
-        return rounding, {name: value.max(axis=1) for name, value in zip(self._names, brackets, strict=True)}
+        count = len(self._names)
+        largest = [values.max(axis=1) for values in rates]
+        brackets, broken = largest[:count], largest[count:]
+        if held is not None and broken:
+            pairs = zip(brackets, broken, strict=True)
+            brackets = [np.maximum(own, np.where(held[:, None], limit, 0.0)) for own, limit in pairs]
+        return rounding, dict(zip(self._names, brackets, strict=True))
 
     def _problem_at(
         self, q: Array, u: Array, p: Array, parameters: Array
@@ -195,7 +209,7 @@ class Diagnosis:
         power = vec.pairing(*jax.tree.map(jnp.abs, (p, velocity)))
         sizes_of_terms = power, rate, jnp.maximum(jnp.concatenate(sizes), 1.0)
         brackets = _brackets(problem.manifold, q, p, velocity, force)
-        return problem.cost_rate(*near), jnp.zeros(0), *sizes_of_terms, *brackets
+        return problem.cost_rate(*near), jnp.zeros(0), *sizes_of_terms, *brackets, *_broken_symmetries(problem, q, u)
 
 
 def _brackets(manifold: Manifold, *at: Ambient) -> tuple[Array, ...]:
@@ -213,6 +227,30 @@ def _brackets(manifold: Manifold, *at: Ambient) -> tuple[Array, ...]:
         size = vec.components(*jax.tree.map(jnp.abs, (generators, force))) + jnp.abs(moved)
         out.append(jnp.abs(turned - moved) / positive(jnp.max(size)))
     return tuple(out)
+
+
+def _broken_symmetries(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, ...]:
+    """Derivatives of the inequalities along the generators of every factor, relative to the largest sum of their terms.
+
+    Of each generator the largest one. They vanish where the inequalities are invariant under the action.
+    """
+
+    def values(x: Ambient) -> Array:
+        return jnp.concatenate([problem.inequalities(x, u), problem.node_inequalities(x)])
+
+    def rates(generators: Frame, slope: Ambient) -> Array:
+        size = vec.components(*jax.tree.map(jnp.abs, (generators, slope)))
+        return jnp.abs(vec.components(generators, slope)) / positive(jnp.max(size))
+
+    limits, pull = vec.pullback(values, q)
+    if not limits.size:
+        return ()
+    slopes = jax.vmap(lambda weights: pull(weights)[0])(jnp.eye(limits.size))
+    factors = (homogeneous_factors(problem.manifold, part) for part in (q, slopes))
+    return tuple(
+        jnp.max(jax.vmap(partial(rates, factor.generators(x)))(slope), axis=0)
+        for (_, factor, x), (_, _, slope) in zip(*factors, strict=True)
+    )
 
 
 def _samples(stages: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
