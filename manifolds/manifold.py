@@ -256,7 +256,8 @@ class Manifold(Module):
                 known = self.hint_for_shape(k, np.shape(leaf), role)
                 hint = "; try its as_matrix()" if hasattr(leaf, "as_matrix") else known
                 came = np.shape(leaf) if np.shape(leaf) else _outline(leaf)
-                return f"{self._named(role)} has shape {shape.shape}, got {came}{hint}"
+                place = f" in its array {k}" if len(leaves) > 1 else ""
+                return f"{self._named(role)} has shape {shape.shape}{place}, got {came}{hint}"
         return ""
 
     def hint_for_shape(self, k: int, shape: tuple[int, ...], role: str) -> str:
