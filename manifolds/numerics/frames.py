@@ -12,7 +12,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from .matrices import lyapunov
-from .root import solve_small
 from .tolerances import HALF, tolerance
 
 Frame = Float[Array, "n p"]
@@ -94,14 +93,8 @@ def _eliminate(k: Array, state: tuple[Matrix, Array]) -> tuple[Matrix, Array]:
 
 
 def null_frame(rows: Float[Array, "m n"]) -> Float[Array, "n-m n"]:
-    """Orthonormal rows that span the null space of independent rows.
-
-    The rows come from a fixed basis, projected and made orthonormal again. Their derivatives are right everywhere; the
-    derivatives of LAPACK's reflections are NaN where a row is a multiple of a unit vector.
-    """
-    fixed = jax.lax.stop_gradient(jnp.linalg.qr(rows.T, mode="complete")[0].T[rows.shape[0] :])
-    carried = fixed - (fixed @ rows.T) @ solve_small(rows @ rows.T, rows)
-    return jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(carried @ carried.T), carried, lower=True)
+    """Orthonormal rows that span the null space of independent rows."""
+    return complement(_orthonormalized(rows.T)).T
 
 
 def adapted_frame(projector: Matrix, rank: int) -> Matrix:
@@ -118,12 +111,18 @@ def adapted_frame(projector: Matrix, rank: int) -> Matrix:
 
 def _spanned(projector: Matrix, rank: int) -> Frame:
     """Orthonormal columns, as many as the rank of a projector, that span its image."""
-    carried = projector @ _pivots(jax.lax.stop_gradient(projector), rank).T
-    # Made orthonormal twice: rounding of the first time grows with the square of the condition of the columns.
+    return _orthonormalized(projector @ _pivots(jax.lax.stop_gradient(projector), rank).T)
+
+
+def _orthonormalized(columns: Frame) -> Frame:
+    """Orthonormal columns with the span of independent ones, by Gram and Schmidt's process.
+
+    Twice, because the rounding of the first time grows with the square of the condition of the columns.
+    """
     for _ in range(2):
-        factor = jnp.linalg.cholesky(carried.T @ carried)
-        carried = jax.scipy.linalg.solve_triangular(factor, carried.T, lower=True).T
-    return carried
+        factor = jnp.linalg.cholesky(columns.T @ columns)
+        columns = jax.scipy.linalg.solve_triangular(factor, columns.T, lower=True).T
+    return columns
 
 
 def _pivots(projector: Matrix, rank: int) -> Float[Array, "p n"]:

@@ -4,8 +4,12 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
+from jax.flatten_util import ravel_pytree
 from retrax.manifolds import Manifold, MatrixLieGroup
+from retrax.manifolds.numerics import ambient as vec
+from retrax.retractions import default_retraction
 from retrax.testing import check_lie_group, check_manifold
 
 from tests.support.cases import MANIFOLDS
@@ -111,3 +115,19 @@ def test_the_tolerance_of_contains_is_the_one_asked_for():
     x = jnp.array([1.0 + 1e-5, 0.0, 0.0])
     assert not MANIFOLDS["S2"].contains(x)
     assert MANIFOLDS["S2"].contains(x, 1e-4)
+
+
+@pytest.mark.parametrize("name", MANIFOLDS)
+def test_the_derivative_of_a_basis_is_the_derivative_of_its_values(name):
+    """So dynamics ``u @ basis(q)``, with controls as coordinates, is a function like any other."""
+    manifold = MANIFOLDS[name]
+    x, retraction = unflat(manifold)(draw_point(manifold, 1)[0]), default_retraction(manifold)
+    v = vec.combine(manifold.basis(x), jnp.cos(jnp.arange(manifold.dimension)))
+    v = vec.scale(0.3 / vec.size(v), v)
+
+    def frame(s):
+        return ravel_pytree(manifold.basis(retraction(x, vec.scale(s, v))))[0]
+
+    at, h = jax.jit(frame), 1e-4
+    differences = (8 * (at(h) - at(-h)) - (at(2 * h) - at(-2 * h))) / (12 * h)
+    np.testing.assert_allclose(jax.jvp(frame, (0.0,), (1.0,))[1], differences, atol=1e-10)
