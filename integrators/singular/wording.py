@@ -89,7 +89,8 @@ def sparse_words(missing: int, tried: int) -> str:
 
 
 CURVED_PIECES = (
-    "its tangent spaces differ: curved pieces of equal ranks that cross, as some do here, are not always told apart"
+    "its tangent spaces differ: curved pieces of equal ranks that cross, as some do here, are not always told apart; "
+    "try near=(q, p), a point of the piece that you want"
 )
 ON_EACH_SIDE = (
     "on each side P_f is that of another problem, and what follows holds near the points that were found; try near=(q, "
