@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
+from retrax.integrators.boundary_value.audit.smoothness_along_solution import NEAR_MARGIN
 from retrax.integrators.problem_checks.smoothness.step_primitives import with_margins
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Exponential, Gauss, Projection
@@ -318,13 +319,15 @@ def test_phases_are_what_the_message_says():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_small_rotation_passes_no_step_of_its_logarithm(seed):
-    """Steps of the branch for large rotations would else be searched along every trajectory."""
+    """Steps of the branch for large rotations would else be searched along every trajectory, or beside it."""
     retraction, axis = Exponential(SO(3)), np.random.default_rng(seed).normal(size=3)
 
     def margins(angle):
         turned = retraction(jnp.eye(3), hat(angle * axis / np.linalg.norm(axis)))
         return with_margins(lambda a: jnp.ravel(retraction.preimage(jnp.eye(3), a)), turned)[1].values
 
-    sides = np.asarray(jax.vmap(margins)(np.linspace(-0.09, 0.09, 20))) >= 0
+    found = np.asarray(jax.vmap(margins)(np.linspace(-0.09, 0.09, 20)))
+    sides = found >= 0
     assert sides.size > 0
+    assert np.min(np.abs(found)) > NEAR_MARGIN
     np.testing.assert_array_equal(sides, np.broadcast_to(sides[:1], sides.shape))
