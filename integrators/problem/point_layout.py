@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import Manifold
-from ...manifolds.numerics.ambient import Ambient, Frame
+from ...manifolds.numerics.ambient import Ambient, Frame, is_traced
 
 
 def _complex(real: np.ndarray, imaginary: np.ndarray) -> np.ndarray:
@@ -79,14 +79,14 @@ class PointLayout:
         return np.concatenate(parts, axis=-1, dtype=float)
 
     def finite_rows(self, points: Any, axes: int) -> np.ndarray | None:
-        """The rows of points that are NumPy arrays of finite real numbers of the right shapes; None for all other
-        input.
+        """The rows of points that are arrays of finite real numbers of the right shapes; None for all other input.
 
         Other input may still be points: this check accepts most points at once.
         """
         leaves, structure = jax.tree.flatten(points)
         if structure != self._structure:
             return None
+        leaves = [np.asarray(leaf) if isinstance(leaf, jax.Array) and not is_traced(leaf) else leaf for leaf in leaves]
         for leaf, shape in zip(leaves, self.shapes, strict=True):
             if type(leaf) is not np.ndarray or leaf.dtype.kind != "f" or leaf.shape[axes:] != shape:
                 return None
@@ -104,6 +104,12 @@ class PointLayout:
             if np.shape(leaf)[axes:] != shape or (np.iscomplexobj(leaf) and not is_complex):
                 return False
         return True
+
+    def point_arrays(self, rows: np.ndarray) -> Ambient:
+        """Points as NumPy arrays in the precision of the manifold, from an array with their entries along the last
+        axis."""
+        kinds = self._structure.unflatten(self._kinds)
+        return jax.tree.map(lambda leaf, kind: np.asarray(leaf, kind.dtype), self.points(rows), kinds)
 
     def points(self, rows: Any, join: Callable[[Any, Any], Any] = _complex) -> Ambient:
         """Points with the leading axes of an array that has their entries along the last one."""
