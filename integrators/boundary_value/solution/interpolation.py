@@ -240,7 +240,8 @@ class Interpolation:
 
     def guess(self, times: np.ndarray, stage_times: np.ndarray) -> Guess:
         """The extremal at times of nodes and of stages."""
-        nodes, stages = (self(np.minimum(t, self.times[-1])) for t in (times, stage_times))
+        every = self(np.minimum(np.concatenate([times, stage_times]), self.times[-1]))
+        nodes, stages = (vec.taken(every, part) for part in (slice(len(times)), slice(len(times), None)))
         at_stages, at_nodes = self._multipliers
         multipliers = {name: _along(stage_times, self.stage_times, rows) for name, rows in at_stages.items()}
         before, after = _shares(self.times), _shares(times)
