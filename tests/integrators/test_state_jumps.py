@@ -12,6 +12,7 @@ import pytest
 from jaxtyping import Array
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
 from retrax.integrators.boundary_value.audit.smoothness_along_solution import NEAR_MARGIN
+from retrax.integrators.problem_checks.smoothness.jumps import JumpSearch
 from retrax.integrators.problem_checks.smoothness.step_primitives import with_margins
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Exponential, Gauss, Projection
@@ -331,3 +332,18 @@ def test_a_small_rotation_passes_no_step_of_its_logarithm(seed):
     assert sides.size > 0
     assert np.min(np.abs(found)) > NEAR_MARGIN
     np.testing.assert_array_equal(sides, np.broadcast_to(sides[:1], sides.shape))
+
+
+@pytest.mark.parametrize("share", [*10.0 ** np.arange(-10.0, 0.0), 0.9, 1.1])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_margin_that_is_zero_between_two_ends_is_found_and_no_other(share, side):
+    """The margin is a parabola that changes by 1 on the line, with its least value on one side of zero or the other."""
+
+    def window(_, x):
+        return jnp.reshape(jnp.where(x**2 + side * share < 0, 1.0, 0.0), 1)
+
+    search = JumpSearch(window, lambda row, s: (1.6 * s - row,), (), np.ones(()))
+    lines, ends = np.array([0.6]), np.array([[0.0, 1.0]])
+    found = search.crossings((), lines, ends, search.at((), lines, ends))
+    assert bool(search.jumps(found, np.ones(1))) == (side < 0 and share < 1)
+    assert (found is None) == (share > 1)
