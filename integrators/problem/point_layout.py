@@ -86,13 +86,15 @@ class PointLayout:
         leaves, structure = jax.tree.flatten(points)
         if structure != self._structure:
             return None
-        leaves = [np.asarray(leaf) if isinstance(leaf, jax.Array) and not is_traced(leaf) else leaf for leaf in leaves]
+        arrays = list[np.ndarray]()
         for leaf, shape in zip(leaves, self.shapes, strict=True):
-            if type(leaf) is not np.ndarray or leaf.dtype.kind != "f" or leaf.shape[axes:] != shape:
+            array = np.asarray(leaf) if isinstance(leaf, jax.Array) and not is_traced(leaf) else leaf
+            if type(array) is not np.ndarray or array.dtype.kind != "f" or array.shape[axes:] != shape:
                 return None
-            if leaf.shape[:axes] != leaves[0].shape[:axes]:
+            arrays.append(array)
+            if array.shape[:axes] != arrays[0].shape[:axes]:
                 return None
-        rows = self._rows(leaves, axes)
+        rows = self._rows(arrays, axes)
         return rows if np.isfinite(rows).all() else None
 
     def fits(self, points: Any, axes: int) -> bool:

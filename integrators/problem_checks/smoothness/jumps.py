@@ -164,7 +164,7 @@ class JumpSearch:
 
     def _comes_near(self, given: Any, rows: Any, ends: np.ndarray, step: np.ndarray) -> np.ndarray:
         """Whether the margin of a step comes near to zero on each line: nearer than by what it changes there."""
-        margins, _, _ = self.at(given, rows, _divided(ends)).of_step(step)
+        margins, _, _ = self.at(given, rows, _piece_ends(ends)).of_step(step)
         return ~(np.min(np.abs(margins), axis=1) > np.ptp(margins, axis=1))
 
     def _close_in(self, given: Any, rows: Any, ends: np.ndarray, step: np.ndarray) -> np.ndarray:
@@ -176,7 +176,7 @@ class JumpSearch:
         ends = ends.astype(self._samples.precision)
         rounds = int(np.ceil(np.log(LOCATION_ACCURACY * FINEST * tolerance(ends, 1.0)) / -np.log(PIECES)))
         for _ in range(rounds):
-            places = _divided(ends).astype(ends.dtype)
+            places = _piece_ends(ends).astype(ends.dtype)
             margins, slopes, _ = self.at(given, rows, places).of_step(step)
             above, trend = margins >= 0, margins * slopes
             crossed = above[:, 1:] != above[:, :-1]
@@ -203,7 +203,7 @@ class JumpSearch:
         return point, values, *margins, slopes.values
 
 
-def _divided(ends: np.ndarray) -> np.ndarray:
+def _piece_ends(ends: np.ndarray) -> np.ndarray:
     """The ends of the pieces of intervals, shape ``(K, PIECES + 1)``."""
     inner = ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * (np.arange(1, PIECES) / PIECES)
     return np.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1)
