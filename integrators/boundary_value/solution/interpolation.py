@@ -337,9 +337,10 @@ def _steps(interpolant: Interpolant, record: ExtremalArrays) -> _Steps:
     steps = np.diff(record.times)
     longest = np.argmax(steps)
     places = (record.stage_times.reshape(len(steps), -1)[longest] - record.times[longest]) / steps[longest]
-    at_stages = (a.reshape(len(steps), len(places), -1) for a in (points, at_points, control.rows(record.controls, 1)))
+    shape = len(steps), len(places), -1
+    stages = points.reshape(shape), at_points.reshape(shape), control.rows(record.controls, 1).reshape(shape)
     jumps = np.stack([record.jumps[:-1] & (np.arange(len(steps)) == 0), record.jumps[1:] | interpolant.costs], axis=1)
-    return _Steps(nodes[:-1], nodes[1:], at_nodes[:-1], at_nodes[1:], *at_stages, places, jumps)
+    return _Steps(nodes[:-1], nodes[1:], at_nodes[:-1], at_nodes[1:], *stages, places, jumps)
 
 
 def _shares(times: np.ndarray) -> np.ndarray:
