@@ -153,4 +153,5 @@ def idle_control(problem: OptimalControlProblem, given: Any, delay: float) -> An
 
 def clip_to_bounds(problem: OptimalControlProblem, u: Any) -> Any:
     """A control inside the bounds of the problem."""
-    return u if problem.control_bounds is None else np.clip(u, *problem.control_bounds)
+    bounds = problem.control_bounds
+    return u if bounds is None else np.clip(u, *bounds)

@@ -41,16 +41,14 @@ class ReferencePath:
     @classmethod
     def of_states(cls, solution: Solution, outside: Outside) -> Self:
         """The states of a solution: the polynomials of its method."""
-        interpolant = solution._between_nodes
-        return cls(interpolant.retraction, solution.times, interpolant.polynomials(solution), outside)
+        between = solution._between_nodes
+        return cls(between.interpolant.retraction, solution.times, between.states, outside)
 
     @classmethod
     def of_controls(cls, solution: Solution, outside: Outside) -> Self:
         """The controls of a solution: the polynomials through its stages."""
-        interpolant = solution._between_nodes
-        return cls(
-            default_retraction(interpolant.controls), solution.times, interpolant.control_polynomials(solution), outside
-        )
+        between = solution._between_nodes
+        return cls(default_retraction(between.interpolant.controls), solution.times, between.controls, outside)
 
     @classmethod
     def through(cls, name: str, retraction: Retraction, table: tuple[Any, Any], outside: Outside) -> Self:

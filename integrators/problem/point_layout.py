@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...manifolds import Manifold
-from ...manifolds.numerics.ambient import Ambient, Frame
+from ...manifolds.numerics.ambient import Ambient, Frame, is_traced
 
 
 def _complex(real: np.ndarray, imaginary: np.ndarray) -> np.ndarray:
@@ -79,20 +79,22 @@ class PointLayout:
         return np.concatenate(parts, axis=-1, dtype=float)
 
     def finite_rows(self, points: Any, axes: int) -> np.ndarray | None:
-        """The rows of points that are NumPy arrays of finite real numbers of the right shapes; None for all other
-        input.
+        """The rows of points that are arrays of finite real numbers of the right shapes; None for all other input.
 
         Other input may still be points: this check accepts most points at once.
         """
         leaves, structure = jax.tree.flatten(points)
         if structure != self._structure:
             return None
+        arrays = list[np.ndarray]()
         for leaf, shape in zip(leaves, self.shapes, strict=True):
-            if type(leaf) is not np.ndarray or leaf.dtype.kind != "f" or leaf.shape[axes:] != shape:
+            array = np.asarray(leaf) if isinstance(leaf, jax.Array) and not is_traced(leaf) else leaf
+            if type(array) is not np.ndarray or array.dtype.kind != "f" or array.shape[axes:] != shape:
                 return None
-            if leaf.shape[:axes] != leaves[0].shape[:axes]:
+            arrays.append(array)
+            if array.shape[:axes] != arrays[0].shape[:axes]:
                 return None
-        rows = self._rows(leaves, axes)
+        rows = self._rows(arrays, axes)
         return rows if np.isfinite(rows).all() else None
 
     def fits(self, points: Any, axes: int) -> bool:
@@ -104,6 +106,12 @@ class PointLayout:
             if np.shape(leaf)[axes:] != shape or (np.iscomplexobj(leaf) and not is_complex):
                 return False
         return True
+
+    def point_arrays(self, rows: np.ndarray) -> Ambient:
+        """Points as NumPy arrays in the precision of the manifold, from an array with their entries along the last
+        axis."""
+        kinds = self._structure.unflatten(self._kinds)
+        return jax.tree.map(lambda leaf, kind: np.asarray(leaf, kind.dtype), self.points(rows), kinds)
 
     def points(self, rows: Any, join: Callable[[Any, Any], Any] = _complex) -> Ambient:
         """Points with the leading axes of an array that has their entries along the last one."""

@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Shaped
 
 from ...manifolds import SE, SO, SU, MatrixLieGroup, U, UnknownRetractionError
 from ..retraction import comes_back, nan_unless
-from ..rounding import SINGULAR_DISTANCE
+from ..rounding import SINGULAR_DISTANCE, length
 from .functions import general, rigid_motions, rotations, unitary
 from .group_map import SymmetricGroupRetraction, is_on_group, on_group
 
@@ -190,5 +190,8 @@ class GroupCayley(SymmetricGroupRetraction):
 
 
 def _invertible(a: Matrix) -> Bool[Array, ""]:
-    """Whether a matrix that would be the identity plus a small one is farther than rounding from a singular one."""
-    return jnp.linalg.norm(a, -2) > SINGULAR_DISTANCE * jnp.finfo(a.dtype).eps
+    """Whether a matrix that would be the identity plus a small one is farther than rounding from a singular one.
+
+    The length of the inverse bounds the inverse of this distance, and a tape has it, unlike singular values.
+    """
+    return length(jnp.linalg.inv(jax.lax.stop_gradient(a))) * SINGULAR_DISTANCE * jnp.finfo(a.dtype).eps < 1

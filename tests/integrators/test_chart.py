@@ -6,7 +6,7 @@ import scipy.linalg
 from numpy.polynomial import Polynomial
 from retrax.compute.automatic import AutomaticEvaluator
 from retrax.integrators.boundary_value.transcription.chart import Chart, lagrange
-from retrax.manifolds import SO, Euclidean, hat
+from retrax.manifolds import SE, SO, Euclidean, hat
 from retrax.retractions import Addition, Cayley, Exponential, Gauss
 
 AXIS = np.array([0.6, 0.0, 0.8])
@@ -59,3 +59,12 @@ def test_a_centre_is_as_far_from_both_ends_in_opposite_directions(family):
     before, after = (chart.coordinates(centres, points) for points in (begins, ends))
     np.testing.assert_allclose(before, -after, atol=1e-12)
     np.testing.assert_allclose(chart.points(centres, after), ends, atol=1e-12)
+
+
+@pytest.mark.parametrize("group", [SO(2), SO(3), SE(2), SE(3)], ids=str)
+@pytest.mark.parametrize("family", [Cayley, Exponential])
+def test_the_functions_of_charts_of_groups_are_tapes(family, group):
+    """A closed loop evaluates these functions at each sample, and XLA takes longer to call than a tape to run."""
+    evaluator = AutomaticEvaluator()
+    assert Chart(family(group), evaluator).functions
+    assert evaluator.name == "tape", evaluator.reason

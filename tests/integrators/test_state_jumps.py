@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from jaxtyping import Array
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
+from retrax.integrators.boundary_value.audit.smoothness_along_solution import NEAR_MARGIN
+from retrax.integrators.problem_checks.smoothness.jumps import JumpSearch
 from retrax.integrators.problem_checks.smoothness.step_primitives import with_margins
 from retrax.manifolds import SO, Euclidean, InvalidInputError, Sphere, hat
 from retrax.retractions import Addition, Cayley, Exponential, Gauss, Projection
@@ -318,13 +320,30 @@ def test_phases_are_what_the_message_says():
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_small_rotation_passes_no_step_of_its_logarithm(seed):
-    """Steps of the branch for large rotations would else be searched along every trajectory."""
+    """Steps of the branch for large rotations would else be searched along every trajectory, or beside it."""
     retraction, axis = Exponential(SO(3)), np.random.default_rng(seed).normal(size=3)
 
     def margins(angle):
         turned = retraction(jnp.eye(3), hat(angle * axis / np.linalg.norm(axis)))
         return with_margins(lambda a: jnp.ravel(retraction.preimage(jnp.eye(3), a)), turned)[1].values
 
-    sides = np.asarray(jax.vmap(margins)(np.linspace(-0.09, 0.09, 20))) >= 0
+    found = np.asarray(jax.vmap(margins)(np.linspace(-0.09, 0.09, 20)))
+    sides = found >= 0
     assert sides.size > 0
+    assert np.min(np.abs(found)) > NEAR_MARGIN
     np.testing.assert_array_equal(sides, np.broadcast_to(sides[:1], sides.shape))
+
+
+@pytest.mark.parametrize("share", [*10.0 ** np.arange(-10.0, 0.0), 0.9, 1.1])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_margin_that_is_zero_between_two_ends_is_found_and_no_other(share, side):
+    """The margin is a parabola that changes by 1 on the line, with its least value on one side of zero or the other."""
+
+    def window(_, x):
+        return jnp.reshape(jnp.where(x**2 + side * share < 0, 1.0, 0.0), 1)
+
+    search = JumpSearch(window, lambda row, s: (1.6 * s - row,), (), np.ones(()))
+    lines, ends = np.array([0.6]), np.array([[0.0, 1.0]])
+    found = search.crossings((), lines, ends, search.at((), lines, ends))
+    assert bool(search.jumps(found, np.ones(1))) == (side < 0 and share < 1)
+    assert (found is None) == (share > 1)

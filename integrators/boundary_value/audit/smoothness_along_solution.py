@@ -185,9 +185,8 @@ class SmoothnessAlongSolution:
 
     def _pieces(self, solution: Solution) -> tuple[Curves, np.ndarray]:
         """The polynomials of the steps, one for each piece of a step with the control of its stage, and its ends."""
-        interpolant: Any = solution.interpolant
         steps, count = solution.steps, len(solution.stage_times) // solution.steps
-        through, centres, coordinates = interpolant.polynomials(solution)
+        through, centres, coordinates = solution._between_nodes.states
         ways = np.zeros((steps, len(through), self._coordinates))
         powers = np.linalg.inv(np.vander(through, increasing=True))
         ways[:, :, : coordinates.shape[2]] = np.einsum("jk,ikn->ijn", powers, coordinates)

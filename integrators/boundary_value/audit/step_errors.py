@@ -209,9 +209,8 @@ class StepErrorEstimator:
         if not self.problem._limits.any or solution.interpolant is None:
             return np.zeros((solution.steps, 0)), np.zeros(0, bool), np.zeros(0, bool), {}
         stages = len(solution.stage_times) // solution.steps
-        found = solution.interpolant.within(
-            solution, np.linspace(0.0, 1.0, INEQUALITY_POINTS * stages + 1), costates=False
-        )
+        places = np.linspace(0.0, 1.0, INEQUALITY_POINTS * stages + 1)
+        found = solution._between_nodes.within(places, costates=False)
         layouts = (self.propagator.state, found.states), (self.propagator.control, found.controls)
         q, u = (layout.rows(points, 2) for layout, points in layouts)
         given = self.parameter.rows(parameters, 0)

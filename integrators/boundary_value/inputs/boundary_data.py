@@ -187,8 +187,7 @@ class BoundaryDataReader:
 
     def condition(self, row: np.ndarray, parts: tuple[EndPart, ...]) -> NodeCondition:
         """The condition on a node from a flat point."""
-        point = jax.tree.map(lambda a, kind: np.asarray(a, kind.dtype), self.layout.points(row), self.manifold.ambient)
-        return NodeCondition(point, parts)
+        return NodeCondition(self.layout.point_arrays(row), parts)
 
     def _is_split(self, given: Any) -> bool:
         """Whether the factors of a product are given one by one."""

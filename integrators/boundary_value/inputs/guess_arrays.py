@@ -3,7 +3,6 @@
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple, final
 
-import jax
 import numpy as np
 
 from ....compute.at_points import violations_at
@@ -177,7 +176,4 @@ def _rows(given: Any, part: _GuessPart) -> np.ndarray | None:
 
 def _points(rows: np.ndarray | None, k: int, part: _GuessPart) -> Any:
     """The part of member ``k`` in arrays like a point's."""
-    if rows is None:
-        return None
-    made = part.layout.points(rows[min(k, len(rows) - 1)])
-    return jax.tree.map(lambda kind, leaf: np.asarray(leaf, kind.dtype), part.manifold.ambient, made)
+    return None if rows is None else part.layout.point_arrays(rows[min(k, len(rows) - 1)])

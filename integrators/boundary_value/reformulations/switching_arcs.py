@@ -185,10 +185,9 @@ class SwitchingArcs(Reformulation[ArcData, BoundaryData, Solution, Solution]):
         ``int max(-side d(<p, X> - F)/du, 0) room dt`` along the polynomials of the steps, of which ``arcs`` are the
         arcs.
         """
-        interpolant: Any = solution.interpolant
         stages = len(solution.stage_times) // solution.steps
         places = (np.arange(REFINED_ARC * stages) + 0.5) / (REFINED_ARC * stages)
-        sample = interpolant.within(solution, places)
+        sample = solution._between_nodes.within(places)
         rows = {name: rows.reshape(solution.steps, stages, -1) for name, rows in solution.stage_multipliers.items()}
         at = (solution.stage_times[:stages] - solution.times[0]) / (solution.times[1] - solution.times[0])
         shares = lagrange(at, places)

@@ -52,8 +52,8 @@ class Solutions(HistoryPlots, Sequence[Solution]):
         members : sequence of Solution
             Solutions with arrays of the same shapes.
         """
-        values = ({name: value for name, value in vars(member).items() if name not in LISTED} for member in members)
-        stacked = vec.stacked(list(values))
+        names = [field.name for field in fields(Solution) if field.name not in LISTED]
+        stacked = vec.stacked([{name: getattr(member, name) for name in names} for member in members])
         return cls(stacked, members.__getitem__, range(len(members)))
 
     def __reduce__(self) -> Any:

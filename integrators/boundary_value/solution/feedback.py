@@ -23,7 +23,7 @@ from ..transcription.chart import lagrange
 from ..transcription.core_transcription import flat_limits
 from ..transcription.functions.nodes import NodeFunctions
 from ..transcription.kkt_system import KKTSystem
-from .interpolation import checked_times
+from .interpolation import Interpolant, checked_times
 from .record import Solution
 from .riccati import recursion
 
@@ -94,7 +94,7 @@ class Feedback:
             For times outside the horizon and arrays of other shapes; for states so far from the solution, such as half
             a turn, that the inverse of the retraction does not exist.
         """
-        interpolant, times, rows = self.solution._between_nodes, checked_times(t, self.times), self._rows(q)
+        interpolant, times, rows = self._interpolant, checked_times(t, self.times), self._rows(q)
         shape = np.broadcast_shapes(times.shape, rows.shape[:-1])
         times = np.broadcast_to(times, shape).ravel()
         rows = np.broadcast_to(rows, (*shape, rows.shape[-1])).reshape(-1, rows.shape[-1])
@@ -112,9 +112,13 @@ class Feedback:
             controls = np.clip(controls, *(side.ravel() for side in self.bounds))
         return interpolant.control.points(controls.reshape(*shape, -1))
 
+    @property
+    def _interpolant(self) -> Interpolant:
+        return self.solution._between_nodes.interpolant
+
     def _rows(self, q: Any) -> np.ndarray:
         """States as flat rows."""
-        layout: PointLayout = self.solution._between_nodes.state
+        layout: PointLayout = self._interpolant.state
         try:
             arrays = jax.tree.map(lambda _, leaf: np.asarray(leaf), layout.points(np.zeros(layout.size)), q)
             leaves = jax.tree.leaves(arrays)
@@ -125,7 +129,7 @@ class Feedback:
             rows = None
         if rows is None or not np.all(np.isfinite(rows)):
             raise InvalidInputError(
-                f"the state must be a point of {self.solution._between_nodes.retraction.manifold}, or an array of "
+                f"the state must be a point of {self._interpolant.retraction.manifold}, or an array of "
                 f"finite points along leading axes, got {brief(q)}; try solution(t).states"
             )
         return rows

@@ -58,18 +58,18 @@ class ExtremalArrays(Protocol):
     def jumps(self) -> np.ndarray: ...
 
 
-class _Step(NamedTuple):
-    """Some steps of an extremal, as flat points: its nodes, and its s stages."""
+class _Steps(NamedTuple):
+    """The N steps of an extremal, as flat points: nodes, and the s stages of each step."""
 
-    begin: np.ndarray  # (K, E)
+    begin: np.ndarray  # (N, E)
     end: np.ndarray
     begin_costates: np.ndarray
     end_costates: np.ndarray
-    states: np.ndarray  # (K, s, E)
+    states: np.ndarray  # (N, s, E)
     costates: np.ndarray
-    controls: np.ndarray  # (K, s, U)
+    controls: np.ndarray  # (N, s, U)
     places: np.ndarray  # (s,)
-    jumps: np.ndarray  # (K, 2): whether the covectors at the ends are those beyond a jump, seen from the step
+    jumps: np.ndarray  # (N, 2): whether the covectors at the ends are those beyond a jump, seen from the step
 
 
 @final
@@ -139,140 +139,27 @@ class Interpolant:
                 )
             raise InvalidInputError(f"{what}{name} are complex, expected real numbers, those of {manifold}")
 
-    def __call__(self, record: ExtremalArrays, t: Any) -> Sample:
-        """The extremal at a time, or at an array of times.
-
-        Raises ``InvalidInputError`` for a time outside the horizon, ``DomainError`` where a step does not fit into a
-        chart.
-        """
-        times = checked_times(t, record.times)
-        flat = times.ravel()
-        k = np.clip(np.searchsorted(record.times, flat, side="right") - 1, 0, len(record.times) - 2)
-        places = (flat - record.times[k]) / np.diff(record.times)[k]
-        needed, where = np.unique(k, return_inverse=True)
-        with one_tracing(), np.errstate(all="ignore"):
-            states, costates, controls = self._evaluate(self._steps(record, needed), where, places)
-        lost = ~np.all(np.isfinite(np.concatenate([states, costates, controls], axis=1)), axis=1)
-        if np.any(lost):
-            raise DomainError(
-                f"the step of the solution at t = {flat[lost][0]:.6g} does not fit into one chart of its retraction, "
-                "and has no polynomial there; try more steps, or a retraction with a larger image"
-            )
-        rows = (a.reshape(*times.shape, a.shape[1]) for a in (states, controls, costates))
-        q, u, p = (layout.points(a) for layout, a in zip((self.state, self.control, self.state), rows, strict=True))
-        return Sample(times, q, u, p)
-
-    def guess(self, record: ExtremalArrays, times: np.ndarray, stage_times: np.ndarray) -> Guess:
-        """The extremal at times of nodes and of stages."""
-        nodes, stages = (self(record, np.minimum(t, record.times[-1])) for t in (times, stage_times))
-        at_stages, at_nodes = record.stage_multipliers, record.node_multipliers
-        multipliers = {name: _along(stage_times, record.stage_times, rows) for name, rows in at_stages.items()}
-        before, after = _shares(record.times), _shares(times)
-        jumps = {name: after * _along(times, record.times, rows / before) for name, rows in at_nodes.items()}
-        return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers, jumps)
-
-    def within(self, record: ExtremalArrays, places: np.ndarray, costates: bool = True) -> Sample:
-        """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own
-        controls.
-
-        Entries are NaN where a step does not fit into a chart. Without costates these are None.
-        """
-        count = len(record.times) - 1
-        each, at = np.repeat(np.arange(count), len(places)), np.tile(places, count)
-        with one_tracing(), np.errstate(all="ignore"):
-            rows = self._evaluate(self._steps(record, np.arange(count)), each, at, costates)
-        q, p, u = (
-            layout.points(a.reshape(count, len(places), -1)) if len(a) else None
-            for layout, a in zip((self.state, self.state, self.control), rows, strict=True)
-        )
-        return Sample(record.times[each].reshape(count, -1) + np.outer(np.diff(record.times), places), q, u, p)
-
-    def _steps(self, record: ExtremalArrays, k: np.ndarray) -> _Step:
-        """The steps of these numbers."""
-        count = len(record.times) - 1
-        nodes, points = (self.state.rows(part, 1) for part in (record.states, record.stage_states))
-        at_nodes, at_points = (self.state.rows(part, 1) for part in (record.costates, record.stage_costates))
-        longest = np.argmax(np.diff(record.times))
-        stage_times = record.stage_times.reshape(count, -1)[longest]
-        places = (stage_times - record.times[longest]) / np.diff(record.times)[longest]
-        states, costates = (a.reshape(count, len(places), -1)[k] for a in (points, at_points))
-        controls = self.control.rows(record.controls, 1).reshape(count, len(places), -1)[k]
-        ends = nodes[k], nodes[k + 1], at_nodes[k], at_nodes[k + 1]
-        jumps = np.stack([record.jumps[k] & (k == 0), record.jumps[k + 1] | self.costs], axis=1)
-        return _Step(*ends, states, costates, controls, places, jumps)
-
-    def _evaluate(
-        self, steps: _Step, where: np.ndarray, places: np.ndarray, costates: bool = True
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Flat states, costates and controls in the steps at the places ``where``, at fractions ``places`` of them.
-
-        There is an empty array instead of the costates unless these are asked for.
-        """
-        through, centres, coordinates = self._polynomials(steps)
-        shares, covectors = lagrange(through, places), np.zeros(0)
-        c = np.einsum("tj,tjn->tn", shares, coordinates[where])
-        states = self.chart.points(centres[where], c)
-        if costates:
-            momenta = self._momenta(steps, through, centres, coordinates)
-            momentum = np.einsum("tj,tjn->tn", shares, momenta[where])
-            covectors = self.chart.pushforward(centres[where], c, momentum)
-        controls = self._control_polynomials(steps)
-        offset = np.einsum("tj,tjm->tm", lagrange(controls.places, places), controls.coordinates[where])
-        return states, covectors, self._control_point.at(1, controls.centres[where], offset)[0]
-
-    def polynomials(self, record: ExtremalArrays) -> Polynomials:
-        """The polynomials of the states in all steps; entries are NaN where a step does not fit into a chart."""
-        with one_tracing(), np.errstate(all="ignore"):
-            return self._polynomials(self._steps(record, np.arange(len(record.times) - 1)))
-
-    def control_polynomials(self, record: ExtremalArrays) -> Polynomials:
-        """The polynomials of the controls in all steps, in charts of the default retraction of their manifold."""
-        with one_tracing(), np.errstate(all="ignore"):
-            return self._control_polynomials(self._steps(record, np.arange(len(record.times) - 1)))
-
-    def _control_polynomials(self, steps: _Step) -> Polynomials:
-        """The polynomials of the controls in some steps."""
-        bases = steps.controls[:, 0]
-        return Polynomials(steps.places, bases, self._offset.at(2, bases[:, None], steps.controls)[0])
-
-    def _polynomials(self, steps: _Step) -> Polynomials:
-        """The polynomials of the states in some steps."""
-        if len(steps.places) > 1:
-            return self.chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
-        centres = steps.states[:, 0]  # the base point of a discretization map, which may be at a node
-        coordinates = self.chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
-        return Polynomials(np.array([0.0, 1.0]), centres, coordinates)
-
-    def _momenta(self, steps: _Step, through: np.ndarray, centres: np.ndarray, coordinates: np.ndarray) -> np.ndarray:
-        """The covectors of the charts of steps at the places ``through`` which their polynomials go."""
-        inner = () if len(steps.places) == 1 else np.moveaxis(steps.costates[:, steps.places < 1.0], 1, 0)
-        covectors = np.stack([steps.begin_costates, *inner, steps.end_costates], axis=1)
-        momenta = self.chart.pullback(centres[:, None], coordinates, covectors)
-        return self._on_this_side(steps, centres, (through, momenta)) if np.any(steps.jumps) else momenta
-
-    def _on_this_side(self, steps: _Step, centres: np.ndarray, known: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """The momenta at the places of steps, at a jump from the polynomial through the remaining momenta."""
-        (through, momenta), extrapolated = known, np.array(known[1])
-        one = len(through) == 2
-        if one:  # the stage has the covector theta p_0 + (1 - theta) p_1
-            middle = self.chart.pullback(centres, np.zeros_like(momenta[:, 0]), steps.costates[:, 0])
-            momenta = np.stack([momenta[:, 0], middle, momenta[:, 1]], axis=1)
-        for first, last in ((1, 0), (0, 1), (1, 1)):
-            which, kept = np.all(steps.jumps == (first, last), axis=1), slice(first, momenta.shape[1] - last)
-            if one:
-                place = 1 - steps.places[0]
-                place = 0.5 if place == first else place  # as the only covector that is left
-                through = np.array([0.0, place, 1.0])
-            for place, end in ((0, 0.0), (-1, 1.0)):
-                if (first, last)[place]:
-                    shares = lagrange(through[kept], np.array([end]))[0]
-                    extrapolated[which, place] = np.einsum("j,kjn->kn", shares, momenta[which, kept])
-        return extrapolated
+    def along(self, record: ExtremalArrays) -> "Interpolation":
+        """The interpolation of an extremal."""
+        return Interpolation(self, record)
 
     @property
     def functions(self) -> dict[str, PointwiseFunction]:
         """The functions of the interpolation by their names, for programs that are exported."""
         return {**self.chart.functions, "control_offset": self._offset, "control_moved": self._control_point}
+
+    @property
+    def layouts(self) -> tuple[PointLayout, PointLayout, PointLayout]:
+        """The layouts of states, costates and controls."""
+        return self.state, self.state, self.control
+
+    def control_offsets(self, bases: np.ndarray, controls: np.ndarray) -> np.ndarray:
+        """Coordinates of controls in charts around other controls, all flat, shape (N, s, m)."""
+        return self._offset.at(2, bases, controls)[0]
+
+    def control_points(self, bases: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+        """The controls with some coordinates in charts around other controls, all flat, shape (K, U)."""
+        return self._control_point.at(1, bases, offsets)[0]
 
     def apart(self, bases: np.ndarray, states: np.ndarray) -> np.ndarray:
         """The tangent vectors at points ``bases`` whose retractions are the states, all flat, shape (K, E)."""
@@ -320,6 +207,140 @@ class Interpolant:
     def _control_point_of(self, base: Array, offset: Array) -> tuple[Array]:
         u, turn = self.control.point(base), default_retraction(self.controls)
         return (self.control.flat(turn.chart(u, turn.frame(u), offset)),)
+
+
+@final
+class Interpolation:
+    """An extremal between its nodes: the polynomials of all steps, each computed once, when it is first needed."""
+
+    def __init__(self, interpolant: Interpolant, record: ExtremalArrays) -> None:
+        self.interpolant, self.times, self.stage_times = interpolant, record.times, record.stage_times
+        self._multipliers = record.stage_multipliers, record.node_multipliers
+        self._steps = _steps(interpolant, record)
+
+    def __call__(self, t: Any) -> Sample:
+        """The extremal at a time, or at an array of times.
+
+        Raises ``InvalidInputError`` for a time outside the horizon, ``DomainError`` where a step does not fit into a
+        chart.
+        """
+        times = checked_times(t, self.times)
+        flat = times.ravel()
+        k = np.clip(np.searchsorted(self.times, flat, side="right") - 1, 0, len(self.times) - 2)
+        states, costates, controls = self._evaluate(k, (flat - self.times[k]) / np.diff(self.times)[k])
+        lost = ~np.all(np.isfinite(np.concatenate([states, costates, controls], axis=1)), axis=1)
+        if np.any(lost):
+            raise DomainError(
+                f"the step of the solution at t = {flat[lost][0]:.6g} does not fit into one chart of its retraction, "
+                "and has no polynomial there; try more steps, or a retraction with a larger image"
+            )
+        rows = (a.reshape(*times.shape, a.shape[1]) for a in (states, costates, controls))
+        q, p, u = (layout.points(a) for layout, a in zip(self.interpolant.layouts, rows, strict=True))
+        return Sample(times, q, u, p)
+
+    def guess(self, times: np.ndarray, stage_times: np.ndarray) -> Guess:
+        """The extremal at times of nodes and of stages."""
+        every = self(np.minimum(np.concatenate([times, stage_times]), self.times[-1]))
+        nodes, stages = (vec.taken(every, part) for part in (slice(len(times)), slice(len(times), None)))
+        at_stages, at_nodes = self._multipliers
+        multipliers = {name: _along(stage_times, self.stage_times, rows) for name, rows in at_stages.items()}
+        before, after = _shares(self.times), _shares(times)
+        jumps = {name: after * _along(times, self.times, rows / before) for name, rows in at_nodes.items()}
+        return Guess(stages.states, stages.controls, nodes.costates, nodes.states, stages.costates, multipliers, jumps)
+
+    def within(self, places: np.ndarray, costates: bool = True) -> Sample:
+        """The extremal at some places of every step, fractions of it, shape ``(N, j)``; at its ends with its own
+        controls.
+
+        Entries are NaN where a step does not fit into a chart. Without costates these are None.
+        """
+        count = len(self.times) - 1
+        each, at = np.repeat(np.arange(count), len(places)), np.tile(places, count)
+        q, p, u = (
+            layout.points(a.reshape(count, len(places), -1)) if len(a) else None
+            for layout, a in zip(self.interpolant.layouts, self._evaluate(each, at, costates), strict=True)
+        )
+        return Sample(self.times[each].reshape(count, -1) + np.outer(np.diff(self.times), places), q, u, p)
+
+    def _evaluate(
+        self, k: np.ndarray, places: np.ndarray, costates: bool = True
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Flat states, costates and controls in the steps ``k``, at fractions ``places`` of them.
+
+        There is an empty array instead of the costates unless these are asked for.
+        """
+        chart, (through, centres, coordinates), controls = self.interpolant.chart, self.states, self.controls
+        with one_tracing(), np.errstate(all="ignore"):
+            shares, covectors = lagrange(through, places), np.zeros(0)
+            c = np.einsum("tj,tjn->tn", shares, coordinates[k])
+            states = chart.points(centres[k], c)
+            if costates:
+                momentum = np.einsum("tj,tjn->tn", shares, self._momenta[k])
+                covectors = chart.pushforward(centres[k], c, momentum)
+            offset = np.einsum("tj,tjm->tm", lagrange(controls.places, places), controls.coordinates[k])
+            return states, covectors, self.interpolant.control_points(controls.centres[k], offset)
+
+    @cached_property
+    def states(self) -> Polynomials:
+        """The polynomials of the states; entries are NaN where a step does not fit into a chart."""
+        steps, chart = self._steps, self.interpolant.chart
+        with one_tracing(), np.errstate(all="ignore"):
+            if len(steps.places) > 1:
+                return chart.polynomials(steps.places, steps.begin, steps.states, steps.end)
+            centres = steps.states[:, 0]  # the base point of a discretization map, which may be at a node
+            coordinates = chart.coordinates(centres[:, None], np.stack([steps.begin, steps.end], axis=1))
+            return Polynomials(np.array([0.0, 1.0]), centres, coordinates)
+
+    @cached_property
+    def controls(self) -> Polynomials:
+        """The polynomials of the controls, in charts of the default retraction of their manifold."""
+        bases = self._steps.controls[:, 0]
+        with one_tracing(), np.errstate(all="ignore"):
+            offsets = self.interpolant.control_offsets(bases[:, None], self._steps.controls)
+        return Polynomials(self._steps.places, bases, offsets)
+
+    @cached_property
+    def _momenta(self) -> np.ndarray:
+        """The covectors of the charts of the steps at the places through which their polynomials go."""
+        steps, (_, centres, coordinates) = self._steps, self.states
+        inner = () if len(steps.places) == 1 else np.moveaxis(steps.costates[:, steps.places < 1.0], 1, 0)
+        covectors = np.stack([steps.begin_costates, *inner, steps.end_costates], axis=1)
+        momenta = self.interpolant.chart.pullback(centres[:, None], coordinates, covectors)
+        return self._on_this_side(momenta) if np.any(steps.jumps) else momenta
+
+    def _on_this_side(self, momenta: np.ndarray) -> np.ndarray:
+        """The momenta at the places of steps, at a jump from the polynomial through the remaining momenta."""
+        steps, (through, centres, _), extrapolated = self._steps, self.states, np.array(momenta)
+        one = len(through) == 2
+        if one:  # the stage has the covector theta p_0 + (1 - theta) p_1
+            middle = self.interpolant.chart.pullback(centres, np.zeros_like(momenta[:, 0]), steps.costates[:, 0])
+            momenta = np.stack([momenta[:, 0], middle, momenta[:, 1]], axis=1)
+        for first, last in ((1, 0), (0, 1), (1, 1)):
+            which, kept = np.all(steps.jumps == (first, last), axis=1), slice(first, momenta.shape[1] - last)
+            if one:
+                place = 1 - steps.places[0]
+                place = 0.5 if place == first else place  # as the only covector that is left
+                through = np.array([0.0, place, 1.0])
+            for place, end in ((0, 0.0), (-1, 1.0)):
+                if (first, last)[place]:
+                    shares = lagrange(through[kept], np.array([end]))[0]
+                    extrapolated[which, place] = np.einsum("j,kjn->kn", shares, momenta[which, kept])
+        return extrapolated
+
+
+def _steps(interpolant: Interpolant, record: ExtremalArrays) -> _Steps:
+    """The steps of an extremal."""
+    state, _, control = interpolant.layouts
+    nodes, points, at_nodes, at_points = (
+        state.rows(part, 1) for part in (record.states, record.stage_states, record.costates, record.stage_costates)
+    )
+    steps = np.diff(record.times)
+    longest = np.argmax(steps)
+    places = (record.stage_times.reshape(len(steps), -1)[longest] - record.times[longest]) / steps[longest]
+    shape = len(steps), len(places), -1
+    stages = points.reshape(shape), at_points.reshape(shape), control.rows(record.controls, 1).reshape(shape)
+    jumps = np.stack([record.jumps[:-1] & (np.arange(len(steps)) == 0), record.jumps[1:] | interpolant.costs], axis=1)
+    return _Steps(nodes[:-1], nodes[1:], at_nodes[:-1], at_nodes[1:], *stages, places, jumps)
 
 
 def _shares(times: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_type_hints
@@ -18,7 +19,7 @@ from ...reporting.presentation import HistoryPlots
 from ...reporting.records import RecordFile, Values, not_finite, shapes
 from ..guess import Guess, Mesh, MeshGuess
 from .diagnostics import RegularChecks
-from .interpolation import Interpolant, Sample
+from .interpolation import Interpolant, Interpolation, Sample
 from .names_elsewhere import attribute_hint
 from .report import failure_text, report_text
 from .solution_fields import SolutionFields, at_stages
@@ -145,17 +146,17 @@ class Solution(SolutionFields, HistoryPlots, MeshGuess):
         InvalidInputError, DomainError
             For times outside the horizon, and for a step that does not fit into a chart.
         """
-        return self._between_nodes(self, t)
+        return self._between_nodes(t)
 
-    @property
-    def _between_nodes(self) -> Interpolant:
+    @cached_property
+    def _between_nodes(self) -> Interpolation:
         if self.interpolant is None:
             raise InvalidInputError(
                 "this solution was read from a file that says nothing of its retraction, which is not one of the "
                 "library or is made with a function, and it has no polynomials between its nodes; try "
                 "load_solution(path, retraction, controls)"
             )
-        return self.interpolant
+        return self.interpolant.along(self)
 
     if not TYPE_CHECKING:  # a checker knows the attributes
 
@@ -184,7 +185,7 @@ class Solution(SolutionFields, HistoryPlots, MeshGuess):
         if after > 0 or share != 1.0:
             begin = self.times[0] + after
             places = (begin + share * (times - self.times[0]) for times in (self.times, self.stage_times))
-            return self._between_nodes.guess(self, *places)
+            return self._between_nodes.guess(*places)
         multipliers = self.stage_multipliers, self.node_multipliers
         return Guess(self.stage_states, self.controls, self.costates, self.states, self.stage_costates, *multipliers)
 
@@ -200,7 +201,8 @@ class Solution(SolutionFields, HistoryPlots, MeshGuess):
             return self.guess()
         # A file that says nothing of the retraction is read as one of this: what it is between the nodes is a guess all
         # the same.
-        return (self.interpolant or mesh.interpolant).guess(self, times, stage_times)
+        between = self._between_nodes if self.interpolant else mesh.interpolant.along(self)
+        return between.guess(times, stage_times)
 
     def report(self) -> None:
         """A print of the figures of the solution: status, cost, violations, errors and time."""

@@ -10,6 +10,7 @@ from jaxtyping import Array
 
 from ....compute.base import Evaluator, PointwiseFunction
 from ....manifolds.numerics import ambient as vec
+from ....manifolds.numerics.tolerances import EPS, HALF
 from ....retractions import Retraction
 from ...problem.point_layout import PointLayout
 
@@ -47,7 +48,7 @@ class Chart:
         """The points ``x`` amid pairs of points, ``R_x(-v)`` and ``R_x(v)`` for one ``v``, by Newton's method from
         points near.
 
-        It ends where its moves no longer shrink, which is at rounding.
+        It ends with a move of half of the digits, whose error is rounding, or where its moves no longer shrink.
         """
         x, last = near, np.inf
         for _ in range(ROUNDS):
@@ -59,7 +60,7 @@ class Chart:
             x = np.where(known[..., None], self.points(x, move), np.nan)
             largest, scale = (np.max(np.abs(a).reshape(-1, n), axis=0) for a in (move, np.nan_to_num(values[..., n:])))
             size = np.max(largest / np.where(scale > 0, scale, 1.0))
-            if not size < last / 2:
+            if size <= EPS**HALF or not size < last / 2:
                 return x
             last = size
         return x

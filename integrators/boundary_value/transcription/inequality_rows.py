@@ -32,6 +32,7 @@ class InequalityRows:
         self.limits, self.sizes, self.node_sizes = problem._limits, bound._inequality_sizes, bound._node_sizes
         self.own, self.nodes = len(bound._inequality_names), sum(map(count, self.node_sizes.values()))
         self._any = problem._limits.any
+        self._once, self._by_name = self.limits.once(self.sizes), self.limits.by_name  # each takes a while to make
 
     @property
     def places(self) -> int:
@@ -47,7 +48,7 @@ class InequalityRows:
         if not self._any:
             return None
         holds = np.zeros((steps, self.places, self.own + 2 * self.nodes), bool)
-        holds[:, : self.stages, : self.own] = ~self.limits.once(self.sizes)
+        holds[:, : self.stages, : self.own] = ~self._once
         holds[0, 0, : self.own] = True
         if not self.nodes:
             return holds
@@ -67,7 +68,7 @@ class InequalityRows:
     def at_stages(self, values: np.ndarray) -> Named:
         """The values of the inequalities at points, of shape ``(B, N, r, c)``, under their names, ``(B, N s, k)``."""
         rows = values[:, :, : self.stages, : self.own]
-        return self.limits.by_name(rows.reshape(len(rows), rows.shape[1] * self.stages, self.own), self.sizes)
+        return self._by_name(rows.reshape(len(rows), rows.shape[1] * self.stages, self.own), self.sizes)
 
     def at_nodes(self, values: np.ndarray) -> Named:
         """The values of the inequalities at nodes, of shape ``(B, N, r, c)``, under their names, ``(B, N + 1, k)``."""

@@ -6,7 +6,8 @@ chooses the lines: along a trajectory, in the controls, or through a point at wh
 line the search
 
 1. evaluates the function and the margins at both ends,
-2. closes in on the place where a margin changes its sign, or comes nearest to zero between two ends of one sign,
+2. closes in on the place where a margin changes its sign, or comes nearest to zero between two ends of one sign: where
+   it comes nearer than by what it changes on the line,
 3. compares the function on both sides of this place, at distances that fall by a factor of four each.
 
 The function jumps if its differences over the smallest distances do not fall. At a kink and on a steep slope they do.
@@ -122,6 +123,8 @@ class JumpSearch:
         found = (above[:, 0] != above[:, 1]) | (falls[:, 0] & (seen.margins * seen.slopes > 0)[:, 1])
         found &= np.all(np.isfinite(seen.margins), axis=1)
         line, step = few_of_each(found) if changing is None else np.nonzero(found & changing)
+        near = self._comes_near(given, vec.taken(rows, line), ends[line], step) if len(line) else np.zeros(0, bool)
+        line, step = line[near], step[near]
         if not len(line):
             return None
         own = vec.taken(rows, line)
@@ -159,6 +162,11 @@ class JumpSearch:
                 jumps.append(Jump(shares[i], i, float(found.changes[k, last[-1], i]), *where, point))
         return jumps
 
+    def _comes_near(self, given: Any, rows: Any, ends: np.ndarray, step: np.ndarray) -> np.ndarray:
+        """Whether the margin of a step comes near to zero on each line: nearer than by what it changes there."""
+        margins, _, _ = self.at(given, rows, _piece_ends(ends)).of_step(step)
+        return ~(np.min(np.abs(margins), axis=1) > np.ptp(margins, axis=1))
+
     def _close_in(self, given: Any, rows: Any, ends: np.ndarray, step: np.ndarray) -> np.ndarray:
         """The place on each line where the margin of a step changes its sign, or else is nearest to zero.
 
@@ -168,8 +176,7 @@ class JumpSearch:
         ends = ends.astype(self._samples.precision)
         rounds = int(np.ceil(np.log(LOCATION_ACCURACY * FINEST * tolerance(ends, 1.0)) / -np.log(PIECES)))
         for _ in range(rounds):
-            inner = ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * (np.arange(1, PIECES) / PIECES)
-            places = np.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1).astype(ends.dtype)
+            places = _piece_ends(ends).astype(ends.dtype)
             margins, slopes, _ = self.at(given, rows, places).of_step(step)
             above, trend = margins >= 0, margins * slopes
             crossed = above[:, 1:] != above[:, :-1]
@@ -194,6 +201,12 @@ class JumpSearch:
 
         (values, margins, point), (_, slopes, _) = jax.jvp(sample, (place[0],), (jnp.ones_like(place[0]),))
         return point, values, *margins, slopes.values
+
+
+def _piece_ends(ends: np.ndarray) -> np.ndarray:
+    """The ends of the pieces of intervals, shape ``(K, PIECES + 1)``."""
+    inner = ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * (np.arange(1, PIECES) / PIECES)
+    return np.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1)
 
 
 def few_of_each(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

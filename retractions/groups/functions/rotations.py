@@ -73,15 +73,15 @@ def rotation_vector(a: Float[Array, "3 3"]) -> Float[Array, "3"]:
     """Rotation vector, axis times angle, for an angle below pi; NaN for a half turn.
 
     Within a quarter turn of the half turn the axis comes from the column of ``a + a'`` that is longest, where the skew
-    part of ``a`` has lost its digits. Elsewhere the arguments of that branch are constant, so that none of its steps
-    changes there.
+    part of ``a`` has lost its digits. Elsewhere the arguments of that branch are constant and apart, so that none of
+    its steps changes there or nearly does.
     """
     sine, cosine = vee(a), (jnp.trace(a) - 1) / 2
     s = sine @ sine
     far = cosine < -0.5
     direct = series.angle_over_sine(jnp.where(far, 0.75, s), jnp.where(far, -0.5, cosine)) * sine
     outer = (a + a.T) / 2 - cosine * jnp.eye(3, dtype=a.dtype)  # (1 - cos) n n'
-    column = outer[:, jnp.argmax(jnp.where(far, jnp.diagonal(outer), jnp.ones(3, a.dtype)))]
+    column = outer[:, jnp.argmax(jnp.where(far, jnp.diagonal(outer), jnp.arange(3, dtype=a.dtype)))]
     safe, small = jnp.where(far, jnp.stack([column, sine]), jnp.ones((2, 3), a.dtype))
     axis = safe / jnp.sqrt(safe @ safe)
     axis = axis * jnp.where(axis @ small < 0, -1.0, 1.0)

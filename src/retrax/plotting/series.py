@@ -138,7 +138,7 @@ def _join(views: Sequence[View]) -> View:
 def _between_nodes(record: Solution, found: View) -> View:
     """The view at many places of each step; at the nodes where a step does not fit into a chart."""
     places = np.linspace(0.0, 1.0, 1 + max(2, CURVE_POINTS // record.steps))
-    sample = record.interpolant.within(record, places, costates=False)  # pyright: ignore[reportOptionalMemberAccess]
+    sample = record._between_nodes.within(places, costates=False)
     states, controls = (list(map(np.asarray, jax.tree.leaves(tree))) for tree in (sample.states, sample.controls))
     if not all(np.all(np.isfinite(leaf)) for leaf in (*states, *controls)):
         return found
