@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.compute.binding.multiphase import CoupledEnds, Multiphase
+from retrax.compute.binding.search import Search
 from retrax.compute.binding.transcription import Transcription
 from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
 from retrax.integrators.boundary_value import regular_extremals
@@ -274,3 +275,20 @@ def test_what_does_not_fit_is_refused(monkeypatch):
         Multiphase(phases * 2, ends)
     with pytest.raises(InvalidInputError, match="expected"):
         Multiphase(phases, CoupledEnds(ends.program, ends.equations + 1, ends.links))
+
+
+def test_the_first_iterate_of_a_search_is_kept_with_the_multipliers_between_phases(monkeypatch):
+    run, kept = Search.run, []
+
+    def twice(search):
+        run(search)
+        known = search.multipliers().copy()
+        status = run(search)
+        kept.append((known, search.multipliers(first=True).copy()))
+        return status
+
+    monkeypatch.setattr(Search, "run", twice)
+    assert limited().success
+    known, first = kept[0]
+    assert np.all(known != 0)
+    np.testing.assert_array_equal(first, known)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from retrax.compute.binding import search
 from retrax.compute.binding.search import Feasibility, Search
+from retrax.compute.binding.structs import Residual
 from retrax.integrators import OptimalControlProblem, Phase, Solver, solve_phases
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Gauss, Midpoint
@@ -40,7 +41,16 @@ class Phases:
     def __init__(self, monkeypatch: Any, most: int = 100) -> None:
         self.found: Feasibility | None = None
         self.arrays: list[dict[str, Any]] = []
-        run = Search.run
+        self.steps: list[tuple[float, float]] = []  # shares of Newton's step, and what the first phase misses after it
+        run, report = Search.run, search._report
+
+        def noted(owner: Any, context: Any, iteration: Any) -> bool:
+            if self.found is None:
+                missed = owner().phase(0)["RESIDUALS"][Residual.INFEASIBILITY]
+                self.steps.append((iteration.contents.fraction, missed))
+            return report(owner, context, iteration)
+
+        monkeypatch.setattr(search, "_report", noted)
 
         def restored(search: Search) -> Any:
             if self.found is None:
@@ -91,6 +101,9 @@ def test_a_car_is_led_to_a_place_beside_it(method, aside, limit, monkeypatch):
     assert limit is None or np.abs(controls).max() < limit
     for name in "COSTATES", "POINT_COSTATES", "LIMIT_MULTIPLIERS":
         assert not phases.arrays[0][name].any()
+    shares, missed = np.transpose(phases.steps)
+    assert np.all(shares <= 1)
+    assert np.all(np.diff(missed) <= 0)
 
 
 @METHODS

@@ -107,17 +107,18 @@ def test_every_direction_of_two_controls_is_looked_at(name):
 
 
 DYNAMICS = {
-    "drag": lambda q, u: jnp.stack([q[1], u[0] - q[1] * jnp.abs(u[0])]),
-    "clipped": lambda q, u: jnp.stack([q[1], jnp.clip(u[0], -1, 1)]),
-    "narrowly clipped": lambda q, u: jnp.stack([q[1], jnp.clip(u[0], -1e-3, 1e-3)]),
-    "switched": lambda q, u: jnp.stack([q[1], jnp.where(u[0] > 0, 1.0, -1.0)]),
+    "bent": (lambda u: u - jnp.abs(u) / 5, "a kink .* its first one changes by "),
+    "clipped": (lambda u: jnp.clip(u, -1, 1), "a kink .* its first one changes by "),
+    "narrowly clipped": (lambda u: jnp.clip(u, -1e-3, 1e-3), "a kink .* does not account for the change of its value "),
+    "switched": (lambda u: jnp.where(u > 0, 1.0, -1.0), "jumps in the controls "),
 }
 
 
 @pytest.mark.parametrize("name", DYNAMICS)
 def test_a_kink_of_the_dynamics_is_named(name):
-    given = OptimalControlProblem(PLANE, DYNAMICS[name], lambda q, u: q @ q, 1)
-    with pytest.raises(InvalidInputError, match=r"^dynamics (has a kink or a jump|jumps in the controls).*jnp\.tanh"):
+    force, words = DYNAMICS[name]
+    given = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([q[1], force(u[0])]), lambda q, u: q @ q, 1)
+    with pytest.raises(InvalidInputError, match=rf"^dynamics .*{words}.*jnp\.tanh"):
         given.check(AT, np.zeros(1))
 
 

@@ -47,10 +47,13 @@ def test_a_limit_that_is_said_twice_has_two_multipliers_that_are_not_determined(
 
 @pytest.mark.parametrize("room", [0.0, 0.2])
 def test_an_equation_of_an_end_on_a_limit_is_said_with_both_names(room):
-    """The place where the trajectory ends, at any speed, and a wall beyond which no node lies."""
-    ends = {"place": lambda first, last: last[0] - 1.0}
-    solver = solver_of({}, node_constraints={"wall": lambda q: q[0] - 1.0 - room}, boundary_constraints=ends)
-    found = solver.solve(np.zeros(2), None, 1.0, throw=False)
+    """The place where the trajectory ends, at any speed, and a wall beyond which no node lies; a third state rests."""
+    problem = OptimalControlProblem(
+        PLANE * Euclidean(1), lambda q, u: (jnp.stack([q[0][1], u[0]]), u[1:]), lambda q, u: u @ u / 2, 2,
+        node_constraints={"wall": lambda q: q[0][0] - 1.0 - room},
+        boundary_constraints={"place": lambda first, last: last[0][0] - 1.0},
+    )  # fmt: skip
+    found = solve(problem, (np.zeros(2), np.zeros(1)), None, 1.0, steps=10, throw=False)
     assert (TOGETHER in found.result) == (room == 0.0), found.result
     if room == 0.0:
         assert "wall" in found.result

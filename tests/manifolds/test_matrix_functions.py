@@ -9,7 +9,7 @@ import pytest
 import scipy.linalg
 from hypothesis import given
 from hypothesis import strategies as st
-from retrax.manifolds.numerics.matrices import determinant, exponential, spd_log, sym_exp, symmetric
+from retrax.manifolds.numerics.matrices import determinant, exponential, lu_factors, spd_log, sym_exp, symmetric
 
 from tests.support.numerics import CENTRAL_NODES, SEEDS, compiled, differences
 
@@ -90,3 +90,16 @@ def test_the_determinant_is_that_of_lapack_whichever_rows_are_interchanged(seed,
 def test_the_determinant_of_a_singular_matrix_is_zero():
     for a in (np.zeros((4, 4)), np.ones((4, 4)), np.diag([0.0, 1.0, 2.0, 3.0])):
         assert DETERMINANT(a.astype(complex)) == 0
+
+
+FACTORS = compiled(lambda a, d: jax.jvp(lu_factors, (a,), (d,)))
+
+
+@given(seed=SEEDS)
+def test_triangular_factors_stay_triangular_factors_along_a_line(seed):
+    a, d = np.random.default_rng(seed).uniform(-1, 1, (2, 4, 4)) + 5 * np.eye(4)
+    (lower, upper), (slope, rise) = FACTORS(a, d)
+    np.testing.assert_allclose(lower @ upper, a, atol=1e-13)
+    np.testing.assert_allclose(slope @ upper + lower @ rise, d, atol=1e-13)
+    assert not np.any(np.triu(slope))
+    assert not np.any(np.tril(rise, -1))

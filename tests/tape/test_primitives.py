@@ -98,6 +98,12 @@ def test_numbers_that_are_not_finite_come_where_they_are_asked_for(lost):
         np.testing.assert_array_equal(tape.hessian(1)(x, y), np.zeros((1, 1, 5)))
 
 
+def test_each_of_two_choices_in_a_sum_has_its_own_condition():
+    x, y = (a.ravel() for a in np.meshgrid([-2.0, 3.0], [-5.0, 7.0]))
+    tape = Tape.trace(lambda x, y: jnp.where(x > 0, 0.0, x) + jnp.where(y > 0, y, 0.0), 0.0, 0.0)
+    np.testing.assert_array_equal(tape(x, y), np.minimum(x, 0) + np.maximum(y, 0))
+
+
 @pytest.mark.parametrize("name", ["NaN in the entries of what is known", "zero or infinite"])
 def test_casadi_derives_choices_of_what_is_not_finite(name):
     """Its own machine multiplies by truth values, where ours chooses."""

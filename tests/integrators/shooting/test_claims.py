@@ -109,6 +109,7 @@ def test_a_missed_end_is_seen_in_every_unit(scale):
         rows = np.zeros(2)
         rows[part] = 1e-5 * scale
         at = EndValues(np.zeros(2), np.zeros((2, 2)), rows, np.zeros((2, 2)), {})
-        assert name in find_end_violation(conditions, at, trajectory, trajectory) or rows[part] < 1e-13
+        words = find_end_violation(conditions, at, trajectory, trajectory)
+        assert (name in words and words.endswith(f"reach {scale:.3g}")) or rows[part] < 1e-13
         rows[part] = 1e-12 * scale
         assert not find_end_violation(conditions, at, trajectory, trajectory)

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from retrax.integrators import (
-    Result,
-    solve,
-)
+from retrax.integrators import Result, solve
+from retrax.integrators.boundary_value.shooting.segments import Shooting
 from retrax.integrators.singular import singular_integrator
 
 from .test_singular_solve import ALY_CHAN, MIDPOINT, ONE, ZERO, classified
@@ -32,6 +30,16 @@ def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last, inter
     if not found.success:
         assert found.result == Result[Result.stopped]
         assert found.statistics.stopped
+
+
+def test_a_last_segment_that_is_shorter_ends_with_the_last_step():
+    """Three steps in a segment of four: ``(x1, x2)`` turns by the angle ``2 arctan(h/2)`` a step."""
+    found, h = classified(ALY_CHAN), 0.1
+    last = Shooting(ALY_CHAN, singular_integrator(found, MIDPOINT)[0], found.manifold, h, steps=3, length=4)
+    _, (nodes, solved) = last.segment(((ZERO, ONE), (ONE, ZERO)), np.zeros((4, 0)), 0)
+    assert solved
+    turns = 2 * np.arctan(h / 2) * np.array([1, 2, 3, 3])
+    np.testing.assert_allclose(nodes.z[0][0][:, 0], np.sin(turns), atol=1e-13)
 
 
 @pytest.mark.parametrize("verbose", [False, True])
