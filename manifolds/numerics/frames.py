@@ -115,7 +115,7 @@ def _spanned(projector: Matrix, rank: int) -> Frame:
 
 
 def _orthonormalized(columns: Frame) -> Frame:
-    """Orthonormal columns with the span of independent ones, by Gram and Schmidt's process.
+    """Orthonormal columns with the span of independent columns, by Gram and Schmidt's process.
 
     Twice, because the rounding of the first time grows with the square of the condition of the columns.
     """
