@@ -18,7 +18,7 @@ from .initial_value import *
 from .problem.free_quantities import Free
 from .problem.optimal_control_problem import OptimalControlProblem
 from .problem.quantities import Quantities, Quantity
-from .problem.table import Table, tabulated
+from .problem.spline_table import Table, tabulated
 from .reporting.result_sentences import Result
 from .singular import Classification, SingularIntegrator, classify, singular_integrator
 from .stages import *

@@ -62,7 +62,7 @@ FUNCTIONS: dict[str, frozenset[str]] = {
     "integrators/boundary_value/solution/record.py": frozenset({"held_by"}),
     "integrators/dirac/dirac_system.py": frozenset({"controlled"}),
     "integrators/problem/quantities.py": frozenset({"bounded", "labelled", "unnamed"}),
-    "integrators/problem/table.py": frozenset({"tabulated"}),
+    "integrators/problem/spline_table.py": frozenset({"tabulated"}),
     "integrators/singular/strategies/final_manifold_stages.py": frozenset({"suited"}),
     "integrators/singular/strategies/goh_reduced_integrator.py": frozenset({"suited"}),
     "integrators/singular/strategies/projection.py": frozenset({"suited"}),

@@ -14,7 +14,7 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout
 from ..problem_checks.requirements import leaving_words
 from ..reporting.result_sentences import sentence
-from .audit.legendre_condition import ConcaveDirection, concave_words, find_concave_directions
+from .audit.concave_controls import ConcaveDirection, concave_words, find_concave_directions
 from .audit.status import Status, concave_status, rounded_end_status, termination_statuses
 from .audit.unmoved_entries import rounding_of_controls, unmoved_words
 from .inputs.inputs import Inputs

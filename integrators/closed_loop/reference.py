@@ -16,7 +16,7 @@ from ...retractions import Retraction, default_retraction
 from ..boundary_value.solution.record import Solution
 from ..boundary_value.transcription.chart import Polynomials
 from ..problem.point_layout import PointLayout
-from ..problem.table import Outside, finite_array, locate
+from ..problem.spline_table import Outside, finite_array, locate
 
 NEIGHBOURS = 2  # points on each side of a point from which its velocity is computed: an error of third order
 CUBIC = np.array([0.0, 1.0, 2.0, 3.0]) / 3  # places of a piece that determine a cubic polynomial

@@ -16,7 +16,7 @@ from ..boundary_value.solution.record import Solution
 from ..problem.argument_errors import require_known_options
 from ..problem.explicit_time import with_start_time, with_time
 from ..problem.optimal_control_problem import OptimalControlProblem
-from ..problem.table import Outside, finite_array, require_outside
+from ..problem.spline_table import Outside, finite_array, require_outside
 from ..reporting.text import brief
 from .reference import ReferencePath
 

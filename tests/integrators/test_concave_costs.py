@@ -16,7 +16,7 @@ from retrax.integrators import (
     solve,
     solve_phases,
 )
-from retrax.integrators.boundary_value.audit.legendre_condition import _direction
+from retrax.integrators.boundary_value.audit.concave_controls import _direction
 from retrax.manifolds import SO, Euclidean, Sphere, hat
 from retrax.retractions import Addition, Exponential, Gauss, Midpoint, default_retraction
 from scipy.spatial.transform import Rotation

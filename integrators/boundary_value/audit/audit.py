@@ -20,7 +20,7 @@ from ..inputs.inputs import Inputs
 from ..solution.diagnostics import RegularChecks
 from ..solution.record import Solution
 from .constraint_qualification import ConstraintQualification
-from .hamiltonian_curvature import ControlCurvature
+from .linear_controls import ControlCurvature
 from .smoothness_along_solution import SmoothnessAlongSolution
 from .status import NEARLY_CONVERGED, explain, fail, refute, withdraw_minimum
 from .switching_structure import singular_structure, switching_sizes

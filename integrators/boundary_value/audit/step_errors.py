@@ -19,7 +19,7 @@ from ...reporting.text import brief
 from ..inputs.arguments import ALONG, BETWEEN, check_parameters
 from ..solution.record import Solution
 from .discretization_error import RESOLUTION, Propagator
-from .hamiltonian_curvature import ControlCurvature
+from .linear_controls import ControlCurvature
 
 ACTIVE_MARGIN = (
     0.01  # of what the unknowns change it by: an inequality that comes no farther off its bound is held all along

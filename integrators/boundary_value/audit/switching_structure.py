@@ -11,7 +11,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import LOWER, UPPER
 from ...reporting.text import brief
 from ..solution.record import Solution
-from .hamiltonian_curvature import ControlCurvature
+from .linear_controls import ControlCurvature
 
 CONTROL_AT_BOUND = EPS**0.25  # of the range of a control: the barrier leaves a control at its bound nearer than that
 CONTROL_JUMP = 0.1  # of the range of a control: a control that leaves its bound by more between two stages jumps

@@ -1,4 +1,4 @@
-"""How the Hamiltonian is curved in each entry of the control, along a solution."""
+"""The entries of the control in which the Hamiltonian is linear along a solution: second derivatives vanish there."""
 
 from typing import Any, final
 
@@ -30,7 +30,7 @@ class ControlCurvature:
         self._curvatures: PointwiseFunction = AutomaticEvaluator().values(self._curvatures_of, *sizes)
 
     def __call__(self, solution: Solution, parameters: Any) -> np.ndarray:
-        """Sums of the sizes of the derivatives at the stages, shape ``(N s, m)``.
+        """The sums of the sizes of the derivatives at the stages, shape ``(N s, m)``.
 
         The sums are 0 where the Hamiltonian is linear in an entry, and not finite on a curved space.
         """
