@@ -11,7 +11,7 @@ from ....manifolds.numerics.precision import working_precision
 from ...reporting.result_sentences import warn_about_precision
 from ..iteration_reports import Iteration, IterationTable
 
-# Of the rounding, the tolerance by default: 1e-11 in double precision, RETRAX_USUAL_TOLERANCE in constants.h of the core.
+# Of the rounding, the default tolerance: 1e-11 in double precision, RETRAX_USUAL_TOLERANCE in constants.h of the core.
 DEFAULT_TOLERANCE_POWER = 0.7
 
 
