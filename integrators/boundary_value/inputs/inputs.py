@@ -44,7 +44,7 @@ from .boundary_data import BoundaryDataReader, EndPoints, NodeCondition
 from .guess_arrays import FlatGuess, GuessReader
 from .members import are_several, count_members, member_of, repeat_for_all, row_of
 from .options import Options
-from .reformulation_kind import ReformulationKind, needs_reformulation
+from .reformulation_kind import ReformulationKind
 
 ROUNDED_POINT = 5e-6  # violation of its equations by a point whose entries have six digits
 RESTORING = 2  # Newton steps, which converge quadratically, from there to the rounding of double precision
@@ -334,7 +334,8 @@ def _warn_of_rounding(manifold: Manifold, violation: float) -> None:
 
 def _known_guess(problem: OptimalControlProblem, given: BoundaryData) -> BoundaryData:
     """The data with the guesses of free quantities, and the same object if nothing needs more states."""
-    if not needs_reformulation(problem, given.horizon, given.parameters):
+    leaves = jax.tree.leaves(given.parameters, is_leaf=is_free)
+    if not (problem.time_dependent or any(map(is_free, (given.horizon, *leaves)))):
         return given
     return given._replace(horizon=guess_of(given.horizon), parameters=guesses_of(given.parameters))
 

@@ -7,7 +7,6 @@ import jax
 import numpy as np
 
 from ...problem.free_quantities import guess_of, is_free
-from ...problem.optimal_control_problem import OptimalControlProblem
 
 
 class ReformulationKind(NamedTuple):
@@ -54,8 +53,3 @@ def entry_rows(leaves: list[Any], name: str) -> np.ndarray:
     """The guesses, or bounds, of all free leaves in a row."""
     rows = [np.broadcast_to(getattr(leaf, name), np.shape(leaf.guess)).ravel() for leaf in leaves if is_free(leaf)]
     return np.concatenate([np.zeros(0), *rows])
-
-
-def needs_reformulation(problem: OptimalControlProblem, horizon: Any, parameters: Any) -> bool:
-    """Whether there is something that needs more states."""
-    return problem.time_dependent or is_free(horizon) or any(map(is_free, jax.tree.leaves(parameters, is_leaf=is_free)))
