@@ -69,6 +69,7 @@ def random_iterate(of: Transcription, phase: DiscretePhase, guess: Any, seed: in
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.long("unequal steps of collocation")
 def test_systems_are_the_derivatives_of_the_discrete_equations(name):
     """At iterates some random steps from the guess; the cases share out the instruction sets."""
     phase, guess, equations = case(name)

@@ -207,6 +207,7 @@ FAILURES = {
 
 
 @pytest.mark.parametrize("name", FAILURES)
+@pytest.mark.long("a singular extremal")
 def test_a_solve_without_success_ends_in_a_sentence_and_a_few_figures(name, monkeypatch):
     """The whole report stays with the error."""
     monkeypatch.delenv("RETRAX_TRACEBACK", raising=False)

@@ -179,7 +179,8 @@ def test_pieces_are_found_where_the_steps_of_newton_go_to_their_crossing():
     assert f"{max(level.missing for level in c.levels)} of 20 points, which were not found" in str(c)
 
 
-@pytest.mark.parametrize("inertia", [2.0, *(pytest.param(own, marks=pytest.mark.slow) for own in (0.5, 0.99))])
+@pytest.mark.slow
+@pytest.mark.parametrize("inertia", [2.0, 0.5, 0.99])
 def test_a_control_on_another_piece_that_was_not_told_apart_is_the_right_one_or_nan(inertia):
     """``H = p u - (u1^2 + a u2^2) / 2`` of a rotation: on ``p3 = 0`` one of p1 and p2 is zero, and u is ``(p1, p2 / a,
     0)``."""
