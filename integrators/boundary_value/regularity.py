@@ -34,17 +34,20 @@ CLASSIFYING = "the problem is singular, and is classified: functions are compile
 class Regularity:
     """The classification of a problem with the parameters that it was last asked for."""
 
-    def __init__(self, transcription: Transcription, posed: OptimalControlProblem) -> None:
-        """``posed``: the problem of the user, of which the transcribed problem may be a reformulation."""
-        self._transcription, self.posed = transcription, posed
-        self._reformulated = posed is not transcription.problem
+    def __init__(self, transcription: Transcription) -> None:
+        self._transcription = transcription
+        self.posed: OptimalControlProblem = transcription.problem  # of a reformulation, the problem of the user
         self._classes: dict[Any, tuple[Any, Classification | None]] = {}  # with the parameters that it belongs to
 
     def on(self, transcription: Transcription) -> "Regularity":
         """The regularity of the problem on another mesh; both share the classifications."""
-        other = Regularity(transcription, self.posed)
-        other._classes = self._classes
+        other = Regularity(transcription)
+        other.posed, other._classes = self.posed, self._classes
         return other
+
+    @property
+    def _reformulated(self) -> bool:
+        return self.posed is not self._transcription.problem
 
     def classification(self, inputs: Inputs, k: int = 0) -> Classification | None:
         """The classification of a singular problem, None of a regular one; raises for functions that cannot be solved

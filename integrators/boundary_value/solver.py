@@ -100,7 +100,7 @@ class Solver:
         self._reader = InputReader(problem, method, mesh, self._evaluator)
         self._builder = SolutionBuilder(problem, self._transcription.stages, interpolant)
         self._reformulation = FreeQuantitySolver(self._reader, self._inner)
-        self._regularity, self._audit = Regularity(self._transcription, problem), Audit(problem)
+        self._regularity, self._audit = Regularity(self._transcription), Audit(problem)
         self._kept: WeakKeyDictionary[Solution, _LastSolution] = WeakKeyDictionary()
         self._derivatives: dict[Any, Any] = {}  # the traced functions
         # Of a solver that is made where functions are read, whoever made it looks after that.
@@ -121,8 +121,7 @@ class Solver:
     def _inner(self, formulation: FreeQuantities) -> "Solver":
         """A solver of a reformulation of the problem."""
         solver = Solver(formulation.problem, formulation.method, self.fractions, self._evaluator)
-        solver._regularity = Regularity(solver._transcription, formulation.own)
-        solver._builder.formulation = formulation
+        solver._regularity.posed, solver._builder.formulation = formulation.own, formulation
         return solver
 
     def with_steps(self, steps: Any) -> "Solver":

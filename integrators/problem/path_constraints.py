@@ -85,13 +85,7 @@ class Inequalities(eqx.Module):
     @property
     def along(self) -> bool:
         """Whether there is one that holds along the whole trajectory."""
-        return any(self.bounded.values()) or self.of_points_along
-
-    @property
-    def of_points_along(self) -> bool:
-        """Whether functions hold along the whole trajectory, besides bounds of the controls and of what is free, which
-        break no symmetry."""
-        return bool(self.node_names) or not self.at_first.issuperset(self.names)
+        return any(self.bounded.values()) or bool(self.node_names) or not self.at_first.issuperset(self.names)
 
     def once(self, sizes: Mapping[str, int | None]) -> np.ndarray:
         """Whether each entry holds at the first point only, as bounds of free quantities do.

@@ -66,7 +66,7 @@ def _near_names(error: Exception) -> str:
 
 
 def _traceable(source: str) -> str:
-    """Advice instead of a line that JAX cannot trace."""
+    """The advice for a line that JAX cannot trace."""
     for pattern, words in IN_JAX.items():
         found = re.search(pattern, source)
         if found:

@@ -13,7 +13,7 @@ from jaxtyping import Array
 from ....compute.base import Evaluator, PointwiseFunction
 from ....manifolds import Manifold, MatrixLieGroup
 from ....manifolds.numerics import ambient as vec
-from ....manifolds.numerics.ambient import Ambient, Frame
+from ....manifolds.numerics.ambient import Ambient
 from ....manifolds.numerics.tolerances import EPS, ROUNDING
 from ....manifolds.product import homogeneous_factors
 from ...problem.optimal_control_problem import OptimalControlProblem
@@ -209,7 +209,7 @@ class Diagnosis:
         power = vec.pairing(*jax.tree.map(jnp.abs, (p, velocity)))
         sizes_of_terms = power, rate, jnp.maximum(jnp.concatenate(sizes), 1.0)
         brackets = _brackets(problem.manifold, q, p, velocity, force)
-        return problem.cost_rate(*near), jnp.zeros(0), *sizes_of_terms, *brackets, *_broken_symmetries(problem, q, u)
+        return problem.cost_rate(*near), jnp.zeros(0), *sizes_of_terms, *brackets, *_broken_symmetries(problem, q, u, p)
 
 
 def _brackets(manifold: Manifold, *at: Ambient) -> tuple[Array, ...]:
@@ -229,28 +229,21 @@ def _brackets(manifold: Manifold, *at: Ambient) -> tuple[Array, ...]:
     return tuple(out)
 
 
-def _broken_symmetries(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> tuple[Array, ...]:
-    """Derivatives of the inequalities along the generators of every factor, relative to the largest sum of their terms.
+def _broken_symmetries(problem: OptimalControlProblem, q: Ambient, u: Ambient, p: Ambient) -> tuple[Array, ...]:
+    """The brackets of the momenta with the inequalities, of each momentum the largest; none without inequalities.
 
-    Of each generator the largest one. They vanish where the inequalities are invariant under the action.
+    They vanish where the inequalities are invariant under the action.
     """
 
     def values(x: Ambient) -> Array:
         return jnp.concatenate([problem.inequalities(x, u), problem.node_inequalities(x)])
 
-    def rates(generators: Frame, slope: Ambient) -> Array:
-        size = vec.components(*jax.tree.map(jnp.abs, (generators, slope)))
-        return jnp.abs(vec.components(generators, slope)) / positive(jnp.max(size))
-
     limits, pull = vec.pullback(values, q)
     if not limits.size:
         return ()
-    slopes = jax.vmap(lambda weights: pull(weights)[0])(jnp.eye(limits.size))
-    factors = (homogeneous_factors(problem.manifold, part) for part in (q, slopes))
-    return tuple(
-        jnp.max(jax.vmap(partial(rates, factor.generators(x)))(slope), axis=0)
-        for (_, factor, x), (_, _, slope) in zip(*factors, strict=True)
-    )
+    rest = vec.scale(0.0, q)  # no velocity: inequalities have no derivatives by the covector
+    brackets = jax.vmap(lambda weights: _brackets(problem.manifold, q, p, rest, pull(weights)[0]))
+    return tuple(jnp.max(rates, axis=0) for rates in brackets(jnp.eye(limits.size)))
 
 
 def _samples(stages: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
