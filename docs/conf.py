@@ -57,6 +57,7 @@ sphinx_gallery_conf = {
     "examples_dirs": [str(HERE.parent / "examples")],
     "gallery_dirs": ["examples"],
     "filename_pattern": rf"/({RUN})\.py$",
+    "parallel": os.cpu_count(),
     "capture_repr": (),  # a cell shows what it prints
     "remove_config_comments": True,
     "abort_on_example_error": True,

@@ -58,7 +58,9 @@ def pytest_configure(config):
         jax.config.update("jax_persistent_cache_min_compile_time_secs", LEAST_SECONDS)
 
     config.addinivalue_line(
-        "markers", "usual(*cases): of the cases of this test these are run by default, the others are slow"
+        "markers",
+        "usual(*cases): of the cases of this test these are run by default, the others are slow; "
+        "a number n: as many, from the first to the last at equal distances",
     )
     config.addinivalue_line("markers", "long(*cases): of the cases of this test these are slow")
     config.addinivalue_line("markers", "other_case: a slow case of a test of which others are run by default")
@@ -70,14 +72,25 @@ def pytest_pycollect_makeitem():
     made = yield
     for marker in made[0].iter_markers() if made and isinstance(made, list) else ():
         if marker.name in ("usual", "long"):
-            named = [item for item in made if item.callspec.id in marker.args]
-            if len(named) != len(marker.args):
-                cases = [item.callspec.id for item in made]
-                raise pytest.UsageError(f"{made[0].originalname} has no cases {marker.args}; it has {cases}")
+            named = named_cases(made, marker.args)
             for item in [item for item in made if (item in named) == (marker.name == "long")]:
                 item.add_marker(pytest.mark.slow)
                 item.add_marker(pytest.mark.other_case)
     return made
+
+
+def named_cases(made, names):
+    """The cases of a test that have these names, or as many as a number says, from the first to the last."""
+    if names and isinstance(names[0], int):
+        (count,), last = names, len(made) - 1
+        if count > last:
+            raise pytest.UsageError(f"{made[0].originalname} has {len(made)} cases, of which {count} are to be usual")
+        return [made[i * last // (count - 1)] for i in range(count)] if count > 1 else [made[last // 2]]
+    named = [item for item in made if item.callspec.id in names]
+    if len(named) != len(names):
+        cases = [item.callspec.id for item in made]
+        raise pytest.UsageError(f"{made[0].originalname} has no cases {names}; it has {cases}")
+    return named
 
 
 def pytest_collection_finish():

@@ -1,14 +1,16 @@
 """Pages of the problems of the library, one for each, from what their records hold and from their solution."""
 
 import importlib
-import os
+import multiprocessing
 import re
 import shutil
-import sys
-import time
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import jax
+import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 from retrax import plotting, problems
@@ -27,10 +29,6 @@ SUBJECTS = {
 }
 UNITS = {"sqrt(l/g)": r"$\sqrt{l/g}$", "period / 2 pi": r"period$/2\pi$", "58.13 days": "58.13 days"}
 UNITS["Larmor period / 2 pi"] = r"Larmor period$/2\pi$"
-# How many seconds the pictures may take together; the pages of problems that come later have none.
-SECONDS = float(os.environ.get("RETRAX_SITE_SECONDS", "180"))
-# Solved first, because readers ask for them first; the others by subject.
-FIRST = ("rest-to-rest-slew", "limited-slew", "keep-out-cone", "betts", "quadrotor", "robot-arm", "moon-landing")
 INDEX = """# Problem library
 
 `retrax.problems` holds {count} optimal control problems from the literature, each with a page: equations, data, source,
@@ -42,25 +40,41 @@ def write(folder: Path) -> None:
     """Write the page of each problem and the page that lists them."""
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
-    solved = solutions(folder)
+    found = solutions(folder)
     for entry in problems.all():
-        (folder / f"{entry.name}.md").write_text(page(entry, solved.get(entry.name)))
+        (folder / f"{entry.name}.md").write_text(page(entry, found[entry.name]))
     (folder / "index.md").write_text(index())
 
 
-def solutions(folder: Path) -> dict[str, Any]:
-    """Solutions of the problems, as many as there is time for, with their pictures in the folder."""
-    begin, found = time.monotonic(), {}
-    names = (*FIRST, *(name for name in problems.names() if name not in FIRST))
-    for name in names:
-        if time.monotonic() - begin > SECONDS:
-            break
-        found[name] = solution = problems.get(name).solve(accuracy=None, throw=False)
-        axes = plotting.histories(solution)
-        axes[0].figure.savefig(folder / f"{name}.png", dpi=110)
-        plt.close("all")
-    print(f"pictures of {len(found)} of {len(names)} problems, {time.monotonic() - begin:.0f} s", file=sys.stderr)
-    return found
+class Solved(NamedTuple):
+    """What a page says of a solution with the default steps."""
+
+    steps: int
+    cost: float
+    success: bool
+
+
+def solutions(folder: Path) -> dict[str, Solved]:
+    """Solutions of the problems, with their pictures in the folder, found by as many processes as there are processors."""
+    names = problems.names()
+    # Processes of their own: a process with threads of JAX must not be forked.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(mp_context=context, initializer=set_up) as processes:
+        return dict(zip(names, processes.map(partial(solved, folder), names), strict=True))
+
+
+def set_up() -> None:
+    """Settings of a process that solves problems: double precision, and pictures without a window."""
+    jax.config.update("jax_enable_x64", True)
+    mpl.use("Agg")
+
+
+def solved(folder: Path, name: str) -> Solved:
+    """The solution of a problem, and its picture in the folder."""
+    solution = problems.get(name).solve(accuracy=None, throw=False)
+    plotting.histories(solution)[0].figure.savefig(folder / f"{name}.png", dpi=110)
+    plt.close("all")
+    return Solved(len(solution.times) - 1, float(solution.cost), bool(solution.success))
 
 
 def index() -> str:
@@ -83,7 +97,7 @@ def of_module(module: str) -> set[str]:
     return {name for name in problems.names() if name.replace("-", "_") in made}
 
 
-def page(entry: KnownProblem, solution: Any) -> str:
+def page(entry: KnownProblem, solution: Solved) -> str:
     """The page of a problem."""
     title = entry.name.replace("-", " ").capitalize()
     equations = " \\\\\n".join(f"& {line}" for line in entry.equations)
@@ -96,7 +110,7 @@ def page(entry: KnownProblem, solution: Any) -> str:
         "```python\nimport jax\nfrom retrax import plotting, problems\n\n"
         'jax.config.update("jax_enable_x64", True)\n'
         f'solution = problems.get("{entry.name}").solve()\nplotting.histories(solution)\n```',
-        *([f"![States and controls of {entry.name} over time]({entry.name}.png)"] if solution is not None else []),
+        f"![States and controls of {entry.name} over time]({entry.name}.png)",
         "## Optimum and literature",
         "\n".join(comparison(entry, solution)),
         f"Source: {plain(entry.source)}.",
@@ -117,19 +131,17 @@ def data(entry: KnownProblem) -> list[str]:
     return [*rows, f"| horizon | {duration}{unit} |"]
 
 
-def comparison(entry: KnownProblem, solution: Any) -> list[str]:
+def comparison(entry: KnownProblem, solution: Solved) -> list[str]:
     """Rows with the optimum, how it is known, and what the default steps of the library give."""
     unit = "" if entry.cost == "1" else f" {units(entry.cost)}"
     rows = ["| | |", "|---|---|", f"| optimum | {optimum(entry)}{unit}, {entry.digits} digits verified |"]
     if entry.formula:
         rows.append(f"| formula | ${entry.formula}$ |")
     rows.append(f"| how it is known | {plain(sentence(entry.origin))} |")
-    if solution is not None:
-        method = plain(repr(entry.discretization).partition("(")[0])
-        steps = len(solution.times) - 1
-        said = "converged" if solution.success else "not converged"
-        off = f"{entry.distance(solution.cost):.0e} from the optimum"
-        rows.append(f"| retrax, {steps} steps of {method} | {solution.cost:.10g}, {off}, {said} |")
+    method = plain(repr(entry.discretization).partition("(")[0])
+    said = "converged" if solution.success else "not converged"
+    off = f"{entry.distance(solution.cost):.0e} from the optimum"
+    rows.append(f"| retrax, {solution.steps} steps of {method} | {solution.cost:.10g}, {off}, {said} |")
     refined = f" with `accuracy={entry.accuracy:g}`" if entry.accuracy else ""
     return [*rows, f"| error of `solve()`{refined} | at most {entry.error:.0e} |"]
 

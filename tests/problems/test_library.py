@@ -126,7 +126,8 @@ def test_the_index_of_the_site_has_every_problem_with_its_optimum(pages):
 def test_the_page_of_a_problem_states_it_in_latex(name, pages):
     """Braces are balanced, each symbol of the record is in the equations, and so is what limits the controls."""
     entry = entries()[name]
-    page, said = pages.page(entry, None), " ".join(entry.equations)
+    solved = pages.Solved(20, entry.optimum, True)
+    page, said = pages.page(entry, solved), " ".join(entry.equations)
     assert said.startswith(r"\text{minimise }")
     for text in (*entry.equations, entry.formula):
         assert text.count("{") == text.count("}")
