@@ -55,7 +55,7 @@ class Solved(NamedTuple):
 
 
 def solutions(folder: Path) -> dict[str, Solved]:
-    """Solutions of the problems, with their pictures in the folder, found by as many processes as there are processors."""
+    """Solutions and pictures of all problems, found by as many processes as there are processors."""
     names = problems.names()
     # Processes of their own: a process with threads of JAX must not be forked.
     context = multiprocessing.get_context("spawn")
