@@ -54,6 +54,14 @@ POINTED = OptimalControlProblem(
     3,
     terminal_cost=lambda q: q[0] ** 3 + 2 * (q[1] - 0.5) ** 2,
 )
+WAVE = OptimalControlProblem(
+    SPHERE,
+    lambda q, u, t: jnp.cross(u + jnp.array([0.0, 0.3 * jnp.sin(2 * t), 0.4]), q),
+    lambda q, u, t: u @ u / 2 + 0.3 * jnp.cos(t) * q[2] ** 2,
+    3,
+    terminal_cost=lambda q, t: t * q[0] ** 3 + 2 * (q[1] - 0.5) ** 2,
+    time_dependent=True,
+)
 DOCKED = OptimalControlProblem(SE3, craft, lambda q, u: u @ u / 2 + u[0] * u[4] / 4, 6)
 TURN = (np.eye(3), REST), (rotation([0.5, 0.3, -0.8]), REST)
 
@@ -66,6 +74,7 @@ CASES = {
     "SO3 x R3": (SLEW, Midpoint(default_retraction(RIGID)), 6, *TURN, 2.0, (0, 2)),
     "S2": (POINTED, Midpoint(Projection(SPHERE)), 6, np.array([1.0, 0, 0]), None, 1.5, (0, 3)),
     "S2 by Gauss": (POINTED, Gauss(2, Exponential(SPHERE)), 5, np.array([1.0, 0, 0]), None, 1.5, (0, 3)),
+    "S2 in explicit time": (WAVE, Midpoint(Projection(SPHERE)), 6, np.array([1.0, 0, 0]), None, 1.5, (0, 3)),
     "SE3": (
         DOCKED,
         Midpoint(default_retraction(SE3)),
@@ -86,7 +95,7 @@ CASES = {
     ),
     "SO3 x R3 by Gauss": (SLEW, Gauss(2, default_retraction(RIGID)), 5, *TURN, 2.0, (0, 3)),
 }
-USUAL = "SO3 x R3", "S2", "SE3"
+USUAL = "SO3 x R3", "S2", "S2 in explicit time", "SE3"
 
 
 def slopes(errors):
@@ -102,18 +111,19 @@ def test_controls_and_costs_are_those_of_solves_from_disturbed_starts(name):
     for k in nodes:
         q, p, t = *(jax.tree.map(itemgetter(k), part) for part in (solution.q, solution.p)), solution.t[k]
         rest = solver.with_steps(steps - k)
-        base = rest.solve(q, end, horizon - t, tolerance=1e-12)
+        begin = {"start_time": t} if problem.time_dependent else {}
+        base = rest.solve(q, end, horizon - t, tolerance=1e-12, **begin)
         way = draw.standard_normal(manifold.dimension)
         way /= np.linalg.norm(way)
         of_control, of_cost = [], []
         for size in SIZES:
             step = vec.combine(manifold.basis(q), jnp.asarray(size * way))
             aside = jax.tree.map(np.asarray, method.retraction(q, step))
-            other = rest.solve(aside, end, horizon - t, guess=base, tolerance=1e-12)
-            of_control.append(np.max(np.abs(feedback(t, aside) - other(0.0).controls)))
+            other = rest.solve(aside, end, horizon - t, guess=base, tolerance=1e-12, **begin)
+            of_control.append(np.max(np.abs(feedback(t, aside) - other(other.t[0]).controls)))
             known = base.cost - float(vec.pairing(p, step)) + size**2 * way @ feedback.cost_hessians[k] @ way / 2
             of_cost.append(abs(other.cost - known))
-        moved = np.max(np.abs(other(0.0).controls - solution(t).controls))
+        moved = np.max(np.abs(other(other.t[0]).controls - solution(t).controls))
         assert of_control[-1] < 0.1 * moved
         np.testing.assert_allclose(slopes(of_control), 2.0, atol=0.15)
         np.testing.assert_allclose(slopes(of_cost), 3.0, atol=0.2)
@@ -202,11 +212,32 @@ def test_active_state_constraint_is_held():
         assert np.abs(other.u[0] - solution.u[k]) > 1e-3
 
 
+def test_a_free_horizon_and_free_parameters_keep_the_values_that_were_found():
+    """The law is that of the solution with these values, from a time of its own on."""
+    problem = OptimalControlProblem(
+        PLANE,
+        lambda q, u, t, mass: jnp.stack([q[1], (u[0] + 0.1 * jnp.sin(t)) / mass]),
+        lambda q, u, t, mass: 1 + u @ u / 2 + (mass - 2) ** 2,
+        1,
+        time_dependent=True,
+    )
+    solver, ends = Solver(problem, Midpoint(Exponential(PLANE)), 8), ([0.0, 0.0], [1.0, 0.0])
+    found = solver.solve(*ends, Free(2.0), parameters=Free(1.5), start_time=0.5)
+    fixed = solver.solve(*ends, found.horizon, parameters=found.parameters, start_time=0.5)
+    law, other = solver.feedback(found), solver.feedback(fixed)
+    np.testing.assert_allclose(law.times, other.times, rtol=1e-7)
+    assert law.until == pytest.approx(other.until, rel=1e-7)
+    assert 0.5 < law.until < found.t[-1]
+    last = np.searchsorted(law.times, law.until) + 1
+    np.testing.assert_allclose(law.gains[:last], other.gains[:last], rtol=1e-5)
+    np.testing.assert_allclose(law.cost_hessians[:last], other.cost_hessians[:last], rtol=1e-5)
+    aside = found.q[2] + [0.01, -0.02]
+    assert law(found.t[2], aside) == pytest.approx(other(fixed.t[2], aside), rel=1e-6)
+
+
 def test_what_has_no_feedback_is_named():
     problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: 1 + u @ u / 2, 1)
     solver = Solver(problem, Midpoint(Exponential(LINE)), 4)
-    with pytest.raises(InvalidInputError, match="fixed horizon"):
-        solver.feedback(solver.solve(0.0, 1.0, Free(2.0)))
     found = solver.solve(0.0, 1.0, 2.0)
     with pytest.raises(InvalidInputError, match="this solver found"):
         Solver(problem, Midpoint(Exponential(LINE)), 4).feedback(found)

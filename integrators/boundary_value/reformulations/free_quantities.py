@@ -20,12 +20,14 @@ from ...problem.boundary_conditions import BoundaryConditions
 from ...problem.free_quantities import Free, guess_inside, guess_of, is_free
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import HORIZON_LOWER, HORIZON_UPPER, PARAMETERS_LOWER, PARAMETERS_UPPER, Inequalities
+from ...problem.point_layout import PointLayout
 from ..guess import Guess
 from ..inputs.arguments import BoundaryData, Method
 from ..inputs.inputs import InputReader, Inputs
 from ..inputs.reformulation_kind import ReformulationKind, entry_rows
 from ..solution.covariance import Covariance
 from ..solution.diagnostics import Checks
+from ..solution.feedback import Feedback
 from ..solution.record import Solution
 from ..solution.sensitivity import Derivative, Sensitivity
 from .reformulation import Reformulation
@@ -231,6 +233,14 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         fixed = iter(found.parameters[0] if self.takes else ())
         leaves = [None if place in self.kind.free else own(next(fixed)) for place in range(len(self.kind.shapes))]
         return Sensitivity(*ends, horizon, jax.tree.unflatten(self.kind.structure, leaves) if leaves else None)
+
+    def recover_feedback(self, found: Feedback, solution: Solution) -> Feedback:
+        """The law of the problem for a solution of it: constants and clock do not deviate."""
+        n, size = self.own.manifold.dimension, PointLayout.of(self.own.manifold).size
+        gains, hessians = found.gains[..., :n], found.cost_hessians[:, :n, :n]
+        at, maps = solution.times, found.maps[..., :size]
+        until = float(at[np.searchsorted(found.times, found.until)])
+        return replace(found, times=at, gains=gains, cost_hessians=hessians, until=until, solution=solution, maps=maps)
 
     def recover_covariance(self, found: Covariance) -> Covariance:
         """The covariance of the states and free parameters, a part of the covariance of the extended states."""

@@ -145,18 +145,9 @@ def _require_near(apart: np.ndarray, times: np.ndarray) -> None:
         )
 
 
-def _require_minimum(problem: OptimalControlProblem, kept: Any, reformulated: bool, solution: Any) -> None:
-    """Raise unless feedback is defined along a solution, whose system the solver has ``kept``.
-
-    ``reformulated``: whether the solver found the solution in more states, with a free horizon or free parameters.
-    """
-    require_treated(problem, "feedback", *LIMITS, HELD)
-    if reformulated:
-        raise InvalidInputError(
-            "feedback needs a fixed horizon and fixed parameters, got a solution with a free horizon or a free "
-            "parameter; try solver.solve(start, end, solution.horizon, parameters=solution.parameters), and the "
-            "feedback along its solution"
-        )
+def _require_minimum(problem: OptimalControlProblem, kept: Any, solution: Any) -> None:
+    """Raise unless feedback is defined along a solution, whose system the solver has ``kept``."""
+    require_treated(problem, "feedback", *LIMITS, "an explicit time", HELD)
     if kept is None:
         got = "another solution" if isinstance(solution, Solution) else brief(solution)
         raise InvalidInputError(
@@ -173,19 +164,23 @@ def _require_minimum(problem: OptimalControlProblem, kept: Any, reformulated: bo
 def feedback(self: Any, solution: Solution) -> Feedback:
     """The feedback law along a strict minimum, and the second derivatives of its optimal cost.
 
+    A free horizon and free parameters keep the values of the solution.
+
     Parameters
     ----------
     solution : Solution
-        A minimum of a regular problem that this solver found with a fixed horizon and fixed parameters;
-        ``InvalidInputError`` for all others.
+        A minimum of a regular problem that this solver found; ``InvalidInputError`` for all others.
     """
-    kept: Any = self._kept.get(solution) if isinstance(solution, Solution) else None
-    _require_minimum(self.problem, kept, self._reformulation.origin(solution) is not None, solution)
-    with self._guard(kept.parameters), np.errstate(all="ignore"):
+    formulation, solver, found = self._reformulation.origin(solution) or (None, self, solution)
+    kept: Any = solver._kept.get(found) if isinstance(found, Solution) else None
+    _require_minimum(self.problem, kept, solution)
+    with solver._guard(kept.parameters), np.errstate(all="ignore"):
         key = "feedback", structure_of(kept.parameters)
-        if key not in self._derivatives:
-            self._derivatives[key] = Curvatures(kept.transcribed.traced.nodes, self.method.retraction, self._evaluator)
-        return _feedback_of(kept, solution, self._derivatives[key])
+        if key not in solver._derivatives:
+            nodes = kept.transcribed.traced.nodes
+            solver._derivatives[key] = Curvatures(nodes, solver.method.retraction, solver._evaluator)
+        law = _feedback_of(kept, found, solver._derivatives[key])
+    return law if formulation is None else formulation.recover_feedback(law, solution)
 
 
 def _feedback_of(kept: Any, solution: Solution, curvatures: "Curvatures") -> Feedback:
