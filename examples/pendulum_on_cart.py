@@ -124,13 +124,11 @@ follow = rx.tracking(
     control_weights=0.1,
     end_weights=weights,
     outside="constant",
-    moving=True,
 )
 controller = rx.RecedingHorizon(
     rx.Solver(follow, method, steps=10),
     end=None,
     horizon=1.0,
-    parameters=lambda t: t,
     max_iterations=20,
     hold=SAMPLE,
 )

@@ -109,13 +109,11 @@ follow = rx.tracking(
     weights=np.repeat([100.0, 2000.0, 0.3, 20.0], 3),
     control_weights=2.0,
     outside="constant",
-    moving=True,
 )
 controller = rx.RecedingHorizon(
     rx.Solver(follow, method, steps=10),
     end=None,
     horizon=0.5,
-    parameters=lambda t: t,
     max_iterations=20,
     hold=SAMPLE,
 )

@@ -34,10 +34,6 @@ class Signal(NamedTuple):
             np.zeros(0),
         )
 
-    def since(self, begin: float) -> "Signal":
-        """The control as a function of the time since another time."""
-        return Signal(lambda t: self.function(begin + t), self.breaks - begin)
-
 
 ACCURACY = 1e-9  # of the motion between two samples, relative to the largest entries of each array of the state
 ENOUGH = 1e-6  # the same where more substeps no longer help

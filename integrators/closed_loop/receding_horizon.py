@@ -78,8 +78,7 @@ class RecedingHorizon:
     With a delay, the solve starts from the state that the problem predicts at the time at which the control will act,
     from the controls that were returned before. Use one controller for one loop.
 
-    In a problem with explicit time the time begins at zero in each plan. Pass the time at which the plan begins as a
-    parameter, ``parameters=lambda t: t``.
+    A plan of a problem with explicit time has the time of the loop: its ``start_time`` is the time at which it begins.
 
     Examples
     --------
@@ -192,7 +191,7 @@ class RecedingHorizon:
         own = self._at(self._parameters, begin) if parameters is None else parameters
         end = self._at(self._end, begin + horizon) if reference is None else reference
         for signal, first, last in self._sent.between(float(t), begin):
-            q = self._plant.advance(q, signal.since(begin), first - begin, last - begin, own)
+            q = self._plant.advance(q, signal, first, last, own)
         solution = self._solve(q, end, begin, horizon, own)
         source, self._signal = self._choose(Plan(solution, begin), q)
         if source != "solve":
@@ -213,6 +212,7 @@ class RecedingHorizon:
         for last in filter(None, (self._iterate, self._plan)):
             guess = last.guess(begin, horizon) if guess is None else guess
         options: Any = {"guess": guess, "parameters": parameters, "tolerance": self._tolerance, "throw": first}
+        options |= {"start_time": begin} if self.problem.time_dependent else {}
         return self.solver.solve(q, end, horizon, **options, **limited, max_iterations=most)
 
     def _choose(self, found: Plan, q: Any) -> tuple[Source, Signal]:
@@ -235,8 +235,8 @@ class RecedingHorizon:
         try:
             if self._feedback is None or self._feedback.solution is not plan.solution:
                 self._feedback = self.solver.feedback(plan.solution)
-            after = begin - plan.begin
-            return self._clip(self._feedback(after, q)) if after <= self._feedback.until else None
+            now = begin - plan.begin + plan.solution.times[0]
+            return self._clip(self._feedback(now, q)) if now <= self._feedback.until else None
         except (InvalidInputError, DomainError):
             return None
 
@@ -244,7 +244,8 @@ class RecedingHorizon:
         """The controls of a plan from a time on, held or followed until the next sample."""
         if self.hold is not None:
             return Signal.constant(self._controls(plan, begin + self.hold / 2))
-        return Signal(lambda time: self._controls(plan, time), plan.begin + plan.solution.times)
+        breaks = plan.begin + plan.solution.times - plan.solution.times[0]
+        return Signal(lambda time: self._controls(plan, time), breaks)
 
     def _controls(self, plan: Plan, time: Any) -> Any:
         """The controls of a plan at a time, or at an array of times."""

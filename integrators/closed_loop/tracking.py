@@ -14,7 +14,7 @@ from ...manifolds.numerics.ambient import Ambient
 from ...retractions import Retraction, default_retraction
 from ..boundary_value.solution.record import Solution
 from ..problem.argument_errors import require_known_options
-from ..problem.explicit_time import with_start_time, with_time
+from ..problem.explicit_time import with_time
 from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.spline_table import Outside, finite_array, require_outside
 from ..reporting.text import brief
@@ -33,7 +33,6 @@ def tracking(
     controls: Any = None,
     retraction: Retraction | None = None,
     outside: Outside = "nan",
-    moving: bool = False,
 ) -> OptimalControlProblem:
     r"""The problem with the cost of the deviation from a reference trajectory, instead of its own cost.
 
@@ -58,9 +57,6 @@ def tracking(
         The retraction of the deviation; by default ``default_retraction(manifold)``.
     outside : str
         The reference outside of its times: ``"nan"``, so that a solve fails there, or ``"constant"``, its nearest end.
-    moving : bool
-        Whether the parameter of the problem is the time at which a trajectory begins, for plans of ``RecedingHorizon``
-        with ``parameters=lambda t: t``. With parameters ``p`` of the problem itself: ``lambda t: (p, t)``.
 
     Returns
     -------
@@ -89,7 +85,7 @@ def tracking(
     >>> float(follow.running_cost(jnp.zeros(1), jnp.zeros(1), 1.0).round(9))
     1.5
     """
-    _require(problem, retraction, moving)
+    _require(problem, retraction)
     require_outside(outside)
     own, steered = retraction or default_retraction(problem.manifold), default_retraction(problem.controls)
     path, signal = _states(reference, own, outside), _controls(reference, controls, steered, outside)
@@ -99,8 +95,7 @@ def tracking(
     bare = problem._with_arguments(terminal_cost=None, initial_cost=None)
     timed = bare if problem.time_dependent else bare._map_functions(with_time, True)
     costs: Any = {"running_cost": lambda q, u, t: state.cost(q, t) + control.cost(u, t)}
-    follow = timed._with_arguments(**costs, terminal_cost=None if last is None else last.cost)
-    return follow._map_functions(with_start_time(problem.takes_parameters), True) if moving else follow
+    return timed._with_arguments(**costs, terminal_cost=None if last is None else last.cost)
 
 
 @final
@@ -176,8 +171,8 @@ def _require_same(what: str, given: Manifold, own: Manifold) -> None:
         raise InvalidInputError(f"{what} in {given}, expected {own}, as in the problem")
 
 
-def _require(problem: Any, retraction: Any, moving: Any) -> None:
-    """Raise unless these are a problem, a retraction of its manifold, and a truth value."""
+def _require(problem: Any, retraction: Any) -> None:
+    """Raise unless these are a problem and a retraction of its manifold."""
     if not isinstance(problem, OptimalControlProblem):
         raise InvalidInputError(f"tracking takes an OptimalControlProblem, got {brief(problem)}; try solver.problem")
     if problem.sampling is not None:
@@ -189,5 +184,3 @@ def _require(problem: Any, retraction: Any, moving: Any) -> None:
         raise InvalidInputError(f"retraction must be a Retraction, got {brief(retraction)}; try default_retraction(Q)")
     if retraction is not None:
         _require_same("the retraction is", retraction.manifold, problem.manifold)
-    if not isinstance(moving, bool):
-        raise InvalidInputError(f"moving must be True or False, got {brief(moving)}")

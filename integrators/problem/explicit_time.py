@@ -1,4 +1,4 @@
-"""Functions of a problem with explicit time: a time that they ignore, and a time at which the trajectory begins."""
+"""Functions of a problem with explicit time: the names of their arguments, and a time that they ignore."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -19,22 +19,6 @@ def with_time(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
     count = len(ARGUMENTS[kind]) - 1
     names = argument_names(kind, True, takes_more(function, count))
     return with_signature(function, names, lambda *given: function(*given[:count], *given[count + 1 :]))
-
-
-def with_start_time(takes_parameters: bool) -> Callable[[Callable[..., Any], int], Callable[..., Any]]:
-    """The change of a function to one whose last parameter is the time at which the trajectory begins."""
-
-    def change(function: Callable[..., Any], kind: int) -> Callable[..., Any]:
-        takes = takes_more(function, len(ARGUMENTS[kind]))
-
-        def later(*given: Any) -> Any:
-            own, begin = given[-1] if takes_parameters else (None, given[-1])
-            points = given[:-1] if kind in TIMELESS else (*given[:-2], begin + given[-2])
-            return function(*points, *([own] if takes else []))
-
-        return with_signature(function, argument_names(kind, True, True), later)
-
-    return change
 
 
 def argument_names(kind: int, time_dependent: bool, parameters: bool) -> tuple[str, ...]:

@@ -61,7 +61,7 @@ def wandering(q, t, rng):
 def loops() -> dict[str, Any]:
     """The loops by their names."""
     retraction = rx.default_retraction(S2)
-    follow = rx.tracking(turning(), (TIMES, PATH), weights=5.0, control_weights=0.01, moving=True)
+    follow = rx.tracking(turning(), (TIMES, PATH), weights=5.0, control_weights=0.01)
     limited = rx.OptimalControlProblem(
         BODY,
         body,
@@ -74,8 +74,7 @@ def loops() -> dict[str, Any]:
     noisy = {"measure": wandering}
     return {
         "a moving target on a sphere": lambda: Loop(
-            rx.RecedingHorizon(rx.Solver(follow, rx.Gauss(2, retraction), steps=10), None, horizon=1.0, hold=0.1,
-                               parameters=lambda t: t),
+            rx.RecedingHorizon(rx.Solver(follow, rx.Gauss(2, retraction), steps=10), None, horizon=1.0, hold=0.1),
             turning(), NORTH, 0.1, 2.0, noisy),
         "a fixed end on a sphere, by the midpoint rule": lambda: Loop(
             rx.RecedingHorizon(rx.Solver(turning(control_bounds=(-1.2, 1.2)), rx.Midpoint(retraction), steps=12), EAST,
@@ -98,8 +97,6 @@ def both(loop: Loop, folder: Any, core: Any, *options: str) -> tuple[Any, Any, F
     flown = FlownController(loop.controller.export_c(folder, "own", loop.start), "own", core, *options)
 
     def fly(q: Any, t: float) -> np.ndarray:
-        if callable(loop.controller._parameters):
-            flown.given["parameters"] = np.array([loop.controller._parameters(t), 0.0])  # then the start time of a plan
         return flown(flat(q), t)
 
     given = loop.plant, loop.start, loop.horizon, loop.sample

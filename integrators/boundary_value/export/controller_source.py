@@ -85,6 +85,7 @@ def _values(posed: PosedProblem, own: PosedController, names: dict[str, str]) ->
         "keep_points": indent(fill_template("collocation_points.c", {}), "    ") if several else ONE_KEPT,
         "keep_limits": LIMITS_KEPT if limited else "",
         "plan_horizon": _horizon_text(own),
+        "start_time": f"    input->parameters[{names['NAME']}_PARAMETERS - 1] = time;\n" if clock else "",
         **_samples_text(posed, own),
     }
 

@@ -305,7 +305,7 @@ static @name@_source choose(@name@_controller *controller, double time, bool fir
     @name@_input *const input = &controller->input;
     memcpy(input->start, state, sizeof(input->start));
     input->horizon = @plan_horizon@;
-    if (!guess_from(controller, &controller->iterate, time) && !guess_from(controller, &controller->plan, time)) {
+@start_time@    if (!guess_from(controller, &controller->iterate, time) && !guess_from(controller, &controller->plan, time)) {
         input->guess = @name@_default_input.guess;
     }
     @name@_solve_within(input, first ? 0 : @NAME@_BUDGET, &controller->output, workspace);

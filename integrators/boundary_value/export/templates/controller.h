@@ -46,7 +46,8 @@ typedef struct {
 
 /* A controller. */
 typedef struct {
-    @name@_input input;          /* change `end` and `parameters` between samples; the steps write all else */
+    @name@_input input;          /* change `end` and `parameters` between samples; the steps write all else, with a start
+                                    time, the last parameter */
     @name@_output output;        /* of the last solve */
     @name@_trajectory plan;      /* the last solution, or feasible iterate, whose controls are applied */
     @name@_trajectory iterate;   /* what the next solve starts from */
