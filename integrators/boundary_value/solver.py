@@ -261,12 +261,13 @@ class Solver:
         max_iterations: int = 100,
         callback: Callable[[Iteration], Any] | None = None,
         verbose: bool = False,
+        start_time: Any = 0.0,
     ) -> Solutions:
         """The extremals between many pairs of ends at once, for regular problems; read ``success`` of the members.
 
         Parameters
         ----------
-        starts, ends, horizons, guesses, parameters
+        starts, ends, horizons, guesses, parameters, start_time
             As for ``solve``, or arrays with one more leading axis of length ``B``, and a list of ``B`` guesses. The
             same factors are free for all members.
         tolerance, max_iterations, callback, verbose
@@ -275,7 +276,7 @@ class Solver:
         """
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
-        given = BoundaryData(starts, ends, horizons, parameters)
+        given = BoundaryData(starts, ends, horizons, parameters, start_time)
         inputs = Inputs.of(self._reader, given, guesses, options, 1)
         with self._guard(inputs.parameters_of(0)):
             return self._audit_all(self._find_all(inputs), inputs)

@@ -52,8 +52,10 @@ def test_one_solver_serves_all_start_times_and_refines_its_mesh():
         drift = 0.2 * ((begin + 1.0) ** 2 - begin**2) / 2
         found = solver.solve(np.eye(3), end, 1.0, parameters=0.2, start_time=begin, guess=guess)
         assert found.cost == pytest.approx((0.5 - drift) ** 2 / 2, rel=2e-3, abs=1e-6)
-        many = solver.solve_many(np.eye(3), end, 1.0, parameters=np.array([0.2, 0.3]))
+        many = solver.solve_many(np.eye(3), end, 1.0, parameters=np.full(2, 0.2), start_time=np.array([begin, 0.0]))
         assert many.success.all()
+        assert many.cost == pytest.approx([found.cost, (0.5 - 0.1) ** 2 / 2], rel=2e-3, abs=1e-6)
+        assert many[0].t == pytest.approx(found.t)
         assert solver.sensitivity(found).parameters.cost == pytest.approx(
             -(0.5 - drift) * drift / 0.2, rel=2e-3, abs=1e-5
         )
@@ -69,3 +71,10 @@ def test_a_start_time_that_nothing_takes_is_said():
     for wrong in (np.nan, "noon", np.ones(2)):
         with pytest.raises(InvalidInputError, match="start_time must be a finite number"):
             solve(SHIFTED, 0.0, 1.0, 1.0, parameters=0.0, start_time=wrong)
+    solver = Solver(SHIFTED, Midpoint(Addition(LINE)), 4)
+    for wrong, words in (
+        (np.array([0.0, np.nan]), "start_time must be a finite number"),
+        (np.zeros(3), "start times 3, parameters 2"),
+    ):
+        with pytest.raises(InvalidInputError, match=words):
+            solver.solve_many(0.0, 1.0, 1.0, parameters=np.zeros(2), start_time=wrong)

@@ -31,7 +31,7 @@ class BoundaryData(NamedTuple):
     end: Any
     horizon: Any
     parameters: Any
-    start_time: float = 0.0  # of problems with an explicit time
+    start_time: Any = 0.0  # of problems with an explicit time
 
     def near(self, solution: Any) -> "BoundaryData":
         """The data, in which a free horizon and free parameters have their values in a solution as guesses."""

@@ -160,7 +160,8 @@ class Inputs:
         count = count_members(reader.ends, known, guess) if axes else 1
         _require_horizon(given.horizon, count if axes and np.ndim(known.horizon) else 0)
         check_parameters(reader.problem, known.parameters)
-        _require_start_time(reader.problem, given.start_time)
+        for begin in given.start_time if axes and np.ndim(given.start_time) == 1 else [given.start_time]:
+            _require_start_time(reader.problem, begin)
         if reader.problem.sampling is not None:
             reader.problem.sampling.require_steps(given.horizon, reader.mesh.fractions)
         inputs = cls._read(reader, given, known, guess, options, integrator, classification, axes, count)

@@ -24,6 +24,7 @@ def count_members(ends: BoundaryDataReader, known: BoundaryData, guesses: Any) -
         "starts": ends.lengths(known.start),
         "ends": ends.lengths(known.end),
         "horizons": [np.shape(known.horizon)] if np.ndim(known.horizon) else [],
+        "start times": [np.shape(known.start_time)] if np.ndim(known.start_time) else [],
         "parameters": [np.shape(leaf)[:1] for leaf in jax.tree.leaves(known.parameters)],
         "guesses": [(len(guesses),)] if are_several(guesses) else [],
     }
@@ -53,13 +54,12 @@ def _words_on_lengths(given: dict[str, Sequence[tuple[int, ...]]]) -> str:
 def member_of(ends: BoundaryDataReader, given: BoundaryData, k: int) -> BoundaryData:
     """The data of member ``k`` of a batch."""
     start, end = ends.member(given.start, k), ends.member(given.end, k)
-    shared = given.horizon, given.parameters
-    horizon, parameters = jax.tree.map(partial(entry_of, k=k), shared, is_leaf=is_free)
-    return BoundaryData(start, end, horizon, parameters, given.start_time)
+    shared = given.horizon, given.parameters, given.start_time
+    return BoundaryData(start, end, *jax.tree.map(partial(entry_of, k=k), shared, is_leaf=is_free))
 
 
 def entry_of(leaf: Any, k: int) -> Any:
-    """Entry ``k`` of a horizon or a parameter, or the same for all members."""
+    """Entry ``k`` of a horizon, a parameter or a start time, or the same for all members."""
     if is_free(leaf):
         return leaf.member(k)
     return leaf if np.ndim(leaf) == 0 else np.asarray(leaf)[k]
