@@ -267,12 +267,14 @@ class Solver:
 
         Parameters
         ----------
-        starts, ends, horizons, guesses, parameters, start_time
+        starts, ends, horizons, guesses, parameters
             As for ``solve``, or arrays with one more leading axis of length ``B``, and a list of ``B`` guesses. The
             same factors are free for all members.
         tolerance, max_iterations, callback, verbose
             As in ``retrax.solve``. Members are solved side by side in threads; with a callback, or ``verbose``, one
             after the other, and ``iteration.members`` holds the place of the member.
+        start_time : float or array of shape (B,)
+            As for ``solve``, or one for each member.
         """
         require_concrete("solve_many", starts, ends, horizons, parameters, instead=INSTEAD)
         options = Options.of(tolerance, max_iterations, callback, verbose)
