@@ -80,12 +80,13 @@ def pytest_pycollect_makeitem():
 
 
 def named_cases(made, names):
-    """The cases of a test that have these names, or as many as a number says, from the first to the last."""
+    """The cases of a test that have these names; or as many as a number says of those that are not slow anyway."""
     if names and isinstance(names[0], int):
-        (count,), last = names, len(made) - 1
+        (count,), fast = names, [item for item in made if not item.get_closest_marker("slow")]
+        last = len(fast) - 1
         if count > last:
-            raise pytest.UsageError(f"{made[0].originalname} has {len(made)} cases, of which {count} are to be usual")
-        return [made[i * last // (count - 1)] for i in range(count)] if count > 1 else [made[last // 2]]
+            raise pytest.UsageError(f"{made[0].originalname} has {len(fast)} cases, of which {count} are to be usual")
+        return [fast[i * last // (count - 1)] for i in range(count)] if count > 1 else [fast[last // 2]]
     named = [item for item in made if item.callspec.id in names]
     if len(named) != len(names):
         cases = [item.callspec.id for item in made]
