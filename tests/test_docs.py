@@ -249,6 +249,7 @@ def test_the_code_of_a_page_runs_and_prints_what_the_page_says(page, pages, tmp_
         assert re.search(f"^{pattern}$", text, re.MULTILINE), f"expected\n{shown}\nin\n{text}"
 
 
+@pytest.mark.slow
 def test_a_page_has_names_and_settings_of_its_own(pages, tmp_path):
     change = "import jax\njax.config.update('jax_enable_x64', True)\nkept = jax.numpy.ones(1)\nprint(kept.dtype)"
     assert pages.run(change, tmp_path) == ["float64\n", ""]

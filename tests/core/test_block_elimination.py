@@ -219,6 +219,7 @@ def oscillator(h, count, sides):
 
 
 @pytest.mark.parametrize("count", [3, 10, 100, 1000, 10_000])
+@pytest.mark.usual(1)
 def test_the_inertia_of_a_trajectory_whose_length_goes_through_a_conjugate_point(count):
     """Half of a period from end to end, and somewhat less and more; a step turns by ``2 atan(h / 2)``.
 

@@ -75,6 +75,7 @@ def test_each_instruction_at_hard_numbers(tmp_path):
 
 
 @pytest.mark.parametrize("piece", [1000, 7])
+@pytest.mark.usual(1)
 def test_random_programs_with_loops(tmp_path, piece):
     rng = np.random.default_rng(piece)
     programs = [random_program(rng) for _ in range(60)]

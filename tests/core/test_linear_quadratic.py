@@ -136,6 +136,7 @@ def couplings(states):
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("states", [2, 6, *LONG])
+@pytest.mark.usual(2)
 def test_free_and_weighted_ends(kind, states):
     """Through the coupling at which the last state is not reached any more."""
     if kind == "springs" and states % 2:
@@ -151,6 +152,7 @@ def test_free_and_weighted_ends(kind, states):
 
 @pytest.mark.parametrize("kind", ["lags", "unstable"])
 @pytest.mark.parametrize("states", [6, *(pytest.param(n, marks=pytest.mark.slow) for n in (12, 30, 60))])
+@pytest.mark.usual(1)
 def test_a_success_is_right_where_controls_reach_farther_than_any_solution(kind, states):
     """Through the coupling beyond which a Newton step has no right digit: a failure there, and no wrong success."""
     solved = 0
@@ -190,9 +192,9 @@ def test_slopes_are_measured_by_their_parts_where_steps_are_stiff(stiffness):
         assert max(one.stationarity[0] for one in told) <= 1 + 1e-9
 
 
-@pytest.mark.usual("4-lags", "4-springs")
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("states", [2, 4, 6, 8])
+@pytest.mark.usual(1)
 def test_prescribed_ends(kind, states):
     """The whole end, or either half of it, at what controls of size one reach."""
     half, tried = states // 2, 0
@@ -213,10 +215,10 @@ def test_prescribed_ends(kind, states):
     assert tried
 
 
-@pytest.mark.usual("lags-2", "lags-4")
 @pytest.mark.parametrize(
     ("kind", "states"), [*((kind, n) for kind in ("lags", "unstable") for n in (2, 4, 6)), ("springs", 4)]
 )
+@pytest.mark.usual(1)
 def test_no_success_where_rounding_decides_whether_controls_reach_the_end(kind, states):
     """Through the coupling at which controls move the end by less than its rounding: the right cost, or a failure."""
     half, rounded, solved = states // 2, 0, 0

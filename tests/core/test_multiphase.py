@@ -194,6 +194,7 @@ def searched(problem: LinkedPhases, guess: Any, callback: Any = None) -> Any:
 
 
 @pytest.mark.parametrize("case", list(CASES))
+@pytest.mark.usual(2)
 def test_searches_end_at_the_minima_of_the_discrete_problems(case, monkeypatch):
     problem, guess = posed(case, monkeypatch)
     found, (cost, off) = searched(problem, guess), COSTS[case]
@@ -249,6 +250,7 @@ UNTRACEABLE = {  # a constraint of the ends, and a cost of an end, that no tape 
 
 
 @pytest.mark.parametrize("name", UNTRACEABLE)
+@pytest.mark.usual(1)
 def test_ends_without_a_tape_are_called_back(name):
     """The same iterations, costs and multipliers as where a tape computes them."""
     options = UNTRACEABLE[name]

@@ -66,6 +66,7 @@ def perturbed(phase: Any, guess: Any) -> tuple[bool, dict[str, np.ndarray], dict
 
 
 @pytest.mark.parametrize("name", [*CASES, *DEGENERATE, *OTHERS])
+@pytest.mark.usual(2)
 def test_a_perturbation_is_always_the_same_and_on_the_manifold(name, monkeypatch):
     """Without multipliers: the multipliers of a degenerate guess tell nothing."""
     solver, way, options = (CASES | DEGENERATE | OTHERS)[name]()
@@ -102,6 +103,7 @@ def car_in_numpy(q: np.ndarray, u: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", DEGENERATE)
+@pytest.mark.usual(1)
 def test_searches_from_beside_a_degenerate_guess_end_at_a_minimum(name, monkeypatch):
     """The area within a way of twelve steps is that of a regular polygon; of a car SciPy finds no lower cost nearby."""
     solver, way, options = DEGENERATE[name]()

@@ -32,6 +32,7 @@ def halves(c: float, method: Any, **options: Any) -> Any:
     [{"control_bounds": (-1.0, 1.0)}, {"constraints": {"near": lambda q, u: q[0] ** 2 - 1}}],
     ids=["bounds", "constraint"],
 )
+@pytest.mark.usual(2)
 def test_rest_is_a_minimum_up_to_the_focal_point(share, limits):
     """Limits that do not pull change nothing."""
     found = halves(share * FOCAL, Midpoint(Addition(LINE)), **limits)
@@ -50,6 +51,7 @@ def test_so_it_is_by_collocation(share):
 
 @pytest.mark.parametrize("method", [Midpoint(Addition(LINE)), Gauss(2, Addition(LINE))], ids=["map", "Gauss"])
 @pytest.mark.parametrize("curvature", [-2.0, -0.5, 0.5])
+@pytest.mark.usual(2)
 def test_limits_that_pull_make_a_minimum_of_a_cost_that_is_curved_downward(curvature, method):
     """In the second phase the force is at its bound, whatever its curvature: the end is dear by its slope."""
     free = OptimalControlProblem(LINE, velocity, lambda q, u: u @ u / 2, 1)

@@ -45,6 +45,7 @@ def with_callbacks(transcription: Transcription, conditions: Any, share: Any) ->
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.usual(2)
 def test_searches_by_callbacks_are_those_by_tapes(name, monkeypatch):
     """Of all functions, and of every second one; the same arithmetic, so that iterates are the same to rounding."""
     solver, way, options = CASES[name]()
@@ -79,6 +80,7 @@ def kinds(search: Search) -> set[type]:
 
 
 @pytest.mark.parametrize("name", ["a slew", "collocation with a cap at nodes", "a free end"])
+@pytest.mark.usual(1)
 def test_what_the_user_chooses_is_what_runs(name, on_core):
     """The same iterations and costs by tapes and by XLA."""
     solver, way, options = CASES[name]()
@@ -124,6 +126,7 @@ IN_NUMPY = {
 
 @pytest.mark.parametrize("method", [Midpoint(Addition(LINE)), Gauss(2, Addition(LINE))], ids=["midpoint", "gauss"])
 @pytest.mark.parametrize("name", UNTRACEABLE)
+@pytest.mark.usual(2)
 def test_what_has_no_tape_is_solved(name, method, on_core):
     """Some functions have tapes and some have none; the minimum is that of the discrete cost by SciPy."""
     term = UNTRACEABLE[name]
@@ -335,6 +338,7 @@ class Failing:
 
 
 @pytest.mark.parametrize("at", [1, 10, 20])
+@pytest.mark.usual(1)
 def test_the_error_of_a_callback_of_jax_is_raised(at, on_core):
     own = Failing(at)
 
@@ -352,6 +356,7 @@ def test_the_error_of_a_callback_of_jax_is_raised(at, on_core):
 
 
 @pytest.mark.parametrize("gain", [0.5, 1.0, 2.0, 5.0])
+@pytest.mark.usual(1)
 def test_functions_without_a_number_are_as_on_tapes(gain, on_core):
     """Trials that leave the domain of a function, of which the larger gains have more."""
     problem = OptimalControlProblem(

@@ -86,6 +86,7 @@ METHODS = pytest.mark.parametrize("method", [Midpoint, lambda retraction: Gauss(
 @METHODS
 @pytest.mark.parametrize("aside", [0.05, 0.5, 1.0, 2.0])
 @pytest.mark.parametrize("limit", [None, 9.0])
+@pytest.mark.usual(2)
 def test_a_car_is_led_to_a_place_beside_it(method, aside, limit, monkeypatch):
     """No control leads there at first."""
     bounds = {} if limit is None else {"control_bounds": (-limit, limit)}
@@ -108,6 +109,7 @@ def test_a_car_is_led_to_a_place_beside_it(method, aside, limit, monkeypatch):
 
 @METHODS
 @pytest.mark.parametrize("torque", [2.0, 0.5])
+@pytest.mark.usual(1)
 def test_a_pendulum_is_swung_with_little_torque(method, torque, monkeypatch):
     problem = OptimalControlProblem(PLANE, pendulum, half_square, 1, control_bounds=(-torque, torque))
     phases, end = Phases(monkeypatch), np.array([1.0, 0.0])
@@ -131,6 +133,7 @@ def two_phases(torque: float, monkeypatch: Any, **options: Any) -> Phases:
 
 
 @pytest.mark.parametrize("most", [1.5, 3.0, 12.0])
+@pytest.mark.usual(1)
 def test_phases_are_led_over_their_links(most, monkeypatch):
     phases = two_phases(most, monkeypatch)
     assert phases.found is not None
@@ -167,6 +170,7 @@ def test_there_is_no_feasible_trajectory_that_the_controls_do_not_reach(monkeypa
 
 
 @pytest.mark.parametrize("most", [0, 1, 3])
+@pytest.mark.usual(1)
 def test_it_makes_no_more_trials_than_it_may(most, monkeypatch):
     phases = two_phases(1.5, monkeypatch, most=most)
     assert phases.found is not None

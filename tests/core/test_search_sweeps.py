@@ -24,6 +24,7 @@ def method(request: Any) -> Any:
 
 
 @pytest.mark.parametrize("limit", [1e4, 12.0, 8.0, 7.5, 7.0, 1.0])
+@pytest.mark.usual(2)
 def test_torque_limits_from_loose_ones_to_those_that_no_slew_meets(method, limit):
     slew = OptimalControlProblem(RIGID, spacecraft, half_square, 3, control_bounds=(-limit, limit))
     found = Solver(slew, method(Cayley(RIGID)), 40).solve(*SLEWS, throw=False)
@@ -33,6 +34,7 @@ def test_torque_limits_from_loose_ones_to_those_that_no_slew_meets(method, limit
 
 
 @pytest.mark.parametrize(("radius", "beside"), [(0.1, 0.05), (0.1, 0.2), (0.3, 0.2), (0.49, 1e-6), (0.55, 0.2)])
+@pytest.mark.usual(2)
 def test_an_obstacle_from_a_small_one_to_one_around_an_end(method, radius, beside):
     middle = np.array([0.5, beside])
     around = {"disk": lambda q, u: radius**2 - jnp.sum((q - middle) ** 2)}
@@ -45,6 +47,7 @@ def test_an_obstacle_from_a_small_one_to_one_around_an_end(method, radius, besid
 
 
 @pytest.mark.parametrize("beside", np.linspace(0.2, 0.3, 6))
+@pytest.mark.usual(2)
 def test_rounding_beside_an_obstacle_that_is_hardly_met_costs_no_iterations(method, beside):
     around = {"disk": lambda q, u: 0.01 - jnp.sum((q - jnp.array([0.5, beside])) ** 2)}
     free = OptimalControlProblem(PLANE, lambda q, u: u, half_square, 2, constraints=around)
@@ -55,6 +58,7 @@ def test_rounding_beside_an_obstacle_that_is_hardly_met_costs_no_iterations(meth
 
 @pytest.mark.parametrize("height", [0.9, 0.3, -0.1, -0.5])
 @pytest.mark.parametrize("kind", ["constraints", "node_constraints"])
+@pytest.mark.usual(2)
 def test_a_cap_from_one_beside_the_way_to_one_with_an_end_in_it(method, kind, height):
     cap = (lambda q, u: q[1] - height) if kind == "constraints" else (lambda q: q[1] - height)
     turn = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, 3, **{kind: {"cap": cap}})
@@ -69,6 +73,7 @@ def test_a_cap_from_one_beside_the_way_to_one_with_an_end_in_it(method, kind, he
 
 @pytest.mark.parametrize("bound", [0.2, 0.5, 0.8, 1.5, 4.0])
 @pytest.mark.parametrize("hill", [0.0, 3.0])
+@pytest.mark.usual(2)
 def test_a_swing_from_too_little_torque_to_plenty(method, bound, hill):
     cost = lambda q, u: u @ u / 2 + hill * jnp.cos(3.0 * q[0])  # noqa: E731
     swing = OptimalControlProblem(PLANE, pendulum, cost, 1, control_bounds=(-bound, bound))
@@ -82,6 +87,7 @@ def test_a_swing_from_too_little_torque_to_plenty(method, bound, hill):
 
 
 @pytest.mark.parametrize("most", [1, 3, 4, 5])
+@pytest.mark.usual(2)
 def test_no_more_iterations_than_asked_for(method, most):
     seen = []
     solver = Solver(SLEW, method(Cayley(RIGID)), 30)
@@ -94,6 +100,7 @@ def test_no_more_iterations_than_asked_for(method, most):
 
 @pytest.mark.parametrize("beside", [8e-6, 1e-3, 1e-2, 0.1])
 @pytest.mark.parametrize("tolerance", [1e-5, 1e-3])
+@pytest.mark.usual(2)
 def test_a_guess_whose_end_is_beside_the_end_is_stepped_from(method, beside, tolerance):
     """By less than the tolerance of its size, too."""
     solver = Solver(OptimalControlProblem(PLANE, lambda q, u: u, half_square, 2), method(Addition(PLANE)), 10)
@@ -135,6 +142,7 @@ def test_ways_in_heisenbergs_group_are_arcs_of_polygons(height):
 
 
 @pytest.mark.parametrize("beside", [0.3, 1e-3, 1e-6, 1e-9, 1e-12, 1e-14])
+@pytest.mark.usual(2)
 def test_turns_to_beside_an_opposite_point(method, beside):
     """From a turn that is isolated to one of many that rounding does not tell apart."""
     way = np.array([0.0, 0.0, 1.0]), np.array([np.sin(beside), 0.0, -np.cos(beside)]), 1.0
@@ -145,6 +153,7 @@ def test_turns_to_beside_an_opposite_point(method, beside):
 
 
 @pytest.mark.parametrize(("spin", "far"), [(0.1, False), (1.0, False), (4.0, False), (8.0, True), (16.0, True)])
+@pytest.mark.usual(2)
 def test_directions_that_turn_by_themselves(method, spin, far):
     """From slowly to many times round in the horizon: beside the turn the cost is that of a geodesic."""
     axis = np.array([1.0, 2.0, 2.0]) / 3.0

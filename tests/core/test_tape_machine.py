@@ -51,6 +51,7 @@ NAMES_WITHOUT_ARGUMENTS = set(NAMES) - set(ARGUMENTS)
 
 
 @pytest.mark.parametrize("name", [*SMOOTH, *SPECIAL])
+@pytest.mark.usual(2)
 def test_numbers_are_those_of_an_interpreter_to_the_last_bit(name):
     """Values and second derivatives, where they are no numbers too; products and sums rounded once, or each."""
     function, x = (SMOOTH[name], POINTS) if name in SMOOTH else (SPECIAL[name][0], SPECIAL[name][1][:, None])
@@ -87,6 +88,7 @@ def test_every_instruction_is_what_it_says():
 
 
 @pytest.mark.parametrize("part", range(4))
+@pytest.mark.usual(1)
 def test_random_programs_give_the_numbers_of_an_interpreter(part):
     """Loops, constants and inputs that are NaN or infinite; groups of four inputs and outputs; any number of points."""
     rng = np.random.default_rng(part)

@@ -69,7 +69,7 @@ def random_iterate(of: Transcription, phase: DiscretePhase, guess: Any, seed: in
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.long("unequal steps of collocation")
+@pytest.mark.usual(2)
 def test_systems_are_the_derivatives_of_the_discrete_equations(name):
     """At iterates some random steps from the guess; the cases share out the instruction sets."""
     phase, guess, equations = case(name)
@@ -108,6 +108,7 @@ def without_barrier(system: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.usual(2)
 def test_steps_solve_the_linear_equations_and_move_in_charts(name):
     """A Newton step from the dense matrix of all unknowns: its condensed part gives the rest of it again."""
     phase, guess, equations = case(name)
@@ -181,6 +182,7 @@ def check_inequalities(at: Trajectory, to: Trajectory, change: np.ndarray) -> No
 
 
 @pytest.mark.parametrize("angle", [0.1, 0.9, 1.0, 1.5, 2.0])
+@pytest.mark.usual(1)
 def test_ends_that_are_far_apart_meet_along_the_arc_between_them(angle, monkeypatch):
     """Two steps at rest on a sphere whose ends lie apart by an angle: where their chord is short, the defect is its
     tangential part at the end of the first step; else the node lies amid them, and the defect is the arc."""
@@ -202,6 +204,7 @@ def test_ends_that_are_far_apart_meet_along_the_arc_between_them(angle, monkeypa
 
 
 @pytest.mark.parametrize("power", [-9, -3, 2, 9])
+@pytest.mark.usual(1)
 def test_natural_sizes_change_with_the_units_of_the_problem(power, monkeypatch):
     """A cart in another unit of length: its states and controls have sizes in that unit, its cost is the same."""
     plane, found = Euclidean(2), []

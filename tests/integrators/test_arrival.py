@@ -41,6 +41,7 @@ def scattered(manifold: Product, seed: int) -> Guess:
 
 
 @pytest.mark.parametrize("seed", [3, 4, 7, 9])
+@pytest.mark.usual(1)
 def test_docking_arrives_from_scattered_states(docking, seed):
     solver, problem = docking
     pose = SE(3).pose(Rotation.from_rotvec([2.9, 0.3, -0.4]).as_matrix(), np.array([3.0, -2.0, 1.0]))
@@ -54,6 +55,7 @@ def test_docking_arrives_from_scattered_states(docking, seed):
 
 @pytest.mark.parametrize("method", [Midpoint, partial(Gauss, 2), partial(Gauss, 3)], ids=["midpoint", "two", "three"])
 @pytest.mark.parametrize("current", [0.0, 0.2, 0.5, 0.9])
+@pytest.mark.usual(2)
 def test_least_time_with_a_heading_needs_no_bounds_of_the_horizon(method, current):
     """Zermelo's navigation around a vortex: the cost is flat in the controls, and saddles turn many times."""
 

@@ -133,6 +133,7 @@ def test_damaged_files_are_refused_or_read_as_they_were(written, kind, load, tmp
 
 @pytest.mark.parametrize("load", [load_solutions, load_solution, load_trajectory])
 @pytest.mark.parametrize("size", [10**5, 10**7, 10**8])
+@pytest.mark.usual(2)
 def test_a_small_file_that_declares_much_is_refused_before_it_is_read(load, size, tmp_path):
     path = tmp_path / "small.npz"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:

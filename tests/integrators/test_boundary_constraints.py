@@ -44,6 +44,7 @@ def test_an_end_on_a_circle_from_inside_to_outside():
     ("length", "time"),
     [(1e-9, 1e-3), (1e-9, 1e4), (1e-3, 1e3), (1.0, 1e-3), (1.0, 1.0), (1.0, 1e4), (1e5, 1.0), (1e5, 1e4)],
 )
+@pytest.mark.usual(2)
 def test_nothing_but_an_equation_says_how_far_it_is(length, time):
     """From rest to a place at any speed, ``x(T) = X``, with ``u^2 / 2``: ``3 X^2 / (2 T^3)``; with a free horizon and
     ``1 + u^2 / 2`` in units of the problem ``T^4 = 9 / 2`` and ``4 T / 3``."""
@@ -65,6 +66,7 @@ def test_nothing_but_an_equation_says_how_far_it_is(length, time):
 
 @pytest.mark.parametrize("size", [1.0, 1e3, 1e9])
 @pytest.mark.parametrize("shift", [0.0, 1e-15, 1e-8, 1.0])
+@pytest.mark.usual(2)
 def test_an_optimum_at_rest_is_found_from_everywhere(size, shift):
     """A periodic motion that costs nothing: what its trajectory moves by is rounding, and no unit."""
     problem = OptimalControlProblem(
@@ -225,6 +227,7 @@ def test_equations_from_independent_to_dependent():
         ([leaning], r"boundary_constraints must be a dictionary of functions by their names"),
     ],
 )
+@pytest.mark.usual(2)
 def test_what_are_no_boundary_constraints_is_named(between, words):
     start, end = np.array([1.0, 0, 0]), Free(np.array([0.0, 1.0, 0]))
 

@@ -78,6 +78,7 @@ def test_a_problem_is_another_one_where_its_functions_compute_another_value(way)
 
 @pytest.mark.parametrize("evaluator", ["tape", pytest.param("xla", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("way", SOME)
+@pytest.mark.usual(1)
 def test_a_changed_value_changes_the_trajectory(way, evaluator):
     """``q'' = -k q``: a step of the midpoint rule is known, one by one and of many."""
     product, change = held(way, 1.0)
@@ -99,6 +100,7 @@ def test_a_changed_value_changes_the_trajectory(way, evaluator):
 
 
 @pytest.mark.parametrize("way", SOME)
+@pytest.mark.usual(1)
 def test_a_changed_value_changes_the_classification(way):
     product, change = held(way, 1.0)
     problem = priced(product)
@@ -184,6 +186,7 @@ class Circle(LevelSet):
         return x @ x - RADIUS[0] ** 2
 
 
+@pytest.mark.slow
 def test_a_manifold_that_changes_is_another_one_and_is_read_a_few_times_in_a_call():
     """An arc of a quarter turn costs ``(pi r / 2)^2 / 2``; the same object, whose constraint reads the radius."""
     circle = Circle()

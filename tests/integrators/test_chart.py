@@ -63,6 +63,7 @@ def test_a_centre_is_as_far_from_both_ends_in_opposite_directions(family):
 
 @pytest.mark.parametrize("group", [SO(2), SO(3), SE(2), SE(3)], ids=str)
 @pytest.mark.parametrize("family", [Cayley, Exponential])
+@pytest.mark.usual(2)
 def test_the_functions_of_charts_of_groups_are_tapes(family, group):
     """A closed loop evaluates these functions at each sample, and XLA takes longer to call than a tape to run."""
     evaluator = AutomaticEvaluator()

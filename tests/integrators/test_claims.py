@@ -36,6 +36,7 @@ def arc(degrees: float) -> Solution:
 
 
 @pytest.mark.parametrize("degrees", [*range(5, 180, 5), 179, 179.9, 180.1, 181, 200, 265, 275, 350])
+@pytest.mark.usual(2)
 def test_a_great_circle_is_a_strict_minimum_up_to_half_a_turn_wherever_nodes_fall(degrees):
     """Its ends are conjugate at 180 degrees; at 90, where several of these have a node, a free end is at a focal
     point."""
@@ -56,6 +57,7 @@ def oscillations():
 
 @pytest.mark.parametrize("sign", [-1, 1])
 @pytest.mark.parametrize("distance", [0.0, *10.0 ** np.arange(-15, 0)])
+@pytest.mark.usual(3)
 def test_an_oscillator_over_half_a_period_is_solved_as_far_as_the_system_determines_it(distance, sign):
     """The extremal from 0 to 1 costs ``cot(turn) / 2``; over half a period there is none, near it rounding decides."""
     horizon = HALF_PERIOD + sign * distance
@@ -84,6 +86,7 @@ class Pull(eqx.Module):
 
 
 @pytest.mark.parametrize("strength", [-2.0, 0.5, 0.99, 1.01, 2.0, 5.0])
+@pytest.mark.usual(2)
 def test_a_terminal_cost_bends_with_its_normal_gradient(strength):
     """Rest at the pole where ``c q_z`` is greatest: a way of length s costs ``s^2 / 2 + c cos s``, least at 0 for c < 1
     only."""
@@ -144,6 +147,7 @@ def test_a_norm_at_rest_is_named_with_its_place(part, words):
         ({"node_constraints": {"speed": lambda q: jnp.linalg.norm(q[2:]) - 2.0}}, "node_constraints['speed']"),
     ],
 )
+@pytest.mark.usual(1)
 def test_a_limit_of_a_norm_at_rest_is_named_at_once(limits, name, stages):
     """No step leads away from a point without derivatives, so each search ends where it begins."""
     space = Euclidean(4)

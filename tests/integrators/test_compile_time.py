@@ -52,6 +52,7 @@ def test_the_seconds_of_a_solve_are_those_that_it_takes(evaluator):
 
 @pytest.mark.parametrize("horizon", [1.0, Free(1.0, 0.9, 1.1)])
 @pytest.mark.parametrize("count", [1, 2, 7])
+@pytest.mark.usual(2)
 def test_the_seconds_of_a_batch_are_shared_by_its_members(horizon, count):
     line = Euclidean(1)
     solver = Solver(OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2, 1), Midpoint(Addition(line)), 5)

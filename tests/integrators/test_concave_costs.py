@@ -50,6 +50,7 @@ def test_the_curvature_of_a_cost_decides_through_zero(name):
 
 @pytest.mark.parametrize("unit", [1e-8, 1.0, 1e8])
 @pytest.mark.parametrize("share", [1.0, 1e-6, 1e-12])
+@pytest.mark.usual(2)
 def test_one_control_of_three_is_concave_in_any_units(unit, share):
     def cost(q, u, c):
         return u[0] ** 2 + c * (u[1] / unit) ** 2 + (u[2] + u[0]) ** 2
@@ -178,6 +179,7 @@ def test_phases_are_told_by_their_numbers():
 
 
 @pytest.mark.parametrize("horizon", [0.1, 3.0, 3.14, 3.1415, 3.1417, 3.143, 3.3, 6.0])
+@pytest.mark.usual(2)
 def test_an_oscillator_is_a_minimum_until_its_conjugate_point(horizon, tmp_path):
     """Of the action ``int (u^2 - q^2) / 2`` with both ends fixed, at pi."""
     problem = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: (u @ u - q @ q) / 2, 1)

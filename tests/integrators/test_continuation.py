@@ -104,6 +104,7 @@ def sphere():
 
 
 @pytest.mark.parametrize("angle", [0.3, 2.0, 3.0, 3.1, 3.14, 3.1415, 3.1417, 3.15, 3.2, 4.0, 6.0])
+@pytest.mark.usual(2)
 def test_the_way_ends_at_a_conjugate_point(sphere, angle):
     """Great circles are shortest up to half a turn: behind it the extremals go on, and are no minima."""
     found = continuation(sphere, arc(angle), smallest_step=1e-5)

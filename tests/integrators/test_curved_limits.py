@@ -41,9 +41,9 @@ def within(most: float, method: Any) -> Solution:
 POWERS = {power: lambda q, u, most, power=power: (u[0] / most) ** power - 1 for power in (2, 4)}
 
 
-@pytest.mark.long("4-5.0", "4-6.2", "4-10.0", "4-30.0")
 @pytest.mark.parametrize("most", [4.6, 5.0, 5.699, 5.701, 6.2, 10.0, 30.0, 1000.0])
 @pytest.mark.parametrize("power", POWERS)
+@pytest.mark.usual(2)
 def test_a_power_of_the_control_is_limited_as_the_control_is(most, power):
     """The largest control of the free optimum of the midpoint rule is some 5.7."""
     for method in METHODS:
@@ -72,6 +72,7 @@ SPEEDS = {
 
 @pytest.mark.parametrize("top", [1.2, 1.4, 1.499, 1.501, 2.0])
 @pytest.mark.parametrize("bend", ["tanh", "exp", "cubic"])
+@pytest.mark.usual(2)
 def test_a_limit_of_the_speed_is_the_same_however_it_is_bent(bend, top):
     """The largest speed of the free optimum is 1.5."""
     for method in METHODS:

@@ -217,6 +217,7 @@ class Fast(eqx.Module):
 
 
 @pytest.mark.parametrize("units", [*((s * k) for k in np.eye(3, dtype=int) for s in (-12, -9, 9, 12)), (-6, 9, -9)])
+@pytest.mark.usual(2)
 def test_nothing_depends_on_the_units(units):
     def end(length: float, momentum: float, form: float) -> tuple[np.ndarray, np.ndarray]:
         fast = Fast(*map(jnp.asarray, (length, momentum, form)))

@@ -35,6 +35,7 @@ def solved(problem, mean, **more):
 
 @pytest.mark.parametrize("name", COSTS)
 @pytest.mark.parametrize("way", ["bounds at the edge", "bounds inside", "guess", "constraint and guess"])
+@pytest.mark.usual(2)
 def test_a_mean_control_is_found_where_costs_have_a_domain(name, way):
     """A convex cost of the control alone is least where the control is its mean."""
     mean, top = (0.3, 1.0) if name == "between" else (2.0, 50.0)

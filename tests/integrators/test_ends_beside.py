@@ -45,6 +45,7 @@ def directions():
 
 
 @pytest.mark.parametrize("digits", range(8, 17))
+@pytest.mark.usual(2)
 def test_rotations_of_some_digits_are_ends(digits):
     exact = rotation(np.array([1.0, 0.3, -0.5]))
     end = exact.round(digits)
@@ -60,6 +61,7 @@ def test_rotations_of_fewer_digits_are_none():
 
 
 @pytest.mark.parametrize("off", [0.0, 1e-300, 1e-30, 1e-17, 1e-15, 1e-13, 1e-11, 1e-9])
+@pytest.mark.usual(2)
 def test_last_rows_of_poses_may_be_rounded(off):
     end = np.eye(4)
     end[:3, 3], end[3, :3] = [1.0, 2.0, 3.0], off

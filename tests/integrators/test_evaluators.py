@@ -121,6 +121,7 @@ TERMS = {
 
 
 @pytest.mark.parametrize("name", TERMS)
+@pytest.mark.usual(2)
 def test_what_users_write_has_the_same_optimum_on_both(name):
     term, kind = TERMS[name]
     problem = OptimalControlProblem(
@@ -133,6 +134,7 @@ def test_what_users_write_has_the_same_optimum_on_both(name):
 
 
 @pytest.mark.parametrize("evaluator", ["automatic", "tape", "xla"])
+@pytest.mark.usual(1)
 def test_controls_are_found_where_the_dynamics_reads_a_table(evaluator):
     """The control of a double integrator is ``p_2``, by the implicit function theorem, whatever the drift."""
     problem = OptimalControlProblem(

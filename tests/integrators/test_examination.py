@@ -61,9 +61,9 @@ def by_the_wall():
     return Solver(WALL, Midpoint(default_retraction(CART)), 10)
 
 
-@pytest.mark.long("None--0.001", "None-1e-06", "velocity1--0.1", "velocity1--1e-06", "velocity1-0.001")
 @pytest.mark.parametrize("place", [-0.1, -1e-3, -1e-6, 0.0, 1e-6, 1e-3, 0.1])
 @pytest.mark.parametrize("velocity", [None, np.array([0.5])])
+@pytest.mark.usual(2)
 def test_what_is_prescribed_of_an_end_is_where_constraints_hold(place, velocity):
     """A start behind the wall with a free velocity too; one phase, and the end."""
     behind, ahead = (np.array([place]), velocity), (np.ones(1), np.array([0.5]))

@@ -217,6 +217,7 @@ def unlimited() -> OptimalControlProblem:
     [(unlimited, None, 1e-10), (lambda: SLEW, (SLEW_END, REST), 1e-10), (limited, (SLEW_END, REST), 1e-7)],
     ids=["free end", "fixed end", "torque limits"],
 )
+@pytest.mark.usual(1)
 def test_gains_are_those_of_the_feedback_in_python(make, end, most, tmp_path, core):
     """At the nodes from which the controls can correct everything; limits hold as far as the barrier lets them."""
     solver = Solver(make(), Gauss(2, Cayley(RIGID)), 8)

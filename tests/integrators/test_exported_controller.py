@@ -114,8 +114,8 @@ def agrees(python: Any, c: Any, flown: FlownController) -> None:
     assert python.solves.iterations.tolist() == flown.iterations
 
 
-@pytest.mark.usual("a moving target on a sphere")
 @pytest.mark.parametrize("name", loops())
+@pytest.mark.slow
 def test_the_compiled_controller_flies_the_loop_of_python(name, tmp_path, core):
     loop = loops()[name]()
     agrees(*both(loop, tmp_path / "own", core, "-O1"))

@@ -143,7 +143,6 @@ def keeping_out() -> tuple[Solver, np.ndarray, float]:
     return Solver(problem, METHOD, STEPS), sun, float(np.arccos(max(BORESIGHT @ sun, (TARGET @ BORESIGHT) @ sun)))
 
 
-@pytest.mark.long("-0.5")
 @pytest.mark.parametrize(
     "share",
     [
@@ -152,6 +151,7 @@ def keeping_out() -> tuple[Solver, np.ndarray, float]:
         if -1 < s < 1.5
     ],
 )
+@pytest.mark.usual(1)
 def test_a_cone_that_grows_until_it_contains_an_end(share):
     solver, sun, nearest = keeping_out()
     angle = nearest * (1 + share)

@@ -103,6 +103,7 @@ def slopes(errors):
 
 
 @pytest.mark.parametrize("name", [n if n in USUAL else pytest.param(n, marks=pytest.mark.slow) for n in CASES])
+@pytest.mark.usual(1)
 def test_controls_and_costs_are_those_of_solves_from_disturbed_starts(name):
     problem, method, steps, start, end, horizon, nodes = CASES[name]
     solver, manifold, draw = Solver(problem, method, steps), problem.manifold, np.random.default_rng(3)

@@ -27,6 +27,7 @@ def test_four_arguments_are_enough():
 
 
 @pytest.mark.parametrize("distance", [0.1, 1.0, 3.0])
+@pytest.mark.usual(1)
 def test_the_mesh_is_refined_where_no_steps_are_given(distance):
     """Least time between two points at rest is ``2 sqrt(distance)``."""
     found = solve(BOUNDED, [0.0, 0.0], [distance, 0.0], Free(1.0))

@@ -69,8 +69,8 @@ def test_no_strict_minimum_is_shown_where_a_limit_is_flat_in_any_unit():
             check(solved(squared(), share, unit, LARGEST), share == 0)
 
 
-@pytest.mark.long("2.5", "4.0")
 @pytest.mark.parametrize("power", [1.1, 1.5, 2.0, 2.5, 3.0, 4.0])
+@pytest.mark.usual(1)
 def test_no_strict_minimum_is_shown_by_a_power_of_a_limit(power):
     """On one side, or on both; without success nothing is claimed."""
     one = solved(Solver(problem_of(lambda q, u: above(q) ** power), METHOD, 10))
@@ -106,6 +106,7 @@ CURVED = {
 
 
 @pytest.mark.parametrize("name", CURVED)
+@pytest.mark.usual(2)
 def test_a_curved_limit_with_a_slope_where_it_holds_leaves_the_strict_minimum(name):
     solver = Solver(problem_of(CURVED[name]), METHOD, 20)
     for tolerance in (1e-3, 1e-6, 1e-10):
@@ -115,6 +116,7 @@ def test_a_curved_limit_with_a_slope_where_it_holds_leaves_the_strict_minimum(na
 
 
 @pytest.mark.parametrize("radius", [0.5, 0.1, 0.02])
+@pytest.mark.usual(1)
 def test_a_round_obstacle_leaves_the_strict_minimum(radius):
     """``r^2 - |q - c|^2``, whose derivative is small where the obstacle is."""
     centre = np.array([0.0, 0.05 * radius])
@@ -133,6 +135,7 @@ def test_a_round_obstacle_leaves_the_strict_minimum(radius):
 
 
 @pytest.mark.parametrize("name", ["plain", "product", "angle", "flat"])
+@pytest.mark.usual(1)
 def test_a_cap_of_a_sphere_takes_the_strict_minimum_back_only_where_it_is_flat(name):
     sphere, axis, angle = Sphere(2), np.array([0.0, 0.6, 0.8]), np.deg2rad(25)
     caps = {
@@ -167,6 +170,7 @@ def test_a_batch_says_of_each_member_what_solve_says():
 
 
 @pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.usual(1)
 def test_phases_say_in_which_of_them_a_limit_is_flat(place):
     further = [*ENDS, np.array([2.0, 0.0])]
     for limit, flat in BOTH:

@@ -50,6 +50,7 @@ def test_a_flow_has_the_trajectories_of_integrate(name):
 
 
 @pytest.mark.parametrize("evaluator", ["tape", "xla"])
+@pytest.mark.usual(1)
 def test_a_flow_reads_its_functions_once(evaluator):
     calls, stiffness = [], [1.0]
 

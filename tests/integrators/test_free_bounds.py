@@ -53,6 +53,7 @@ def test_minimum_time_with_bounds():
 
 @pytest.mark.parametrize("side", ["lower", "upper"])
 @pytest.mark.parametrize("share", [0.5, 0.9, 0.99, 1.01, 1.1, 2.0])
+@pytest.mark.usual(2)
 def test_a_bound_of_the_horizon_from_where_it_holds_to_where_it_does_not(side, share):
     """The multiplier is the derivative of ``T + 6 / T^3`` by the bound; per unit of the time that the first stage
     stands for."""
@@ -68,6 +69,7 @@ def test_a_bound_of_the_horizon_from_where_it_holds_to_where_it_does_not(side, s
 
 
 @pytest.mark.parametrize("share", [0.5, 0.95, 1.05, 2.0])
+@pytest.mark.usual(1)
 def test_a_bound_of_a_parameter_from_where_it_holds_to_where_it_does_not(share):
     best = 2.0 / (2 * (1 + 2.0**2))
     given = {"gain": 2.0, "drift": Free(np.array([0.01]), upper=share * best)}

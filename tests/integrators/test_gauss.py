@@ -171,9 +171,8 @@ def errors_of(name: str, method: Any, counts: Iterable[int], weights: tuple[floa
     return np.array(rows)
 
 
-@pytest.mark.long("R2-4")
 @pytest.mark.parametrize(("name", "stages"), [usual_or_slow(*case, usual=case in QUICK) for case in QUICK + OTHERS])
-@pytest.mark.usual("S2-2", "R2-1", "R2-4")
+@pytest.mark.usual(1)
 def test_states_and_covectors_are_of_order_twice_the_number_of_stages(name, stages):
     # Longer steps there do not show the order yet.
     counts = np.array(COUNTS[stages]) * (4 if name == "ellipsoid" else 1)
@@ -197,6 +196,7 @@ def test_controls_at_the_points_are_of_the_order_of_the_stages(stages):
 @pytest.mark.parametrize(
     "name", ["R2", "regulator", *(usual_or_slow(n, usual=False) for n in ("controlled body", "St42"))]
 )
+@pytest.mark.usual(1)
 def test_one_stage_is_the_midpoint_map(name):
     retraction = SUBJECTS[name].retraction
     gauss, midpoint = (run(name, m)(16) for m in (Gauss(1, retraction), CotangentLift(Midpoint(retraction))))
@@ -246,6 +246,7 @@ def check_step(name: str, stages: int, seed: int, h: float) -> None:
 
 @pytest.mark.parametrize(("name", "stages"), [("S2", 2), usual_or_slow("controlled body", 3, usual=False)])
 @given(seed=SEEDS, h=st.floats(0.01, 0.2))
+@pytest.mark.slow
 def test_a_step_is_symplectic_and_symmetric_and_keeps_the_spin_of_the_pendulum(name, stages, seed, h):
     check_step(name, stages, seed, h)
 
@@ -343,6 +344,7 @@ def norm_of(a: Any) -> jax.Array:
     return jnp.asarray(vec.size(a))
 
 
+@pytest.mark.slow
 def test_a_step_that_is_too_long_is_reported_and_nothing_is_nan():
     """Swept through where Newton's method stops converging, and up to steps in which nothing is left of the problem."""
     failed = []

@@ -57,6 +57,7 @@ def test_two_waypoints_are_the_default_guess(method):
 @pytest.mark.parametrize("steps", [5, [1.0, 3.0, 2.0]])
 @pytest.mark.parametrize("bounds", [None, (0.5, 2.0)])
 @pytest.mark.parametrize("method", [Midpoint(Projection(Sphere(2))), Gauss(2, Projection(Sphere(2)))])
+@pytest.mark.usual(2)
 def test_the_default_guess_is_that_of_a_solver(method, bounds, steps, monkeypatch):
     """To the last digit; and one that is changed is changed for both."""
 

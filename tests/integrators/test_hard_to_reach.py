@@ -100,6 +100,7 @@ def test_the_judge_is_riccatis_equation():
 
 @pytest.mark.parametrize("coupling", 10.0 ** np.arange(-9, 3, 2))
 @pytest.mark.parametrize("states", [2, 6, 12])
+@pytest.mark.usual(2)
 def test_lags_that_are_coupled_by_next_to_nothing(states, coupling):
     """Through the coupling at which the last state is not reached any more, from all states and from either end."""
     for start in (np.ones(states), np.eye(states)[0], np.eye(states)[-1]):
@@ -112,6 +113,7 @@ KINDS = {"lags": lags, "unstable": unstable, "halves": halves, "springs": spring
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("states", [10, *(pytest.param(n, marks=pytest.mark.slow) for n in (20, 40))])
 @pytest.mark.parametrize("weight", [0.0, 1e-2, 1e3])
+@pytest.mark.usual(2)
 def test_long_chains(kind, states, weight):
     drawn = np.random.default_rng(states).standard_normal(states)
     for coupling in (1e-6, 1e-2, 1.0):

@@ -54,6 +54,7 @@ def test_constant_controls_are_those_of_the_exact_discrete_regulator():
 
 
 @pytest.mark.parametrize("order", [0, 1])
+@pytest.mark.slow
 def test_rates_and_bounds_hold_and_a_small_enough_rate_costs_more(order):
     """A sweep of the rate through the one that the optimum without a limit has."""
     costs = []
@@ -188,6 +189,7 @@ def test_a_solve_that_would_have_other_steps_is_refused(changes, words):
 
 
 @pytest.mark.parametrize("before", [-0.5, -0.3, 0.9, 1.0])
+@pytest.mark.usual(1)
 def test_the_control_before_a_constant_one_may_be_beyond_its_bounds(before):
     """A sweep of the control that acted before the horizon through both bounds."""
     held = rx.hold_controls(oscillator(control_bounds=(-0.3, 0.9)), STEP, rate_limits=[4.0])

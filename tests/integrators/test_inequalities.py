@@ -41,6 +41,7 @@ def clipped_forces(bound):
 
 
 @pytest.mark.parametrize("bound", [4.2, 4.5, 5.0, 5.8, 5.84, 5.86, 5.9, 6.5, 100.0])
+@pytest.mark.usual(2)
 def test_forces_are_those_of_the_conditions_as_a_bound_becomes_active(bound):
     solution = solve(
         cart(bound), np.zeros(2), np.array([1.0, 0.0]), 1.0, method=Midpoint(default_retraction(PLANE)), steps=STEPS
@@ -67,6 +68,7 @@ def limited_way():
 
 
 @pytest.mark.parametrize(("length", "time"), [(2, 1), (1e-9, 1), (1e9, 1), (1, 1e4), (1e4, 1e-3), (1e-6, 1e6)])
+@pytest.mark.usual(2)
 def test_units_do_not_matter(length, time):
     bound = 4.5 * length / time**2
     end = np.array([length, 0.0])
@@ -102,6 +104,7 @@ def test_bounds_that_barely_reach_the_end_do(bound):
 
 
 @pytest.mark.parametrize("limit", [1 / 12, 1 / 9, 1 / 6, 0.2, 0.3])
+@pytest.mark.usual(1)
 def test_a_state_that_is_kept_below_a_limit(limit):
     """Bryson and Denham's problem, through the limits at which the state touches at a point (1/4) and along an arc
     (1/6)."""
@@ -117,6 +120,7 @@ def test_a_state_that_is_kept_below_a_limit(limit):
 
 @pytest.mark.parametrize("steps", [10, 30])
 @pytest.mark.parametrize("method", [Midpoint, lambda r: Gauss(3, r)], ids=["midpoint", "Gauss"])
+@pytest.mark.usual(1)
 def test_a_path_that_begins_inside_a_forbidden_cone_goes_round_it(steps, method):
     axis, sphere = np.array([0.0, 0.6, 0.8]), Sphere(2)
     cone = {"cone": lambda q, u: q @ axis - np.cos(np.deg2rad(25))}
@@ -143,6 +147,7 @@ def test_a_path_that_begins_inside_a_forbidden_cone_goes_round_it(steps, method)
 
 
 @pytest.mark.parametrize("height", [0.45, 0.529, 0.531, 0.8])
+@pytest.mark.usual(1)
 def test_momenta_are_those_of_symmetries_that_active_constraints_share(height):
     """A great circle that rises to 0.53, below a ceiling."""
     sphere, ceiling = Sphere(2), {"ceiling": lambda q, u: q[2] - height}
@@ -223,6 +228,7 @@ def avoiding(request):
 
 
 @pytest.mark.parametrize("angle", [1.0, 2.0, 2.2, 2.4, 3.0, 10.0, 25.0])
+@pytest.mark.usual(2)
 def test_derivatives_and_minima_as_a_cone_becomes_active(avoiding, angle):
     """The way is 2.3 degrees from the axis; around a wider cone, the curvature beside it is not lost in its
     stiffness."""
@@ -243,6 +249,7 @@ def test_derivatives_and_minima_as_a_cone_becomes_active(avoiding, angle):
 
 
 @pytest.mark.parametrize("degrees", [90.0, 150.0, 179.0, 179.9, 180.0])
+@pytest.mark.usual(3)
 def test_an_inactive_cone_leaves_conjugate_ends_conjugate(avoiding, degrees):
     turn, start = np.deg2rad(degrees), np.array([1.0, 0.0, 0.0])
     problem, controls = avoiding.problem.with_parameters(2.0), np.array([0.0, 0.0, turn])
@@ -301,6 +308,7 @@ def test_a_slew_that_its_torques_cannot_make_is_said_to_be_impossible():
         assert max(way.largest.values()) < 0.01
 
 
+@pytest.mark.slow
 def test_random_slews_with_limits_are_solved_or_impossible():
     """By shares of the largest torque of the slews without limits: a turn about one axis needs two thirds of it."""
     body, rng, count = SO(3) * Euclidean(3), np.random.default_rng(5), 40

@@ -23,6 +23,7 @@ METHODS = {"Gauss": Gauss(2, Addition(LINE)), "midpoint": Midpoint(Addition(LINE
 
 @pytest.mark.parametrize("name", METHODS)
 @pytest.mark.parametrize("weight", [1e-3, 1.0, 1e3])
+@pytest.mark.usual(2)
 def test_a_start_that_costs(name, weight):
     """``k (x - 3)^2 / 2`` at the start, 1 at the end of ``x' = u``: ``u = k (x(0) - 3) = (1 - x(0)) / T``."""
     paid = OptimalControlProblem(LINE, moving, half_square, 1, initial_cost=lambda q: weight * (q[0] - 3) ** 2 / 2)
@@ -76,6 +77,7 @@ ROTATING = OptimalControlProblem(
 @pytest.mark.parametrize(
     "method", [Gauss(3, Cayley(SO3)), Midpoint(Cayley(SO3)), Euler(Cayley(SO3))], ids=lambda m: repr(m)[:6]
 )
+@pytest.mark.usual(1)
 def test_a_free_start_is_where_a_fixed_one_has_no_derivative(method):
     solver = Solver(ROTATING, method, 6)
     found = solver.solve(None, TARGET, 1.5, parameters=2.0)

@@ -28,6 +28,7 @@ def solver(request):
 
 
 @pytest.mark.parametrize("lower", [0.5, 0.9, 1.1, BEST, 1.2, 3.0])
+@pytest.mark.usual(2)
 def test_a_parameter_is_found_from_above_its_bound_to_far_off(solver, lower):
     best = max(lower, BEST)
     for guess in (1.0, 1 + 1e-9, 1.01, 1.5, 3.0, 10.0):
@@ -38,6 +39,7 @@ def test_a_parameter_is_found_from_above_its_bound_to_far_off(solver, lower):
 
 @pytest.mark.parametrize("lower", [1e-6, 1e-3, 1e-2, 0.1])
 @pytest.mark.parametrize("guess", [1.1, 1.3, 2.0])
+@pytest.mark.usual(2)
 def test_no_iterate_leaves_a_bound(lower, guess):
     """The cost falls without end where the parameter is negative: iterates that left the bound went there."""
     solver, given = Solver(PACED, *METHODS["midpoint"]), Free(np.array([guess]), lower=np.array([lower]))
@@ -75,6 +77,7 @@ def test_a_parameter_is_found_from_guesses_of_all_sizes(solver, guesses, most):
 
 @pytest.mark.parametrize("side", ["lower", "upper"])
 @pytest.mark.parametrize("bound", [1e-3, 0.1, 0.5, 1.0, 3.0, 30.0])
+@pytest.mark.usual(2)
 def test_a_horizon_is_found_from_its_bound(side, bound):
     """The best horizon is ``1 / sqrt(2)``."""
     best = 0.5**0.5
@@ -87,6 +90,7 @@ def test_a_horizon_is_found_from_its_bound(side, bound):
 
 
 @pytest.mark.parametrize("lower", [1e-3, 0.5, 0.999, 1.001, 2.0])
+@pytest.mark.usual(1)
 def test_several_parameters_are_found_from_their_bounds(lower):
     """Both at their lower bound to begin with, the second one with an upper bound too."""
     solver, best = Solver(PAIR, *METHODS["midpoint"]), max(lower, 1.0)

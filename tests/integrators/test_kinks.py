@@ -81,8 +81,8 @@ SWEEPS = {
 }
 
 
-@pytest.mark.long("of any size", "rounded down", "with weak curvature", "affine")
 @pytest.mark.parametrize("name", SWEEPS)
+@pytest.mark.usual(2)
 def test_a_kink_is_no_singular_control_and_no_curvature(name):
     price, numbers, expected = SWEEPS[name]
     assert {float(a): verdict(problem(price, a)) for a in numbers} == {float(a): expected for a in numbers}
@@ -101,6 +101,7 @@ TWO = {
 
 
 @pytest.mark.parametrize("name", TWO)
+@pytest.mark.usual(2)
 def test_every_direction_of_two_controls_is_looked_at(name):
     price, expected = TWO[name]
     assert [verdict(problem(price, a, controls=2)) for a in (1e-3, 1.0, 20.0)] == 3 * [expected]
@@ -206,8 +207,8 @@ CURVED = {
 }
 
 
-@pytest.mark.long("one-sided", "Huber", "smoothed elsewhere", "wiggles")
 @pytest.mark.parametrize("name", CURVED)
+@pytest.mark.usual(2)
 def test_a_kink_beside_curvature_is_told_from_narrow_curvature(name):
     price, numbers, expected = CURVED[name]
     for a in numbers:

@@ -33,6 +33,7 @@ FAR = 0.07  # controls smaller than that are moved aside, by which the trajector
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-15, 1e-8, *10.0 ** np.arange(-2.5, 1.01, 0.25)])
+@pytest.mark.usual(2)
 def test_a_guess_nearly_at_rest_leads_to_a_solution(size):
     times, shares = np.linspace(0, 1, N), []
     solver, end = turning(), rotation([0.4, -0.3, 1.6])
@@ -50,6 +51,7 @@ def test_a_guess_nearly_at_rest_leads_to_a_solution(size):
 
 @pytest.mark.parametrize("angle", np.pi + np.array([-1.0, -0.1, -1e-2, -1e-6, 0.0, 1e-6, 1e-2, 0.1]))
 @pytest.mark.parametrize("rate", [0.0, 10.0])
+@pytest.mark.usual(2)
 def test_ends_that_are_opposite_come_together(angle, rate):
     # All attitudes of the guess are the first one; rates far larger than their entries do not hide the way to the last.
     end = rotation(angle * AXIS), np.zeros(3)
@@ -86,6 +88,7 @@ def spinning():
 
 
 @pytest.mark.parametrize("size", [0.0, *10.0 ** np.arange(-12, 2.0, 2), 3.0])
+@pytest.mark.usual(2)
 def test_a_rate_that_only_products_change_is_no_obstacle(size):
     end = np.array([1.0, 0.5, 0.3, 0, 0, 0]) * np.array([LONG, LONG, LONG, 1, 1, 1])
     solver = spinning()
@@ -104,6 +107,7 @@ def weakened():
 
 
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-4, 1.5))
+@pytest.mark.usual(2)
 def test_a_guess_near_to_rest_hides_no_unit(size):
     """Beside a rate that 1e-4 N m hardly move, no step would come near to the constraints in the unit of that."""
     entry, solver = weakened()

@@ -207,7 +207,7 @@ FAILURES = {
 
 
 @pytest.mark.parametrize("name", FAILURES)
-@pytest.mark.long("a singular extremal")
+@pytest.mark.usual(1)
 def test_a_solve_without_success_ends_in_a_sentence_and_a_few_figures(name, monkeypatch):
     """The whole report stays with the error."""
     monkeypatch.delenv("RETRAX_TRACEBACK", raising=False)
@@ -230,6 +230,7 @@ SCRIPTS = {
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
+@pytest.mark.usual(1)
 def test_a_script_ends_on_the_same_lines(name, tmp_path):
     """The interpreter marks the place in each line of a script, on a line more."""
     (tmp_path / "setting.py").write_text(SETTING)

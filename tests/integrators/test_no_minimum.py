@@ -28,6 +28,7 @@ def slew(curvature, quartic=0.0):
 
 
 @pytest.mark.parametrize("curvature", [1.0, 0.1, 0.01, -0.01, -0.1, -1.0])
+@pytest.mark.usual(2)
 def test_a_concave_cost_of_a_turn_falls_without_end(curvature):
     solution = solve(slew(curvature), np.eye(3), TARGET, 1.0, method=ON_ROTATIONS, steps=10, throw=False)
     assert solution.success == (curvature > 0)
@@ -35,6 +36,7 @@ def test_a_concave_cost_of_a_turn_falls_without_end(curvature):
 
 
 @pytest.mark.parametrize("quartic", [1.0, 1e-2, 1e-3, 1e-4, 0.0])
+@pytest.mark.usual(1)
 def test_a_concave_cost_that_far_off_is_convex_has_a_minimum(quartic):
     solution = solve(slew(-1.0, quartic), np.eye(3), TARGET, 1.0, method=ON_ROTATIONS, steps=20, throw=False)
     assert (solution.result == FALLING) == (quartic == 0)
@@ -42,6 +44,7 @@ def test_a_concave_cost_that_far_off_is_convex_has_a_minimum(quartic):
 
 @pytest.mark.parametrize("most", [1, FEWEST - 2, FEWEST - 1, 40, 100])
 @pytest.mark.parametrize("power", [2, 4])
+@pytest.mark.usual(2)
 def test_states_that_pay_more_than_they_cost_escape(power, most):
     problem = OptimalControlProblem(PLANE, pushed, lambda q, u: u @ u / 2 - jnp.sqrt(1 + q[0] ** 2) ** power / 40, 1)
     solution = solve(problem, np.ones(2), None, 2.0, method=ON_PLANE, steps=10, throw=False, max_iterations=most)
@@ -50,6 +53,7 @@ def test_states_that_pay_more_than_they_cost_escape(power, most):
 
 
 @pytest.mark.parametrize("rate", [1.0, 1e-8, 1e-14, 0.0, -1e-8, -1.0])
+@pytest.mark.usual(2)
 def test_a_horizon_that_is_never_long_enough_is_named(rate):
     problem = OptimalControlProblem(PLANE, pushed, lambda q, u: rate + u @ u / 2, 1)
     solver, ends = Solver(problem, ON_PLANE, 20), (np.zeros(2), np.array([1.0, 0.0]))
@@ -66,6 +70,7 @@ def test_a_horizon_that_is_never_long_enough_is_named(rate):
 @pytest.mark.parametrize(
     ("time", "price"), [(1.0, 1.0), (1e-3, 1.0), (40.0, 1.0), (200.0, 1.0), (1e6, 1.0), (200.0, 1e-9), (200.0, 1e9)]
 )
+@pytest.mark.usual(2)
 def test_a_horizon_that_grows_is_named_in_all_units(time, price):
     """In other units of the time the same problem, with the same answer; it does not say that a longer one may help."""
     problem = OptimalControlProblem(PLANE, pushed, lambda q, u: price * u @ u / 2, 1)

@@ -48,6 +48,7 @@ def solvers():
 
 
 @pytest.mark.parametrize("ceiling", [0.05, 0.1, 1 / 6 - 1e-3, 1 / 6 + 1e-3, 0.2, 0.2499, 0.25, 0.2501, 0.3, 10.0])
+@pytest.mark.usual(2)
 def test_a_ceiling_at_the_nodes_is_swept_through_what_it_decides(solvers, ceiling):
     """It touches, holds along an arc, or does nothing; nodes are where arcs begin for 0.05 and 0.1, and where it
     touches."""
@@ -89,6 +90,7 @@ def test_costates_are_read_on_this_side_of_a_jump_by_every_discretization_map(th
 
 
 @pytest.mark.parametrize("method", [Midpoint(Cayley(RIGID)), Gauss(2, Cayley(RIGID))], ids=["midpoint", "Gauss"])
+@pytest.mark.usual(1)
 def test_a_slew_beside_a_cone_at_the_nodes_costs_what_ipopt_finds(method):
     """From and to points where the cone holds, with a turn between them that crosses it."""
     start, end = (IDENTITY, REST), (SLEW_END, REST)
@@ -154,6 +156,7 @@ def test_a_free_start_is_held_at_the_first_node(method):
 
 @pytest.mark.parametrize("method", [Midpoint, lambda r: Gauss(2, r)], ids=["midpoint", "Gauss"])
 @pytest.mark.parametrize("above", [-1e-3, 0.0, 1e-6, 1e-2])
+@pytest.mark.usual(2)
 def test_a_start_that_is_prescribed_in_part_is_not_asked_for_what_it_cannot_give(method, above):
     """The position is given, where it may be on the ceiling or beyond; its speed is free and limited."""
     limits = {"ceiling": lambda q: q[0] - 0.1, "speed": lambda q: -0.3 - q[1]}
@@ -233,6 +236,7 @@ def test_a_turn_that_is_no_identity_leaves_both_ends_their_limits(method):
 
 
 @BOTH
+@pytest.mark.usual(1)
 def test_a_solution_is_a_guess_near_to_the_end_also_on_another_mesh(method):
     problem = below(0.1)
     found = solve(problem, START, END, 1.0, method=method, steps=31)
@@ -266,6 +270,7 @@ def test_two_halves_are_the_whole(method):
     assert found.strict_minimum
 
 
+@pytest.mark.slow
 def test_what_is_not_on_a_tape_holds_too():
     """The last of sorted entries, on a sphere, by XLA: beside the same limit without sorting."""
     sphere, start, end = Sphere(2), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.6, 0.8])

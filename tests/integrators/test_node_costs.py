@@ -178,6 +178,7 @@ def test_an_attitude_from_directions_is_wahbas(method):
 
 
 @EVERY
+@pytest.mark.usual(1)
 def test_estimates_have_derivatives_with_respect_to_the_measurements(method):
     """Beside central differences of solves: with more and less noise in the measurements."""
     bound = OptimalControlProblem(
@@ -216,6 +217,7 @@ def test_costates_of_the_midpoint_rule_jump_at_a_node_by_the_slope_of_its_cost()
 
 
 @EVERY
+@pytest.mark.usual(1)
 def test_phases_and_files_keep_node_costs(method, tmp_path):
     """Two phases count their own nodes; the node between them costs what both give it."""
     halves = [np.cos(2 * part) for part in (TIMES[: STEPS // 2 + 1], TIMES[STEPS // 2 :])]
@@ -240,6 +242,7 @@ def test_phases_and_files_keep_node_costs(method, tmp_path):
 
 
 @pytest.mark.parametrize("gravity", [2.0, 5.0, 8.0, 12.0, 20.0])
+@pytest.mark.usual(1)
 def test_a_fit_without_controls_is_a_minimum_from_poor_guesses(gravity):
     """The sizes by which the second-order conditions are judged are those of the solution, not of a guess at rest."""
     manifold = Sphere(2) * Euclidean(3)

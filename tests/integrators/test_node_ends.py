@@ -39,6 +39,7 @@ BEYOND = {
 
 
 @pytest.mark.parametrize("name", BEYOND)
+@pytest.mark.usual(1)
 def test_what_is_flat_far_from_an_end_is_asked_for_there(name):
     """The end is prescribed in part; at most points that somebody would look at, none of the limits has a slope."""
     start, end, limit = (np.zeros(1), np.zeros(1)), (np.ones(1), None), BEYOND[name]
@@ -59,6 +60,7 @@ def test_what_is_flat_far_from_an_end_is_asked_for_there(name):
 
 @BOTH
 @pytest.mark.parametrize("unit", [1e-9, 1.0, 1e11])
+@pytest.mark.usual(2)
 def test_a_turn_leaves_both_ends_their_limits_in_any_unit(method, unit):
     problem = OptimalControlProblem(
         PLANE,
@@ -94,6 +96,7 @@ def test_periodic_ends_are_one_node_of_a_ceiling_that_is_optimised(method):
 
 @BOTH
 @pytest.mark.parametrize("above", [-1e-3, -1e-9, -1e-12, 0.0, 1e-12, 1e-10, 1e-3])
+@pytest.mark.usual(2)
 def test_an_end_is_swept_across_a_ceiling_that_moves_with_the_time(method, above):
     """The end, and with the horizon its time, are prescribed."""
     limits = {"ceiling": lambda q, t: q[0] - 0.1 * (1 - t) + above}
@@ -120,6 +123,7 @@ CEILINGS = {
 
 @pytest.mark.parametrize("place", CEILINGS)
 @pytest.mark.parametrize("above", [-0.1, -1e-3, 1e-3, 0.1])
+@pytest.mark.usual(2)
 def test_one_search_is_enough_for_an_end_beyond_a_ceiling(place, above, monkeypatch):
     """No search changes what is prescribed."""
     begun, restart = list[float](), restarts.from_feasible_trajectory

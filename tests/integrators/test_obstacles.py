@@ -46,6 +46,7 @@ def test_a_guess_through_what_is_kept_out_is_led_around_with_any_inertia():
 
 @pytest.mark.parametrize("beside", [0.0, 1e-12, 1e-6, 0.05])
 @pytest.mark.parametrize("radius", [0.1, 0.45])
+@pytest.mark.usual(2)
 def test_a_guess_through_the_middle_of_an_obstacle_is_led_around(radius, beside):
     """As much speaks for either side there: the path is as long as those around from beside, and is one of them."""
     around = {"disk": lambda q, u: radius**2 - jnp.sum((q - jnp.array([0.5, beside])) ** 2)}

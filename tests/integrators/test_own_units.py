@@ -52,8 +52,8 @@ def products(solution, limit):
     return largest * solution.horizon / solution.cost
 
 
-@pytest.mark.long("10.0", "1000.0", "1000000.0")
 @pytest.mark.parametrize("weight", [1e-9, 1e-3, 1e1, 1e2, 1e3, 1e4, 1e6, 1e9, 1e12])
+@pytest.mark.usual(2)
 def test_a_guess_of_another_weight_leads_to_the_same(weight):
     for solver, end in ((swings(), END), (stops(), Free(END))):
         alone = solver.solve(START, end, 3.0, parameters=1.0)
@@ -73,6 +73,7 @@ def test_members_of_a_batch_have_units_of_their_own():
 
 
 @pytest.mark.parametrize("height", [1e2, 1e4, 1e6, 1e8])
+@pytest.mark.usual(1)
 def test_a_way_around_is_not_judged_by_what_the_way_through_costs(height):
     def hill(q, u, height):
         return u @ u / 2 + height * jnp.exp(-40 * ((q[0] - 0.5) ** 2 + (q[1] - 0.03) ** 2))
@@ -124,6 +125,7 @@ POWERS = [power if power in USUAL else pytest.param(power, marks=pytest.mark.slo
 
 @pytest.mark.parametrize("power", POWERS)
 @pytest.mark.parametrize("name", LIMITS)
+@pytest.mark.usual(2)
 def test_a_wild_guess_does_not_set_the_measure_of_success(name, power):
     """Through guesses as large as rounding of them is larger than all that is found: no success is a false one."""
     (solver, expected), drawn = carried(name), np.random.default_rng(3)

@@ -124,6 +124,7 @@ os.wait()
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.slow
 def test_a_fork_has_threads_of_its_own():
     path = Path(__file__).parents[2]
     ran = subprocess.run([sys.executable, "-c", IN_A_FORK], cwd=path, capture_output=True, text=True, timeout=120)

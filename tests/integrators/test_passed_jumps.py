@@ -73,6 +73,7 @@ class Window(eqx.Module):
 
 
 @pytest.mark.parametrize("width", [0.0, 1e-9, 1e-4, 1e-2])
+@pytest.mark.usual(1)
 def test_a_window_between_two_nodes_is_passed(width):
     """The place moves through the angles, of which the pendulum reaches the first ones alone, and beyond its ends."""
     smooth = integrate(step(0.0), METHOD, START, 0.05, 20)

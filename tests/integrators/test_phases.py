@@ -328,6 +328,7 @@ def phase(**changes):
         ),
     ],
 )
+@pytest.mark.usual(3)
 def test_what_are_no_phases_is_named(given, words):
     with pytest.raises((InvalidInputError, ValueError), match=words):
         solve_phases(*given)

@@ -172,6 +172,7 @@ def test_another_number_of_steps_compiles_nothing(name, compilations):
 
 
 @pytest.mark.parametrize("piece", range(5))
+@pytest.mark.usual(1)
 def test_an_interruption_has_the_trajectory_until_then(piece, taken, monkeypatch):
     """Ctrl-C in each of the pieces."""
     whole, go_on = integrate(quartic, MIDPOINT, START, 0.1, STEPS, save_every=2), TapeSteps.piece
@@ -230,6 +231,7 @@ def test_ctrl_c_ends_a_long_run():
 
 @pytest.mark.parametrize("steps", [1, 8, 9, 4000])
 @pytest.mark.parametrize("verbose", [False, True])
+@pytest.mark.usual(2)
 def test_the_progress_of_an_integration_is_shown_where_it_is_asked_for(steps, verbose, caplog):
     with caplog.at_level(logging.INFO, "retrax"):
         path = integrate(quartic, MIDPOINT, START, 1e-3, steps, verbose=verbose)

@@ -86,6 +86,7 @@ def test_dynamic_soaring_is_not_contradictory(soaring, period, wind):
 
 
 @pytest.mark.parametrize("angle", [2.0, 3.0, 3.3, 4.0, 5.0, 6.0, 7.0, 9.0])
+@pytest.mark.usual(2)
 def test_great_circles_beyond_half_a_turn_are_found_from_guesses_on_them(angle):
     """Saddles: shifted steps come nearer by the same share each, a step of Newton's own arrives."""
     sphere = Sphere(2)
@@ -120,6 +121,7 @@ def turned(size: int, seed: int) -> np.ndarray:
 
 @pytest.mark.parametrize("limits", [{}, {"control_bounds": (-5.0, 5.0)}])
 @pytest.mark.parametrize("resting", [1, 2, 3, 5])
+@pytest.mark.usual(2)
 def test_ends_that_follow_from_the_others_are_named(resting, limits):
     """Of a chain that nothing moves; the ends that are left solve the problem."""
     ends, names = (np.zeros(2), np.array([1.0, 0.0])), [f"q[{2 + k}]" for k in range(resting)]
@@ -143,6 +145,7 @@ def test_ends_that_follow_from_the_others_are_named(resting, limits):
 
 @pytest.mark.parametrize("limits", [{}, {"control_bounds": (-5.0, 5.0)}])
 @pytest.mark.parametrize("off", [1e-9, 1e-6, 1e-3, 1.0])
+@pytest.mark.usual(2)
 def test_states_at_rest_reach_no_other_ends(off, limits):
     """An equation that contradicts those before it is not taken for one that follows from them."""
     solver = resting_chain(1, np.eye(3), **limits)
@@ -189,6 +192,7 @@ def test_all_searches_are_counted_and_shown():
 
 @pytest.mark.parametrize("guessed", [-0.5, 0.0, 0.5, 1.0])
 @pytest.mark.parametrize("start", [0.0, 0.5, 0.9, 1.0, 1.1, 3.0])
+@pytest.mark.usual(4)
 def test_an_end_that_pays_is_gone_to_as_far_as_it_pays(pushed, start, guessed):
     """A constant control ``u = x(0)``, or a bound, from guesses with controls on the bound and inside."""
     along = Guess(start + guessed * PLACES[:, None], np.full((STEPS, 1), guessed))

@@ -151,6 +151,7 @@ def test_a_step_lies_in_the_lagrangian_submanifold_of_the_problem(name, seed, h)
 
 @on_every_problem
 @random_steps
+@pytest.mark.usual(1)
 def test_the_step_is_symplectic(name, seed, h):
     assert norm(kernel(name)(seed, h)["symplectic"]) < 1e-11
 

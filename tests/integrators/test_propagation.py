@@ -85,6 +85,7 @@ def body_error(propagator: Propagator, stages: int, states: tuple) -> Discretiza
 
 
 @pytest.mark.parametrize("stages", [1, 2, 3, 4])
+@pytest.mark.usual(1)
 def test_states_off_by_known_distances(propagator: Propagator, stages: int) -> None:
     """From rounding to most of a turn: through the decision whether steps are propagated at once or one after the
     other."""

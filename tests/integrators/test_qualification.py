@@ -202,6 +202,7 @@ def test_a_bound_that_holds_all_along_is_counted_at_all_stages():
 
 
 @pytest.mark.parametrize("iterations", range(1, 40, 3))
+@pytest.mark.usual(2)
 def test_a_trajectory_on_its_way_through_an_obstacle_is_held_by_nothing(iterations):
     """In the middle of a disc the derivative vanishes, where the disc is violated and holds nothing."""
 

@@ -50,6 +50,7 @@ def slopes(errors: list[float]) -> np.ndarray:
 
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("stages", [2, 3])
+@pytest.mark.usual(1)
 def test_states_of_a_solve_converge_with_the_order(name: str, stages: int) -> None:
     problem, start, end = CASES[name]
     R = default_retraction(problem.manifold)
@@ -87,6 +88,7 @@ INTEGRATED: dict[str, tuple[Callable, Retraction, Any]] = {
 
 
 @pytest.mark.parametrize("name", INTEGRATED)
+@pytest.mark.usual(1)
 def test_a_trajectory_converges_with_the_order(name: str) -> None:
     energy, R, start = INTEGRATED[name]
 
@@ -123,6 +125,7 @@ def test_a_fast_actuator_follows_its_command_where_gauss_methods_swing(stages: i
 
 
 @pytest.mark.parametrize("lag", [1e-6, 1e-5, 1e-4, 0.1, 1.0])
+@pytest.mark.usual(1)
 def test_radau_has_the_smaller_error_where_the_dynamics_is_stiff_and_gauss_elsewhere(lag: float) -> None:
     R, start, end = Addition(Euclidean(3)), np.array([0.0, 0.0, 3.0]), np.array([1.0, 0.0, -6.0])
     fine = solve(lagging(lag), start, end, 1.0, method=Radau(5, R), steps=np.diff(graded(lag)))
@@ -137,6 +140,7 @@ def graded(lag: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("stages", [1, 2, 4])
+@pytest.mark.usual(1)
 def test_one_stage_is_a_discretization_map_and_solutions_are_continuous(stages: int) -> None:
     problem, start, end = CASES["S^2"]
     found = solve(problem, start, end, 2.0, method=Radau(stages, Projection(S2)), steps=6)

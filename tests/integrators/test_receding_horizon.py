@@ -124,6 +124,7 @@ def test_an_undisturbed_loop_to_a_fixed_end_is_the_open_loop_optimum():
 
 
 @pytest.mark.parametrize("most", [1, 2, 3, None])
+@pytest.mark.usual(1)
 def test_a_budget_of_iterations_keeps_the_loop_stable_and_each_fallback_is_counted(most):
     controller = rx.RecedingHorizon(turning(), END, horizon=TIME, parameters=REST, max_iterations=most, hold=SAMPLE)
     pushes = {"parameters": lambda t, rng: 2e-2 * rng.normal(size=3), "measure": misaligned}

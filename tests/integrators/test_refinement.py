@@ -57,6 +57,7 @@ def test_the_steps_that_are_too_long_are_those_in_the_layers():
 
 
 @pytest.mark.parametrize("weight", [0.0, 1e-40, 1e-24, 1e-12, 1.0])
+@pytest.mark.usual(1)
 def test_a_control_of_no_effect_has_no_error(weight):
     """An oscillator that nothing, or next to nothing, asks to stop: the control tends to zero with the weight."""
     size, free = np.sqrt(weight), np.array([np.cos(4.0), -2 * np.sin(4.0)])  # where it ends without control
@@ -133,9 +134,9 @@ def test_a_switch_is_found_wherever_it_is(speeds):
             assert found.checks.active == counts
 
 
-@pytest.mark.usual("2-20-False-near")
 @pytest.mark.parametrize("limits", [(1.01, 1.0, 0.99, 0.9), (1.5, 0.95, 0.8, 0.5)], ids=["near", "far"])
 @pytest.mark.parametrize(("stages", "steps", "at_nodes"), [(2, 20, False), (3, 10, True)])
+@pytest.mark.slow
 def test_a_coast_between_two_switches_comes_with_a_limit_of_the_speed(stages, steps, at_nodes, limits):
     """Least time is ``v + 1 / v`` with a limit ``v < 1`` of the speed. Along a coast the control is not at a bound, and
     an arc without one could be at a bound as well: where it ends nothing says."""

@@ -17,6 +17,7 @@ from .test_refinement import PLANE, cart, energy
 
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-5, 1e-6, 1e-7, 1e-8])
 @pytest.mark.parametrize("slope", [1.4, 2.0])
+@pytest.mark.usual(2)
 def test_a_cone_whose_slopes_pass_through_zero_is_solved_to_any_accuracy(slope, accuracy):
     """Near the end of the arc on the cone the thrust passes its axis in one direction: finer steps come nearer to
     where the cone has no slope in that, and no curvature in the other."""
@@ -37,9 +38,9 @@ def test_a_cone_whose_slopes_pass_through_zero_is_solved_to_any_accuracy(slope, 
     assert solution.cost == pytest.approx({1.4: 6.88101245, 2.0: 5.343992}[slope], rel=max(10 * accuracy, 1e-7))
 
 
-@pytest.mark.long("15.0-0.0001", "15.0-1e-05", "20.0-0.0001", "20.0-1e-05")
 @pytest.mark.parametrize("accuracy", [1e-4, 1e-5, 1e-7])
 @pytest.mark.parametrize("degrees", [15.0, 16.0, 18.0, 20.0])
+@pytest.mark.usual(2)
 def test_a_minimum_that_touches_a_cone_is_shown_with_any_accuracy(degrees, accuracy):
     """A slew past a cone that is left alone up to 16 degrees, and touched at one time by a wider one: finer stages
     beside that time hold almost the same."""
@@ -90,7 +91,6 @@ def test_what_is_violated_between_the_points():
     assert abs(found.cost - 4) < 1e-5
 
 
-@pytest.mark.long("True-horizon3-constraints3-1-0.0001")
 @pytest.mark.parametrize(
     ("horizon", "constraints", "count", "accuracy"),
     [
@@ -102,6 +102,7 @@ def test_what_is_violated_between_the_points():
     ],
 )
 @pytest.mark.parametrize("refined", [False, True])
+@pytest.mark.usual(2)
 def test_bounds_of_durations_and_horizons_break_no_symmetry(horizon, constraints, count, accuracy, refined, capsys):
     """The costate of the position is constant, because no function depends on the position."""
     bounds = {"control_bounds": (-1, 1), "constraints": constraints}

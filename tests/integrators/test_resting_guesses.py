@@ -34,6 +34,7 @@ def upwards(request):
 
 
 @pytest.mark.parametrize(("area", "horizon"), [(1.0, 1.0), (1e-6, 1.0), (1e6, 1e3), (1e-3, 1e-3), (1e12, 1.0)])
+@pytest.mark.usual(2)
 def test_an_area_is_gone_around_in_any_unit(upwards, area, horizon):
     found = upwards.solve(np.zeros(3), np.array([0.0, 0.0, area]), horizon)
     assert found.cost == pytest.approx(LEAST * area / horizon, rel=1e-2)
@@ -95,6 +96,7 @@ def test_the_default_guess_is_at_rest_and_stays_what_it_is():
 
 @METHODS
 @pytest.mark.parametrize("turns", [1, 2, 3])
+@pytest.mark.usual(2)
 def test_extremals_of_several_turns_are_found_from_guesses_that_turn_as_often(method, turns):
     """``n`` circles around the area cost ``n`` times as much; those of more than one are saddles.
 

@@ -38,6 +38,7 @@ def disk(radius: float, beside: float) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.usual(2)
 def test_a_search_from_its_solution_takes_few_iterations(name):
     """With limits, whose barrier is lowered once more, no more than half of the iterations."""
     solver, way, options = CASES[name]()
@@ -48,6 +49,7 @@ def test_a_search_from_its_solution_takes_few_iterations(name):
 
 
 @pytest.mark.parametrize("limit", [1e4, 12.0, 8.0, 7.5, 7.0, 3.0, 1.0])
+@pytest.mark.usual(2)
 def test_torque_limits_from_far_to_infeasible(method, limit):
     """The turn about the slowest axis needs 7.2 N m."""
     slew = OptimalControlProblem(RIGID, spacecraft, half_square, 3, control_bounds=(-limit, limit))
@@ -58,6 +60,7 @@ def test_torque_limits_from_far_to_infeasible(method, limit):
 
 
 @pytest.mark.parametrize(("radius", "beside"), [(0.1, 0.05), (0.1, 0.2), (0.3, 0.2), (0.49, 1e-6), (0.55, 0.2)])
+@pytest.mark.usual(2)
 def test_an_obstacle_from_beside_the_way_to_around_an_end(method, radius, beside):
     solver = Solver(moved(constraints=disk(radius, beside)), method(Addition(PLANE)), 20)
     found = solver.solve(START, AHEAD, 1.0, throw=False)
@@ -67,6 +70,7 @@ def test_an_obstacle_from_beside_the_way_to_around_an_end(method, radius, beside
 
 
 @pytest.mark.parametrize("beside", np.linspace(0.2, 0.3, 6))
+@pytest.mark.usual(2)
 def test_an_obstacle_that_is_hardly_met_takes_few_iterations(method, beside):
     solver = Solver(moved(constraints=disk(0.1, beside)), method(Addition(PLANE)), 20)
     found = solver.solve(START, AHEAD, 1.0)
@@ -76,6 +80,7 @@ def test_an_obstacle_that_is_hardly_met_takes_few_iterations(method, beside):
 
 @pytest.mark.parametrize("height", [0.9, 0.3, -0.1, -0.5])
 @pytest.mark.parametrize("kind", ["constraints", "node_constraints"])
+@pytest.mark.usual(2)
 def test_a_cap_of_the_sphere_from_beside_the_way_to_around_an_end(method, kind, height):
     cap = (lambda q, u: q[1] - height) if kind == "constraints" else (lambda q: q[1] - height)
     turn = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, 3, **{kind: {"cap": cap}})
@@ -86,6 +91,7 @@ def test_a_cap_of_the_sphere_from_beside_the_way_to_around_an_end(method, kind, 
 
 @pytest.mark.parametrize("bound", [0.2, 0.5, 0.8, 1.5, 4.0])
 @pytest.mark.parametrize("hill", [0.0, 3.0])
+@pytest.mark.usual(2)
 def test_a_swing_from_too_little_torque_to_more_than_it_needs(method, bound, hill):
     cost = lambda q, u: u @ u / 2 + hill * jnp.cos(3.0 * q[0])  # noqa: E731
     swing = OptimalControlProblem(PLANE, pendulum, cost, 1, control_bounds=(-bound, bound))
@@ -95,6 +101,7 @@ def test_a_swing_from_too_little_torque_to_more_than_it_needs(method, bound, hil
 
 
 @pytest.mark.parametrize("most", range(2, 7))
+@pytest.mark.usual(2)
 def test_a_limit_of_iterations_is_kept(method, most):
     solver = Solver(SLEW, method(Cayley(RIGID)), 30)
     needed = solver.solve(*SLEWS).statistics.iterations
@@ -106,6 +113,7 @@ def test_a_limit_of_iterations_is_kept(method, most):
 
 
 @pytest.mark.parametrize("height", [1e-9, 1e-6, 1e-3, 0.03, 0.3, 3.0])
+@pytest.mark.usual(2)
 def test_ways_from_beside_the_start_to_above_it_in_the_heisenberg_group(method, height):
     """Straight up the optimum is a circle of area ``z``, which costs ``2 pi z``; from its reflection it is the same."""
     space = Euclidean(3)
@@ -123,6 +131,7 @@ def test_ways_from_beside_the_start_to_above_it_in_the_heisenberg_group(method, 
 
 
 @pytest.mark.parametrize("beside", [0.3, 1e-3, 1e-6, 1e-9, 1e-12, 1e-14])
+@pytest.mark.usual(2)
 def test_turns_to_beside_the_opposite_point(method, beside):
     """The cost of a turn by an angle is half its square, up to half a turn."""
     free = OptimalControlProblem(SPHERE, lambda q, u: jnp.cross(u, q), half_square, controls=3)
@@ -132,6 +141,7 @@ def test_turns_to_beside_the_opposite_point(method, beside):
 
 
 @pytest.mark.parametrize("spin", [0.1, 1.0, 4.0, 8.0, 16.0])
+@pytest.mark.usual(2)
 def test_a_direction_that_turns_by_itself(method, spin):
     """In the frame that turns with it the way is a turn by one angle: no direction needs more than half a turn."""
     axis = spin * np.array([1.0, 2.0, 2.0]) / 3.0

@@ -117,7 +117,7 @@ def assert_derivative(found, place, solutions, what, tolerance=1e-8):
 
 
 @pytest.mark.parametrize("name", [n if n in OFTEN else pytest.param(n, marks=pytest.mark.slow) for n in SUBJECTS])
-@pytest.mark.usual("cart", "caught cart", "theta", "sphere by Gauss")
+@pytest.mark.usual(1)
 def test_derivatives_are_those_of_differences(name):
     problem, method, steps, start, end = SUBJECTS[name]
     manifold, solver = problem.manifold, Solver(problem, method, steps)
@@ -183,6 +183,7 @@ LIMITED = {
 
 
 @pytest.mark.parametrize("name", [pytest.param("unicycle", marks=pytest.mark.slow), *list(LIMITED)[1:]])
+@pytest.mark.usual(1)
 def test_derivatives_along_active_limits_are_those_of_differences(name):
     problem, method, start, end, parameters = LIMITED[name]
     solver, (key,) = Solver(problem, method, 8), parameters
@@ -210,6 +211,7 @@ def oscillator():
 
 
 @pytest.mark.parametrize("offset", [s * 10.0**-k for k in (1, 3, 5, 7, 9) for s in (1, -1)])
+@pytest.mark.usual(3)
 def test_derivatives_grow_towards_a_conjugate_point(oscillator, offset):
     """They are ``sin t / sin T`` by the end, in the angles of the midpoint rule; none are given with less than six
     digits."""
@@ -309,6 +311,7 @@ def test_a_solution_that_is_forgotten_leaves_the_solver(oscillator):
 
 @pytest.mark.parametrize("change", [0.0, 1e-6, 1e-2, 1.0])
 @pytest.mark.parametrize("stages", [1, 2])
+@pytest.mark.usual(2)
 def test_derivatives_of_functions_that_have_changed_are_refused(change, stages):
     """The solver's own functions stay as they were; those for derivatives are traced where they are asked for first."""
     product, set_to = held("slots", 1.0)

@@ -36,6 +36,7 @@ def test_one_control_that_is_added_to_several_entries_is_asked_about():
 
 
 @pytest.mark.parametrize("used", [(0,), (1,), (0, 1)])
+@pytest.mark.slow
 def test_controls_that_no_function_reads_are_named(used):
     read, labels = jnp.array(used), {"controls": ("left", "right")}
 
@@ -52,6 +53,7 @@ def test_controls_that_no_function_reads_are_named(used):
 
 
 @pytest.mark.parametrize("degrees", [10.0, 60.0, 110.0, 119.0, 121.0, 150.0])
+@pytest.mark.usual(2)
 def test_the_report_has_the_angle_of_the_turn_and_asks_about_long_steps(degrees):
     angle = np.radians(degrees)
     end = np.asarray(rotation([0.0, 0.0, angle]))

@@ -22,6 +22,7 @@ def at_rest(dimension: int, stages: int) -> Guess:
     return Guess(np.zeros((stages, dimension)), np.zeros((stages, 1)))
 
 
+@pytest.mark.slow
 def test_an_arc_between_bangs_has_order_one_and_its_feedback():
     """``q^2`` is driven to zero by a bounded rate and stays there while there is time: ``u = 0`` on ``q = p = 0``."""
     idle = {"far": lambda q, u: q - 10}  # holds nowhere
@@ -45,7 +46,7 @@ def test_an_arc_between_bangs_has_order_one_and_its_feedback():
     ("order", "condition"), [(1, "Legendre-Clebsch condition"), (2, "Kelley's condition of order 2")]
 )
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.usual("1-1-Legendre-Clebsch condition", "-1-2-Kelley's condition of order 2")
+@pytest.mark.slow
 def test_the_condition_of_kelley_tells_a_minimum_from_none(order, condition, sign):
     """At rest at the minimum, or at the maximum, of ``q^2`` under a chain of integrators: equally stationary."""
     manifold = Euclidean(order)

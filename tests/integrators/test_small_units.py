@@ -54,6 +54,7 @@ UNITS = [
 
 @pytest.mark.parametrize("method", [MIDPOINT, GAUSS], ids=["midpoint", "gauss"])
 @pytest.mark.parametrize("evaluator", TAPE)
+@pytest.mark.usual(1)
 def test_an_orbit_is_the_same_in_all_units(method, evaluator):
     expected = orbit(method, evaluator, 1.0, 1.0, 1.0)
     for units in UNITS:

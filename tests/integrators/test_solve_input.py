@@ -108,6 +108,7 @@ def test_ends_that_are_no_points_are_described(options, words):
 
 
 @pytest.mark.parametrize("given", [END.tolist(), tuple(map(tuple, END.tolist())), jnp.asarray(END)])
+@pytest.mark.usual(1)
 def test_nested_lists_of_numbers_are_points(given):
     assert slew(end=given).cost == slew(end=END).cost
 
@@ -128,6 +129,7 @@ def test_parts_of_a_product_are_lists_of_numbers():
 
 
 @pytest.mark.parametrize("digits", range(4, 13))
+@pytest.mark.usual(3)
 def test_rotations_of_a_few_digits_are_projected_with_a_warning(digits, recwarn):
     """Six digits are projected, with one warning if less than nine are right; five are an error."""
     given = np.round(END, digits)
@@ -266,6 +268,7 @@ def test_half_a_turn_is_made_one_way_or_the_other(end):
 
 
 @pytest.mark.parametrize("degrees", [170, 175, 179.9, 179.99999, 180])
+@pytest.mark.usual(1)
 def test_a_turn_near_the_edge_of_the_cayley_map_is_found_from_the_default_guess(degrees):
     steps = 10
     end = rotation(np.deg2rad(degrees) * np.array([1.0, 2.0, -2.0]) / 3)

@@ -70,6 +70,7 @@ def test_an_interrupt_leaves_what_was_reached(solver):
 
 
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 3.0])
+@pytest.mark.usual(1)
 def test_unequal_steps_reach_the_same_optimum(ratio):
     problem = OptimalControlProblem(LINE, lambda q, u: swinging(q, u, RIGS[0]), half_square, 1)
     method = Gauss(3, Exponential(LINE))

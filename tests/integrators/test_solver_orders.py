@@ -47,6 +47,7 @@ def fine():
 
 
 @pytest.mark.parametrize(("stages", "steps"), [(1, (6, 12, 24)), (2, (3, 6, 12)), (3, (4, 6, 8))])
+@pytest.mark.usual(1)
 def test_orders_in_states_costates_and_cost(fine, stages, steps):
     found = solved(stages, steps)
     for part in (lambda s: s.states, lambda s: s.costates):
@@ -85,6 +86,7 @@ def weighted():
 
 
 @pytest.mark.parametrize("weight", [-30.0, -1.0, 1e-3, 0.3, 3.0, 30.0, 1e3])
+@pytest.mark.usual(2)
 def test_a_terminal_cost_at_a_fixed_end_changes_neither_the_trajectory_nor_the_iteration(weighted, weight):
     """It is a constant there; its curvature acts on all points of the last step, and leaves Newton's iteration
     quadratic."""

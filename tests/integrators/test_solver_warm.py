@@ -88,6 +88,7 @@ CALLS = {
 
 
 @pytest.mark.parametrize("name", CALLS)
+@pytest.mark.usual(2)
 def test_a_warm_call_asks_nothing_of_jax(solver, name):
     options = {"start": START, "end": END, **CALLS[name]}
     guess = solver.solve(START, END, HORIZON, parameters=1.0)
@@ -168,6 +169,7 @@ def test_each_member_of_a_batch_is_shown_to_be_regular(solver, place):
         (lambda q, u, p: p * u @ u + (1 - p) * jnp.abs(u[0]), "parameters of member {}: running_cost has a kink"),
     ],
 )
+@pytest.mark.usual(2)
 def test_a_member_that_is_refused_is_named(cost, words, place):
     line = Euclidean(1)
     one = Solver(OptimalControlProblem(line, lambda q, u, p: u, cost, 1), Gauss(2, Addition(line)), 5)

@@ -23,6 +23,7 @@ SHIFTED = OptimalControlProblem(
 
 
 @pytest.mark.parametrize("horizon", [2.0, Free(2.0, lower=0.5, upper=6.0)], ids=["fixed", "free"])
+@pytest.mark.usual(1)
 def test_a_start_time_is_a_shift_of_the_functions(horizon):
     """A ship in a current of the time, which ends at a price of the time."""
     solver = Solver(SHIFTED, Gauss(2, Addition(LINE)), 12)

@@ -76,6 +76,7 @@ def test_a_jump_that_is_passed_is_seen_from_a_height_on(solver):
 
 
 @pytest.mark.parametrize("k", range(len(STEPS)))
+@pytest.mark.usual(1)
 def test_every_kind_of_step_is_seen(solver, k):
     solution = solver.solve(0 * END, END, 1.0, parameters=(JUMP[k], 0 * KINK[0]), throw=False)
     assert not solution.success
@@ -101,6 +102,7 @@ def in_precision(double: bool) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("double", [True, False])
+@pytest.mark.usual(1)
 def test_a_jump_is_seen_where_xla_computes_too(double):
     with in_precision(double):
         by_xla = solver_of(decomposed)
@@ -131,6 +133,7 @@ SINGLE = {
 
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize("name", SINGLE)
+@pytest.mark.usual(2)
 def test_jumps_are_seen_wherever_they_are(name, double):
     """Beside zero and far from it, where states and margins are rounded, in both precisions."""
     step = SINGLE[name]
@@ -144,6 +147,7 @@ def test_jumps_are_seen_wherever_they_are(name, double):
 
 
 @pytest.mark.parametrize("family", [Exponential, Projection])
+@pytest.mark.usual(1)
 def test_a_jump_is_told_from_the_steps_that_a_retraction_computes(family):
     """It lies on the way of the trajectory, and others lie beside it."""
     sphere = Sphere(2)
@@ -216,6 +220,7 @@ def test_a_jump_beyond_the_bounds_is_none():
 
 
 @pytest.mark.parametrize("width", [0.0, 1e-9, 1e-7, 1e-4, 1e-2])
+@pytest.mark.usual(1)
 def test_a_narrow_window_is_seen(with_places, width):
     solved, said = succeeds(with_places, (0.0, 0.0), (1.0, 0.0), (0.0, 0.0, 0.0, width, 0.0))
     assert solved == (width == 0), said
@@ -319,6 +324,7 @@ def test_phases_are_what_the_message_says():
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.usual(1)
 def test_a_small_rotation_passes_no_step_of_its_logarithm(seed):
     """Steps of the branch for large rotations would else be searched along every trajectory, or beside it."""
     retraction, axis = Exponential(SO(3)), np.random.default_rng(seed).normal(size=3)

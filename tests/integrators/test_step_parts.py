@@ -116,6 +116,7 @@ PREDICTED = {
 
 
 @pytest.mark.parametrize("kind", PREDICTED)
+@pytest.mark.usual(2)
 def test_predicted_stages_begin_where_the_step_does(kind):
     """To second order in the step, wherever the base point is."""
     q, p, u = jnp.array([0.6, 0.0, 0.8]), jnp.array([0.4, 1.0, -0.3]), jnp.array([0.5, -1.0, 0.7])

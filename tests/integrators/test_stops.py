@@ -110,7 +110,7 @@ FAR = {  # searches that begin again where a horizon is far from its guess
 
 @pytest.mark.parametrize("interrupted", [False, True])
 @pytest.mark.parametrize("name", FAR)
-@pytest.mark.usual("horizon-False", "batch-True", "phases-True")
+@pytest.mark.slow
 def test_no_search_follows_the_one_that_is_stopped(name, interrupted):
     whole = Stop(-1)
     assert np.all(FAR[name](whole).success)

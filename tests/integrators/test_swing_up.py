@@ -55,8 +55,8 @@ def swing_up(rig: tuple[float, ...], horizon: float, steps: int, circle: bool) -
     return solve(problem, *ends, horizon, method=Midpoint(Exponential(problem.manifold)), steps=steps, throw=False)
 
 
-@pytest.mark.long("rig1-2.0", "rig3-2.0", "rig5-2.0", "rig7-3.0", "rig9-2.5")
 @pytest.mark.parametrize(("rig", "horizon"), [*zip(RIGS, itertools.cycle(SHORT)), *zip(RIGS, itertools.cycle(LONG))])
+@pytest.mark.usual(2)
 def test_a_swing_up_converges_within_the_default_limit(rig, horizon):
     assert swing_up(rig, horizon, 50, circle=False).success
 

@@ -101,6 +101,7 @@ def kernel(name: str) -> Callable:
 
 @on_every_manifold
 @with_every_theta
+@pytest.mark.slow
 def test_the_step_is_symplectic(name, seed, h, theta):
     facts = kernel(name)(seed, h, theta)
     assert facts["converged"]

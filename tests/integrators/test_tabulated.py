@@ -26,6 +26,7 @@ LAST, SPEED = 2.0, 1.5
 
 
 @pytest.mark.parametrize("kind", JUDGES)
+@pytest.mark.usual(1)
 def test_values_and_two_derivatives_are_those_of_scipy(kind):
     function = rx.tabulated(GRID, VALUES, kind)
     first, second = jax.vmap(jax.jacfwd(function)), jax.vmap(jax.jacrev(jax.jacfwd(function)))

@@ -32,6 +32,7 @@ LEAVING = {  # by factors: velocities that are not tangent, at the start and alo
 @pytest.mark.parametrize("along", [False, True])
 @pytest.mark.parametrize("factor", LEAVING)
 @pytest.mark.parametrize("horizon", [1.0, Free(1.0, 0.5, 2.0)])
+@pytest.mark.usual(2)
 def test_the_factor_whose_tangent_space_is_left_is_named_by_its_label(factor, along, horizon):
     tangent = [lambda q, u: q[0] @ hat(q[1]), lambda q, u: u, lambda q, u: jnp.cross(u, q[2])]
     place = 0 if factor.startswith("attitude") else 2

@@ -89,7 +89,7 @@ def test_the_tape_computes_the_numbers_of_xla(name):
 
 
 @pytest.mark.parametrize("name", ["sphere", "rotations", "optimal control"])
-@pytest.mark.usual("optimal control")
+@pytest.mark.slow
 def test_both_fail_at_the_same_step_or_both_succeed(name):
     """Through the step sizes at which Newton's method begins to fail: all of them as one batch, and XLA's as
     another."""
@@ -116,6 +116,7 @@ def test_a_step_fails_exactly_where_its_equations_have_no_solution(evaluator):
 
 @pytest.mark.parametrize("name", ["rotations", "sphere", "sphere, order 6"])
 @pytest.mark.parametrize("size", [0.3, 3.0])
+@pytest.mark.usual(2)
 def test_what_steps_before_tell_of_the_next_one_changes_nothing(name, size):
     """Each step again from its node, with nothing before it: over trajectories long enough for bases to jump and for
     Jacobians to be renewed, slow and fast."""
@@ -157,6 +158,7 @@ class Circle(LevelSet):
         return x @ x - 1
 
 
+@pytest.mark.slow
 def test_a_level_set_is_on_the_tape():
     """Its projections are found by iteration, which is written out."""
     method = SymplecticIntegrator(lifted(default_retraction(Circle())))
@@ -185,6 +187,7 @@ def test_what_has_no_scalars_is_computed_by_xla_and_says_so():
 
 
 @pytest.mark.parametrize("count", [1, 2, 8, 9, 130])
+@pytest.mark.usual(1)
 def test_many_trajectories_are_those_of_one_after_the_other(count):
     """On lanes in blocks that are full and not; with step sizes of their own."""
     method = CASES["sphere"][1]

@@ -69,6 +69,7 @@ def sphere_solver():
     return solver_of(follow)
 
 
+@pytest.mark.slow
 def test_following_a_solution_costs_nothing_and_has_its_controls():
     problem, solution = turned()
     follow = rx.tracking(problem, solution, weights=[1.0, 1.0, 1.0, 0.1, 0.1, 0.1], end_weights=2.0)
@@ -85,6 +86,7 @@ def test_a_solver_of_a_problem_with_explicit_time_is_made_before_its_first_solve
     assert found.cost == pytest.approx(1 / 4 + 2)
 
 
+@pytest.mark.slow
 def test_a_table_of_a_solution_leads_near_to_it():
     problem, solution = turned()
     times = np.linspace(0, 2, 31)
@@ -104,6 +106,7 @@ def test_a_table_of_a_solution_leads_near_to_it():
 
 
 @pytest.mark.parametrize("deviation", [0.0, 1e-6, 1e-3, 0.1, 1.0, 2.5])
+@pytest.mark.usual(2)
 def test_deviations_on_the_sphere_cost_as_the_regulator_says(deviation):
     found = sphere_solver().solve(aside(FIRST, deviation), None, HORIZON)
     assert found.status == "minimum"
@@ -118,6 +121,7 @@ def test_a_reference_is_followed_from_a_start_time(begin):
 
 
 @pytest.mark.parametrize("gain", [0.5, 2.0])
+@pytest.mark.usual(1)
 def test_dynamics_keep_their_time_and_their_parameters(gain):
     problem = rx.OptimalControlProblem(
         LINE, lambda q, u, t, gain: gain * u + jnp.cos(t), lambda q, u, t: u @ u, 1, time_dependent=True,

@@ -124,6 +124,7 @@ METHODS = {
 @pytest.mark.parametrize(
     ("name", "method"), [("root", "midpoint"), ("root", "Gauss"), ("root", "composition"), ("norm", "Gauss")]
 )
+@pytest.mark.usual(2)
 def test_a_hamiltonian_that_is_not_finite_at_the_start_is_refused(name, method, evaluator, throw):
     """Whatever the size of the step, which is not to blame."""
     hamiltonian, p, words = NOT_FINITE[name]

@@ -35,6 +35,7 @@ def starts(count):
 
 @pytest.mark.parametrize("evaluator", ["tape", "xla"])
 @pytest.mark.parametrize("call", [(4, 10), (3, 20)], ids=["another batch", "more steps"])
+@pytest.mark.usual(1)
 def test_a_flow_has_one_value_of_what_its_function_reads(evaluator, call):
     k = [1.0]
     flow = Flow(lambda q, p: k[0] * p @ p / 2 + q @ q / 2, SymplecticIntegrator(METHOD), evaluator=evaluator)
@@ -71,6 +72,7 @@ def test_a_flow_on_a_product_traces_nothing_for_what_it_has_done_before(retracti
 
 
 @pytest.mark.parametrize("evaluator", ["tape", "xla"])
+@pytest.mark.usual(1)
 def test_a_flow_whose_function_stays_takes_all_sizes(evaluator):
     flow = Flow(lambda q, p: (p @ p + q @ q) / 2, SymplecticIntegrator(METHOD), evaluator=evaluator)
     first = flow.integrate_many(starts(3), 0.1, 10).q
@@ -115,6 +117,7 @@ CHECKS = {
 
 
 @pytest.mark.parametrize("name", CHECKS)
+@pytest.mark.usual(1)
 def test_what_is_checked_is_what_is_solved(name):
     make, first, later = CHECKS[name]
     k = [first]

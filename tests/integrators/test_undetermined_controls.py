@@ -105,6 +105,7 @@ def test_a_singular_arc_between_bangs_is_named_with_its_interval():
 
 @pytest.mark.parametrize("weight", [0.0, 1e-3, 1e-1])
 @pytest.mark.parametrize("fastest", [0.4, 0.8, 2.0])
+@pytest.mark.usual(2)
 def test_a_control_that_chatters_at_a_limit_of_the_speed_is_named(weight, fastest):
     """The cart is faster than 0.8 only if nothing limits it; a cost of the control ends the chattering."""
     names = {"controls": ("push",)}

@@ -37,6 +37,7 @@ METHODS = [
 @pytest.mark.parametrize("horizon", [3.0, 6.0, 8.0, 12.0, 20.0, 25.0, 30.0, 60.0, 120.0])
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("kind", ["to rest", "free end", "bounded"])
+@pytest.mark.usual(2)
 def test_a_pendulum_is_held_upright(kind, method, horizon):
     bounds = {"control_bounds": (-3.0, 3.0)} if kind == "bounded" else {}
     method = partial(Gauss, 4) if bounds and method is Midpoint else method
@@ -49,6 +50,7 @@ def test_a_pendulum_is_held_upright(kind, method, horizon):
 
 
 @pytest.mark.parametrize("horizon", [6.0, 12.0, 20.0, 30.0, 60.0])
+@pytest.mark.usual(1)
 def test_an_upright_pendulum_that_is_not_linear(horizon):
     problem = OptimalControlProblem(PLANE, lambda q, u: jnp.stack([q[1], 10 * jnp.sin(q[0]) + u[0]]), cost, 1)
     found = Solver(problem, Gauss(3, Addition(PLANE)), int(5 * horizon)).solve(START, np.zeros(2), horizon)

@@ -76,9 +76,9 @@ def shaped(name):
     return Solver(OptimalControlProblem(LINE, lambda q, u: u, SHAPES[name], 1), METHOD, 8)
 
 
-@pytest.mark.long("1.0-power 2", "0.001-power 8", "100.0-power 4")
 @pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("guess", [1.0, 1e-3, 1e2])
+@pytest.mark.usual(2)
 def test_an_infimum_at_no_time_is_named_whatever_the_cost(name, guess):
     """``T F(1 / T)`` falls to 1 as T tends to zero; whether a search ends there with success or on its way."""
     found = shaped(name).solve(np.zeros(1), np.ones(1), Free(guess), throw=False)
@@ -87,8 +87,8 @@ def test_an_infimum_at_no_time_is_named_whatever_the_cost(name, guess):
     assert "infimum" in found.result
 
 
-@pytest.mark.long("1.0")
 @pytest.mark.parametrize("guess", [1e-3, 1.0, 1e1, 1e2])
+@pytest.mark.usual(1)
 def test_a_duration_that_tends_to_zero_is_named(guess):
     """Beside a phase of the time ``sqrt(1 / 2)``, by ``int 1 + u^2 / 2``: that of the length alone has none."""
     paid = OptimalControlProblem(LINE, lambda q, u: u, lambda q, u: 1 + u @ u / 2, 1)
@@ -131,8 +131,8 @@ def test_a_bound_holds_a_horizon_that_would_vanish(lower):
     assert found.cost == pytest.approx(np.sqrt(1 + lower**2), rel=1e-9)
 
 
-@pytest.mark.long("0.9")
 @pytest.mark.parametrize("weight", [0.9, 1.0 - 1e-2, 1.0 + 1e-2, 1.1, 3.0])
+@pytest.mark.usual(1)
 def test_a_start_that_is_best_left_at_once_or_not_at_all(weight):
     """``int 1 + u^2 / 2`` and ``w (q - 1)^2 / 2`` at the end: the least force ``w`` that pays to set out is sqrt(2)."""
     weight *= np.sqrt(2)

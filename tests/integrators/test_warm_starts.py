@@ -39,8 +39,8 @@ def solved(angle=1.0, steps=STEPS):
     return slew().with_steps(steps).solve(START, at(angle), HORIZON)
 
 
-@pytest.mark.long("keep-out-cone")
 @pytest.mark.parametrize("name", ["keep-out-cone", "aly-chan", "fishing", "free-flying-robot", "betts"])
+@pytest.mark.usual(1)
 def test_a_solution_is_found_again_from_itself(name):
     """Among them one that is singular, and one whose inequality does not see the controls."""
     known = problems.get(name)
@@ -118,6 +118,7 @@ def test_controls_that_are_confined_unlike_are_found_in_any_unit_of_the_cost(cos
 
 
 @pytest.mark.parametrize("way", [1e-6, 4e-4, 1e-3, 1e-2])
+@pytest.mark.usual(1)
 def test_a_guess_next_to_a_bound_does_not_loosen_what_success_means(way):
     """The way to the only bound says nothing of how far a control can go."""
     lower = np.array([-np.inf, 1.0])

@@ -14,6 +14,7 @@ METHOD = Gauss(2, default_retraction(CAR))
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])
+@pytest.mark.usual(1)
 def test_positions_of_a_car_make_it_a_clamped_spline(count):
     """Least acceleration through positions alone, at times that are drawn anew, on a mesh of unequal steps."""
     draw = np.random.default_rng(count)

@@ -33,6 +33,7 @@ def decaying(controls, **more):
 
 
 @pytest.mark.parametrize("controls", [2, 1, 0, Euclidean(0)])
+@pytest.mark.usual(1)
 def test_controls_that_hardly_help_and_no_controls_give_the_same(controls):
     problem, m = decaying(controls), getattr(controls, "dimension", controls)
     solver = Solver(problem, METHOD, 8)
@@ -89,6 +90,7 @@ def falling(measured):
 @pytest.mark.parametrize("count", [2, 3, 5])
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("noise", [0.0, 1e-9, 1.0])
+@pytest.mark.usual(2)
 def test_a_line_through_measured_points(count, size, noise):
     """A phase between each two of them; where all points are on the line all costates vanish."""
     times = np.linspace(0.0, 1.0, count)
@@ -114,6 +116,7 @@ def test_a_line_through_measured_points(count, size, noise):
 
 @pytest.mark.parametrize("size", [1e-6, 1.0, 1e6])
 @pytest.mark.parametrize("noise", [0.0, 1e-9, 1.0])
+@pytest.mark.usual(2)
 def test_a_slope_and_a_start_are_fitted_at_an_end(size, noise):
     """All measured points as a cost of the end, from which the line goes back: there its costate vanishes."""
     times, line = np.linspace(0.0, 1.0, 5), Euclidean(1)

@@ -28,6 +28,7 @@ PROBLEM = OptimalControlProblem(S2, lambda q, u: jnp.cross(u, q), lambda q, u: u
 
 
 @pytest.mark.parametrize("error", [-1.0, -1e-2, -1e-3, 0.0, 1e-12, 1e-3, 1e-2, 1.0])
+@pytest.mark.usual(2)
 def test_a_derivative_that_is_not_the_identity_is_refused(error: float) -> None:
     R = Rescaled(S2, 1.0 + error)
     path = SymplecticIntegrator(CotangentLift(Midpoint(R)))

@@ -89,9 +89,8 @@ CASES = {
 }
 
 
-@pytest.mark.long("slew to any rate, uneven steps", "free end")
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.long("docking", "slew by collocation")
+@pytest.mark.usual(1)
 def test_ipopt_finds_the_solution(name):
     problem, method, start, end, horizon, steps = CASES[name]
     discrete = to_casadi(problem, method, start, end, horizon, steps)
@@ -110,7 +109,6 @@ def test_ipopt_finds_the_solution(name):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-6 * max(1.0, np.max(np.abs(b))))
 
 
-@pytest.mark.long("U(2)", "SU(3)")
 @pytest.mark.parametrize(
     "manifold",
     [
@@ -131,6 +129,7 @@ def test_ipopt_finds_the_solution(name):
     ],
     ids=str,
 )
+@pytest.mark.usual(2)
 def test_equations_are_as_many_as_the_codimension_and_independent(manifold):
     x = jax.jit(manifold.random_point)(jax.random.key(3))
     units = np.eye(x.size).reshape(x.size, *x.shape)

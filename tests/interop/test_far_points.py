@@ -132,6 +132,7 @@ SWEEPS = {
 
 
 @pytest.mark.parametrize("name", SWEEPS)
+@pytest.mark.usual(1)
 def test_logarithms_and_transports_are_right_or_refused_however_far_out(name):
     manifold, pairs, others, distance, transported, known = SWEEPS[name]
     metric = to_geomstats(manifold).metric
@@ -196,6 +197,7 @@ NO_POINTS = {
 
 @pytest.mark.parametrize("case", NO_POINTS)
 @pytest.mark.parametrize("name", DOORS)
+@pytest.mark.usual(2)
 def test_what_is_no_point_has_no_distance_and_no_logarithm(name, case):
     manifold, x, y = NO_POINTS[case]
     dist, log, _ = door(name, manifold)

@@ -64,10 +64,9 @@ SPACES = {
 }
 
 
-@pytest.mark.long("Hypersphere")
 @pytest.mark.parametrize("name", SPACES)
 @given(seed=SEEDS)
-@pytest.mark.long("SE", "flat product")
+@pytest.mark.usual(1)
 def test_every_method_means_what_that_of_geomstats_means(name, seed):
     theirs, manifold = SPACES[name]
     counterpart = from_geomstats(theirs)
@@ -143,6 +142,7 @@ def test_means_and_principal_components_of_trajectories_of_poses():
 
 
 @pytest.mark.parametrize("manifold", [SE(3), U(2)], ids=str)
+@pytest.mark.usual(1)
 def test_the_mean_of_two_points_of_a_group_is_half_way(manifold):
     space = to_geomstats(manifold)
     with seed_numpy(2):
@@ -229,8 +229,8 @@ FARTHEST = {
 }
 
 
-@pytest.mark.long("poses", "unitary", "oblique", "power")
 @pytest.mark.parametrize("name", FARTHEST)
+@pytest.mark.usual(1)
 def test_distances_are_known_on_the_cut_locus_and_are_lengths_of_logarithms_elsewhere(name):
     manifold, farthest, expected = FARTHEST[name]
     space = to_geomstats(manifold, metric=ScaledMetric(EmbeddedMetric(manifold), 4.0))

@@ -66,10 +66,9 @@ def check(a, b, tolerance=1e-12):
         np.testing.assert_allclose(leaf, other, atol=tolerance, rtol=0)
 
 
-@pytest.mark.long("Sphere")
 @on_every_space
 @given(seed=SEEDS)
-@pytest.mark.long("SO")
+@pytest.mark.usual(1)
 def test_every_method_means_what_that_of_pymanopt_means(name, seed):
     mine, other = ours(name), SPACES[name]
     x, y, v, g, h = draw(name, seed)
@@ -191,6 +190,7 @@ def unitary():
 
 
 @pytest.mark.parametrize("make", [unitary, lambda: to_pymanopt(ComplexStiefel(3, 2))], ids=["U(2)", "frames"])
+@pytest.mark.usual(1)
 def test_an_optimiser_finds_the_nearest_unitary_matrix_or_complex_frame(make):
     rng, space = np.random.default_rng(1), make()
     shape = space.random_point().shape
@@ -273,6 +273,7 @@ def test_what_is_no_pair_of_manifold_and_retraction_is_refused(arguments, words)
 
 
 @pytest.mark.parametrize("manifold", [Grassmann(4, 2), Power(Stiefel(3, 2), 2), Power(Grassmann(3, 1), 2)], ids=str)
+@pytest.mark.usual(1)
 def test_points_and_tangent_vectors_return_from_the_writing_of_pymanopt(manifold):
     """However a representative is chosen, also near another one; coordinates mean the vector that they are of."""
     conventions = conventions_of(manifold)

@@ -274,6 +274,7 @@ GEOMSTATS_NAMES = {
 
 
 @pytest.mark.parametrize("name", GEOMSTATS_NAMES)
+@pytest.mark.usual(2)
 def test_spaces_of_geomstats_are_wrapped_with_their_exponential_maps(name):
     space = geomstats_space(*GEOMSTATS_NAMES[name])
     manifold, retraction, _, _ = from_geomstats(space)

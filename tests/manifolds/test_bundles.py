@@ -137,6 +137,7 @@ def test_bundles_over_one_manifold_are_one_set_with_different_names():
 
 
 @pytest.mark.parametrize("base", [Sphere(2), SO(3)], ids=str)
+@pytest.mark.usual(1)
 def test_the_basis_of_a_bundle_does_not_jump_with_rounding(base):
     """Gram-Schmidt by Householder's reflections had signs that came from entries which are zero but for rounding."""
     bundle = CotangentBundle(base)

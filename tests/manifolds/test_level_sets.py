@@ -180,8 +180,8 @@ def test_the_point_nearby_is_differentiated_in_both_modes():
     np.testing.assert_allclose(pulled @ d, np.sum(slope), atol=1e-13)
 
 
-@pytest.mark.long("2")
 @pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.usual(1)
 def test_the_derivative_of_a_basis_is_right_where_gradients_are_unit_vectors(count):
     """Through zero, where they are: that of the projector, in both modes; three equations in space leave no basis."""
 
@@ -234,10 +234,10 @@ def _at_a_point(manifold, x, w, v):
     return manifold.basis(x), manifold.projection(x, w), moved, Projection(manifold).preimage(x, moved)
 
 
-@pytest.mark.long("units1", "units3", "units4", "units5")
 @pytest.mark.parametrize(
     "units", [(1e-14, 1e-14), (1e-12, 1e6), (1e-9, 1.0), (1.0, 1.0), (1.0, 1e9), (1e12, 1e-3), (1e14, 1e14)]
 )
+@pytest.mark.usual(1)
 def test_points_are_judged_by_their_distance_in_whatever_units_the_equations_are(units):
     manifold = Circle((3,), *map(jnp.asarray, units))
     x = jnp.array([0.48, -0.48, np.sqrt(1 - 2 * 0.48**2)])

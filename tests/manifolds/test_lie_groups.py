@@ -92,9 +92,9 @@ def facts_at(name: str, seed: int) -> dict:
     return {"coordinates": coordinates, **_kernel(name)(x, y, v, p, coordinates)}
 
 
-@pytest.mark.long("SU2", "SL2", "SE3")
 @every_group
 @given(seed=SEEDS)
+@pytest.mark.usual(1)
 def test_ad_is_the_derivative_of_the_homomorphism_Ad(name, seed):
     facts = facts_at(name, seed)
     big, (_, b, _, _) = facts["Ad"], facts["coordinates"]

@@ -48,9 +48,9 @@ KERNELS = {name: _kernel(function) for name, function in FUNCTIONS.items()}
 GAPS = st.one_of(st.just(0.0), st.sampled_from([1e-12, 1e-8, 1e-4]), st.floats(0.0, 1.5))
 
 
-@pytest.mark.long("general exp")
 @pytest.mark.parametrize("name", FUNCTIONS)
 @given(seed=SEEDS, gap=GAPS)
+@pytest.mark.usual(1)
 def test_values_and_two_derivatives_in_every_mode(name, seed, gap):
     # Eigenvalues shift, shift + gap and shift - gap/2: repeated at gap = 0.
     rng = np.random.default_rng(seed)

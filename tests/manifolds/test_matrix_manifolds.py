@@ -208,6 +208,7 @@ TRIANGULAR = _derivatives(lambda a: matrices.triangular_factor(a, C))
 
 @pytest.mark.parametrize("kernel", [SYMMETRIC, TRIANGULAR], ids=["symmetric", "triangular"])
 @given(seed=SEEDS)
+@pytest.mark.usual(1)
 def test_factors_have_their_derivatives(kernel, seed):
     rng = np.random.default_rng(seed)
     a, d = np.eye(3) + 0.2 * rng.standard_normal((3, 3)), rng.standard_normal((3, 3))

@@ -103,6 +103,7 @@ def test_find_root_solves_a_monotone_convex_equation_as_newtons_method_does(seed
 
 
 @pytest.mark.parametrize("start", [0.3, 1.0, 40.0])
+@pytest.mark.usual(1)
 def test_find_root_says_where_there_is_none(start):
     """``c^2 = a`` has a root for ``a > 0``, a double one for ``a = 0``, none below."""
     solve = compiled(jax.vmap(lambda a: find_root(lambda c: c**2 - a, jnp.array([start]))))
@@ -192,6 +193,7 @@ def _far_larger(a, size):
 
 @pytest.mark.parametrize("size", 10.0 ** np.arange(-40, 1, 8))
 @pytest.mark.parametrize("a", [0.3, 1.7, 5.539])
+@pytest.mark.usual(3)
 def test_find_root_ends_at_a_root_whose_unknowns_are_far_larger_than_their_sizes(size, a):
     """As those of a step from a point that is zero but for rounding: what moves them is the rounding of the root."""
     left, converged = _far_larger(a, size)
@@ -210,6 +212,7 @@ def _beside_noise(scale, start):
 
 @pytest.mark.parametrize("scale", 10.0 ** np.arange(-40, 1, 10))
 @pytest.mark.parametrize("start", [0.0, 1.05, 3.0])
+@pytest.mark.usual(3)
 def test_an_unknown_that_rounding_alone_decides_does_not_end_the_search_for_others(scale, start):
     c, converged = _beside_noise(scale, start)
     assert converged

@@ -80,10 +80,9 @@ def triple_facts(base: str, seed: int) -> dict:
     return {"w": w, **_triple(base)(w)}
 
 
-@pytest.mark.long("R2x3")
 @every_base
 @given(seed=SEEDS)
-@pytest.mark.long("ellipsoid")
+@pytest.mark.usual(1)
 def test_alpha_is_symplectic(base, seed):
     facts = triple_facts(base, seed)
     assert norm(facts["d_T omega"]) > 0.1
@@ -92,7 +91,7 @@ def test_alpha_is_symplectic(base, seed):
 
 @every_base
 @given(seed=SEEDS)
-@pytest.mark.long("ellipsoid")
+@pytest.mark.usual(1)
 def test_beta_is_antisymplectic(base, seed):
     facts = triple_facts(base, seed)
     np.testing.assert_allclose(facts["beta"], -facts["d_T omega"], atol=1e-11)
@@ -180,6 +179,7 @@ def draw(space: PresymplecticManifold, seed: int):
 
 @pytest.mark.parametrize(("space", "rank", "nullity"), [(SYMPLECTIC, 4, 0), (PRESYMPLECTIC, 4, 1)])
 @given(seed=SEEDS)
+@pytest.mark.usual(1)
 def test_rank_and_kernel_of_a_form(space, rank, nullity, seed):
     x = draw(space, seed)
     kernel = space.kernel(x)

@@ -55,22 +55,7 @@ def test_dimension(name: str, dimension: int) -> None:
 
 
 @pytest.mark.parametrize("name", MANIFOLDS)
-@pytest.mark.usual(
-    "R2x3",
-    "SE2",
-    "SU2",
-    "ellipsoid",
-    "(SO3*R3)*S2",
-    "T*S2",
-    "H2",
-    "simplex3",
-    "SPD2",
-    "St42",
-    "CSt32",
-    "CSt11",
-    "Gr42",
-    "rank2-4x3",
-)
+@pytest.mark.usual(4)
 def test_is_a_manifold(name, seeds):
     check = check_lie_group if isinstance(MANIFOLDS[name], MatrixLieGroup) else check_manifold
     check(MANIFOLDS[name], seeds=seeds, tolerance=1e-13)
@@ -118,6 +103,7 @@ def test_the_tolerance_of_contains_is_the_one_asked_for():
 
 
 @pytest.mark.parametrize("name", MANIFOLDS)
+@pytest.mark.usual(2)
 def test_the_derivative_of_a_basis_is_the_derivative_of_its_values(name):
     """So dynamics ``u @ basis(q)``, with controls as coordinates, is a function like any other."""
     manifold = MANIFOLDS[name]

@@ -149,6 +149,7 @@ def test_the_steps_of_a_solution_begin_and_end_at_its_nodes(solved):
 
 
 @pytest.mark.parametrize("steps", [1, 3, 150, 500])
+@pytest.mark.usual(1)
 def test_a_solution_is_drawn_between_its_nodes_and_a_file_without_a_retraction_is_not(steps, tmp_path):
     """By many points of few steps, by few of many: those of the solution itself."""
     plane = Euclidean(2)

@@ -83,6 +83,7 @@ def with_controls(solution, end, bound=1.0):
 
 @pytest.mark.parametrize("end", [0.9, 0.99, 1.0, 1.01, 1.02, 1.2, 1.3, 1.6])
 @pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.usual(2)
 def test_a_control_is_drawn_beyond_its_bound_only_where_a_stage_is(end, sign, two_stages):
     """A stage at 1.1 of the bound is not hidden, and a polynomial that leaves the bound between the stages is not
     drawn there."""
@@ -225,6 +226,7 @@ def test_records_of_one_number_have_a_colour_each(limited):
 
 
 @pytest.mark.parametrize("count", [1, 2, 5, 40])
+@pytest.mark.usual(1)
 def test_a_batch_is_drawn_with_the_names_of_its_entries_once(count, turn):
     batch = Solutions.of([turn] * count)
     axes = batch.plot()

@@ -27,6 +27,7 @@ def record(q):
 
 @pytest.mark.parametrize("elevation", [-60, 0, 30])
 @pytest.mark.parametrize("azimuth", [-60, 0, 45, 135, 270])
+@pytest.mark.usual(4)
 def test_what_is_behind_the_sphere_is_farther_than_its_centre(elevation, azimuth):
     """As the projection of Matplotlib has it, in a view from far away."""
     axis = plotting.path(record(EQUATOR), problem=Sphere(2))

@@ -51,6 +51,7 @@ def arrives(name: str) -> tuple[bool, str]:
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in problems.names()]
 )
+@pytest.mark.usual(2)
 def test_a_problem_is_solved_from_its_default_guess_unless_it_is_listed(name):
     arrived, said = arrives(name)
     assert arrived == (name not in UNSOLVED), said
@@ -62,6 +63,7 @@ def test_the_list_names_problems():
 
 
 @pytest.mark.parametrize("name", problems.names())
+@pytest.mark.usual(12)
 def test_a_record_is_complete(name):
     entry = entries()[name]
     assert entry.name == name

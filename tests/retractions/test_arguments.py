@@ -153,6 +153,7 @@ def test_the_domain_of_the_exponential_of_definite_matrices_ends_where_it_overfl
 
 
 @pytest.mark.parametrize("inertia", [[1.0, 2.0, 3.0], [1.0, 1.0, 2.0]])
+@pytest.mark.usual(1)
 def test_methods_of_what_holds_arrays_can_be_compiled(inertia):
     """Two metrics of one shape in turn: a program compiled for the first is not used for the second."""
     x, v = jnp.eye(3), SO(3).hat(jnp.array([0.1, -0.2, 0.3]))
@@ -172,6 +173,7 @@ def test_shapes_of_methods_of_what_holds_arrays_are_known_under_jit():
 
 
 @pytest.mark.parametrize("family", [QR, Polar, Cayley, Exponential])
+@pytest.mark.usual(1)
 def test_complex_frames_are_refused_in_words(family):
     retraction = family(Stiefel(3, 2))
     x = jnp.eye(3, 2, dtype=complex)

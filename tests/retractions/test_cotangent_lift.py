@@ -15,7 +15,7 @@ from retrax.testing.checks.cotangent_lift import omega_of_both_ends, tangent_lif
 from retrax.testing.checks.discretization import flat_ends
 from retrax.testing.numerics import ambient_size
 
-from tests.support.cases import LIFTED_MAPS, REPRESENTATIVES, RETRACTIONS, THETAS, FreeTheta, reach
+from tests.support.cases import LIFTED_MAPS, RETRACTIONS, THETAS, FreeTheta, reach
 from tests.support.numerics import SEEDS, bundle_frame, compiled, draw_bundle_tangent, flat, norm, unflat
 
 EQUIVARIANT = ("S2", "S4", "SO2", "SO3", "SO4", "St42")
@@ -29,8 +29,7 @@ def test_is_a_cotangent_lift(name, seeds):
 
 
 @pytest.mark.parametrize("name", RETRACTIONS)
-@pytest.mark.usual(*REPRESENTATIVES)
-@pytest.mark.long("exponential-(SO3*R3)*S2", "nearest-ellipsoid", "cayley-SO2", "cayley-SO4", "projection-S4")
+@pytest.mark.usual(2)
 def test_the_theta_maps_of_every_retraction_and_their_lifts(name, seeds):
     """The axioms of both at the zero vector, and symplecticity there and at two others, by one compiled function of
     theta."""
@@ -68,8 +67,8 @@ def test_the_theta_maps_of_every_retraction_and_their_lifts(name, seeds):
 
 
 @pytest.mark.parametrize("theta", THETAS)
-@pytest.mark.usual("0.0", "0.3")
 @given(seed=SEEDS)
+@pytest.mark.usual(1)
 def test_on_a_vector_space_the_lift_is_known(theta, seed):
     lift = CotangentLift(Theta(Exponential(Euclidean((2, 3))), theta))
     q, p, qdot, pdot = np.random.default_rng(seed).standard_normal((4, 2, 3))

@@ -36,20 +36,9 @@ def _derivatives(name):
     return compiled(facts)
 
 
-@pytest.mark.long("projection-H2", "quadratic-SPD2", "qr-St42")
 @pytest.mark.parametrize("name", CLOSED_FORMS)
-@pytest.mark.usual(
-    "exponential-S2",
-    "projection-S2",
-    "cayley-SO3",
-    "cayley-St42",
-    "polar-SO3",
-    "projection-H2",
-    "quadratic-SPD2",
-    "qr-St42",
-    "projection-oblique32",
-)
 @given(seed=SEEDS, fraction=FRACTIONS)
+@pytest.mark.usual(2)
 def test_closed_forms_are_the_derivatives(name, seed, fraction):
     x, _, frame = draw_point(CLOSED_FORMS[name].manifold, seed)
     rng = np.random.default_rng(seed)

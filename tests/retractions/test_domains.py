@@ -48,6 +48,7 @@ def _domain(name: str):
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.usual(2)
 def test_inverse_says_what_to_do_outside_the_image(name):
     retraction, x, y = OUTSIDE[name]
     with pytest.raises(DomainError, match=WORDS.format(type(retraction).__name__)):
@@ -55,6 +56,7 @@ def test_inverse_says_what_to_do_outside_the_image(name):
 
 
 @pytest.mark.parametrize("name", OUTSIDE)
+@pytest.mark.usual(2)
 def test_under_jit_the_inverse_is_nan_outside_the_image(name):
     retraction, x, y = OUTSIDE[name]
     assert np.all(np.isnan(jax.jit(retraction.inverse)(x, y)))

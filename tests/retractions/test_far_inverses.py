@@ -141,8 +141,8 @@ def verdicts(retraction: Retraction, points, gap) -> dict[float, str]:
     return found
 
 
-@pytest.mark.long("unimodular", "positive")
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.usual(1)
 def test_an_inverse_leads_to_its_point_or_is_refused_however_far_out(name):
     retraction, points, gap, last = CASES[name]
     found = verdicts(retraction, points, gap)

@@ -75,7 +75,7 @@ def facts_at(name: str, seed: int, length: float) -> dict:
 
 @pytest.mark.parametrize("name", GROUPS)
 @given(seed=SEEDS, length=LENGTHS)
-@pytest.mark.usual("SL2", "SE3", "SU3")
+@pytest.mark.usual(1)
 def test_exponential_and_logarithm_are_those_of_scipy(name, seed, length):
     facts = facts_at(name, seed, length)
     np.testing.assert_allclose(facts["exp"], scipy.linalg.expm(facts["a"]), atol=1e-13)
@@ -85,6 +85,7 @@ def test_exponential_and_logarithm_are_those_of_scipy(name, seed, length):
 
 @pytest.mark.parametrize("name", GROUPS)
 @given(seed=SEEDS, length=LENGTHS)
+@pytest.mark.usual(2)
 def test_the_logarithm_inverts_the_exponential_and_halves_are_square_roots(name, seed, length):
     facts = facts_at(name, seed, length)
     assert facts["inside"]
@@ -94,6 +95,7 @@ def test_the_logarithm_inverts_the_exponential_and_halves_are_square_roots(name,
 
 @pytest.mark.parametrize("name", WITH_ANGLES)
 @given(seed=SEEDS, gap=st.sampled_from([1e-2, 1e-4, 1e-6, 1e-8]))
+@pytest.mark.usual(1)
 def test_the_logarithm_is_accurate_to_the_edge_of_its_domain(name, seed, gap):
     # A vector whose largest angle is pi - gap. Planes that reach the half turn together are told apart to 1e-16 / gap
     # only.
@@ -299,6 +301,7 @@ def test_the_decoupled_exponential_turns_and_shifts():
     [Cayley(SO(3) * Euclidean(2)), Polar(SO(4)), Exponential(SU(2)), Exponential(SE(2)), QR(SO(3))],
     ids=str,
 )
+@pytest.mark.usual(1)
 def test_charts_and_pairs_are_the_retraction_itself(retraction):
     """Closed forms of ``R(x, sum c_k E_k)`` and of ``R(x, -v)``, ``R(x, v)``."""
     manifold = retraction.manifold
@@ -374,6 +377,7 @@ def _there_and_back(points):
 
 
 @pytest.mark.parametrize("stretch", [1.0 + 1e-6, 1.01, 1.5, 4.0])
+@pytest.mark.usual(1)
 def test_the_logarithm_is_nan_or_leads_back_on_the_way_through_a_half_turn(stretch):
     """Rotations by ``t`` times ``diag(s, 1/s)``: where the trace is below -2 it is not an exponential."""
     t = np.pi * np.array([0.0, 0.3, 0.7, 0.9, 0.99, 0.9999, 1.0])

@@ -33,6 +33,7 @@ LENGTHS = [0.0, 1e-12, 1e-9, 1e-6, 1e-3, 0.1, 1.0, 2.0, 3.0, 3.1, np.pi - 1e-4]
 
 @pytest.mark.parametrize("manifold", [Stiefel(3, 2), ComplexStiefel(3, 2)], ids=str)
 @pytest.mark.parametrize("length", LENGTHS)
+@pytest.mark.usual(2)
 def test_the_logarithm_of_frames_is_exact_below_the_injectivity_radius(manifold, length):
     # Where the exponential is nearly singular, near pi, the rounding of the point is magnified by 1 / sin.
     for seed in range(3):
@@ -42,9 +43,9 @@ def test_the_logarithm_of_frames_is_exact_below_the_injectivity_radius(manifold,
         np.testing.assert_allclose(there, y, atol=1e-14)
 
 
-@pytest.mark.long("0.0-size1")
 @pytest.mark.parametrize("size", [(5, 2), (3, 2), pytest.param((6, 3), marks=pytest.mark.slow)])
 @pytest.mark.parametrize("length", [0.0, 1e-12, 1e-6, 1e-3, 1.0, 2.0, np.sqrt(0.8) * np.pi - 1e-8])
+@pytest.mark.usual(2)
 def test_the_canonical_logarithm_of_frames_is_exact_in_its_domain(size, length):
     for seed in range(3):
         x, v = draw(Stiefel(*size), seed, 1.0)
@@ -83,6 +84,7 @@ GRADED = {"polar": Polar(Stiefel(4, 2)), "QR": QR(Stiefel(4, 2)), "Cayley": Cayl
 
 @pytest.mark.parametrize("name", GRADED)
 @pytest.mark.parametrize("size", SIZES)
+@pytest.mark.usual(2)
 def test_inverses_on_frames_are_exact_up_to_the_edge_of_the_image(name, size):
     retraction = GRADED[name]
     for seed in range(3):
@@ -105,6 +107,7 @@ EDGES = {
 
 @pytest.mark.parametrize("name", EDGES)
 @pytest.mark.parametrize("gap", [1e-8, 1e-6, 1e-3, 1.0])
+@pytest.mark.usual(2)
 def test_inverses_on_subspaces_are_exact_up_to_the_edge_of_the_domain(name, gap):
     retraction, edge = EDGES[name]
     for seed, second in enumerate((1e-12, 0.3, 1.2)):
@@ -127,6 +130,7 @@ BOUNDS = {
 @pytest.mark.parametrize("name", BOUNDS)
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
 @given(seed=SEEDS)
+@pytest.mark.usual(2)
 def test_vectors_shorter_than_the_rank_allows_are_in_the_domain_in_any_unit(name, unit, seed):
     retraction, bound = BOUNDS[name]
     x, v = draw(retraction.manifold, seed, 1.0)
@@ -240,6 +244,7 @@ def test_outside_the_image_the_inverse_is_nan(name):
 
 
 @pytest.mark.parametrize("name", ["QR, a half turn", "the same, polar", "an orthogonal column"])
+@pytest.mark.usual(1)
 def test_outside_the_image_the_inverse_says_so(name):
     retraction, x, y = OUTSIDE[name]
     with pytest.raises(DomainError, match=rf"outside the image of {type(retraction).__name__} .* take a nearer point"):
@@ -264,6 +269,7 @@ def _midpoint_of_subspaces(retraction: Retraction):
 
 @pytest.mark.parametrize("double", [True, False], ids=["double", "single"])
 @pytest.mark.parametrize("family", [Cayley, pytest.param(Polar, marks=pytest.mark.slow)])
+@pytest.mark.usual(1)
 def test_the_midpoint_of_subspaces_is_nan_where_the_cosine_of_an_angle_is_rounding(family, double):
     # Through the right angle at all distances: an angle beyond it is that of nearer points, as subspaces have no
     # orientation.

@@ -113,10 +113,8 @@ DEFINITIONS = {
 
 
 @pytest.mark.parametrize("name", DEFINITIONS)
-@pytest.mark.long(
-    "exponential, St(3, 2)", "exponential, St(5, 2)", "complex exponential, n <= 2p", "complex exponential, n > 2p"
-)
 @given(seed=SEEDS, length=st.floats(0.0, 1.0))
+@pytest.mark.usual(2)
 def test_closed_forms_are_their_definitions(name, seed, length):
     retraction, definition = DEFINITIONS[name]
     x, v = draw(retraction.manifold, seed, length)
@@ -282,6 +280,7 @@ def peers():
 
 
 @pytest.mark.parametrize("seed", range(3))
+@pytest.mark.usual(1)
 def test_pymanopts_values_on_frames(seed):
     pymanopt, _ = peers()
     x, v = draw(Stiefel(4, 2), seed, 0.9)

@@ -68,15 +68,8 @@ ORDERS = {
 }
 
 
-@pytest.mark.long("corrected qr")
 @pytest.mark.parametrize("name", ORDERS)
-@pytest.mark.long(
-    "correction of a product",
-    "corrected softmax and projection",
-    "softmax and projection",
-    "stabilized Cayley",
-    "moved",
-)
+@pytest.mark.usual(1)
 def test_the_order_is_measured(name):
     retraction, expected = ORDERS[name]
     measured = measured_order(retraction)

@@ -165,6 +165,7 @@ def _defects(kind: str):
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize("kind", ["SO", "U"])
+@pytest.mark.usual(1)
 def test_turns_in_one_plane_are_unitary_however_long(kind, precision):
     with PRECISIONS[precision]():
         eps = float(jnp.finfo(jnp.zeros(()).dtype).eps)

@@ -43,6 +43,7 @@ def _inverses(ys, ways):
 
 
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.usual(1)
 def test_the_exponential_is_defined_wherever_its_domain_says_so_however_it_is_rounded(seed):
     claimed, defined = _claims(LENGTHS[:, None, None] * direction(seed), roundings(16))
     defined = defined.all(axis=1)
@@ -52,8 +53,8 @@ def test_the_exponential_is_defined_wherever_its_domain_says_so_however_it_is_ro
     assert LENGTHS[claimed][-1] > 0.6 * LENGTHS[~defined][0]  # not much is given away
 
 
-@pytest.mark.long("1", "3")
 @pytest.mark.parametrize("seed", range(4))
+@pytest.mark.slow
 def test_where_there_is_a_logarithm_the_exponential_leads_back(seed):
     ys = np.stack([scipy.linalg.expm(length * direction(seed)) for length in LENGTHS])
     logarithms, defined = _inverses(ys, roundings(4))

@@ -88,6 +88,7 @@ def _inverse(n: int):
 
 
 @pytest.mark.parametrize("angles", [(2.0, 2.0, -4.0), (2.3, 2.3, -1.0, -3.6), (4.0, 0.5, -2.0, -2.5)], ids=str)
+@pytest.mark.usual(1)
 def test_the_inverse_reaches_angles_beyond_a_half_turn(angles):
     """All matrices but those with two angles, of the sum 0, a full turn apart have one."""
     n, angles = len(angles), np.array(angles)

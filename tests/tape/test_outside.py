@@ -41,6 +41,7 @@ WHOLE = jnp.array([4, 7, -2])
 
 @pytest.mark.parametrize("table", TABLES)
 @pytest.mark.parametrize("name", READ)
+@pytest.mark.usual(2)
 def test_places_through_both_ends_of_a_table_give_what_jax_gives(name, table):
     read, entries = READ[name], TABLES[table]
     size = entries.size if name == "take" else max(entries.shape)

@@ -60,6 +60,7 @@ def by_xla():
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.usual(8)
 def test_values_and_two_derivatives_are_those_of_xla(name, by_xla):
     function, points = CASES[name]
     values, slopes, curvatures = by_xla[name]

@@ -51,8 +51,8 @@ def each(function, axis):
     return lambda a, b: np.moveaxis(np.asarray(jax.jit(jax.vmap(function, (1, 0)))(a, b)), 0, axis)
 
 
-@pytest.mark.long("nested", "vmap twice")
 @pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.usual(1)
 def test_roots_have_the_values_and_derivatives_of_xla(name):
     function = FUNCTIONS[name]
     tape = Tape.trace(function, A[:, 0], B[0])
@@ -113,6 +113,7 @@ def ring(count: int) -> Callable[[Array], Array]:
 
 
 @pytest.mark.parametrize("count", [1, 6, 7, 15, 16])
+@pytest.mark.usual(1)
 def test_systems_of_all_sizes_have_the_roots_of_xla(count):
     a = RANDOM.normal(size=(count, 3))
     expected = jax.vmap(ring(count), 1, 1)(a)
@@ -126,6 +127,7 @@ def test_large_systems_are_left_to_xla():
         Tape.trace(ring(17), np.zeros(17))
 
 
+@pytest.mark.slow
 def test_very_many_roots_are_left_to_xla():
     """Swept through the decision: as many as there are, they are those of XLA, or all are left to it."""
     traced = []

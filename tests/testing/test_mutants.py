@@ -109,6 +109,7 @@ def marked(name: str):
 
 
 @pytest.mark.parametrize("name", [marked(name) for name in MUTANTS])
+@pytest.mark.usual(2)
 def test_the_table_says_which_checks_catch_a_mutant(name):
     row = measured_row(name)
     assert row in documented_rows("Which check catches which mutant")

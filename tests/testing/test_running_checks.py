@@ -56,6 +56,7 @@ class Longer(Retraction):
 
 
 @parametrize_with_checks({"R": Projection(SPHERE)}, order=2, skip={"inverse_is_tangent": "to see a skip"})
+@pytest.mark.usual(7)
 def test_each_check_is_a_test(check):
     check()
 

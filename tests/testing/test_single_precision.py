@@ -60,8 +60,8 @@ SLOW_OBJECTS = {
 }
 
 
-@pytest.mark.long("projection of S2")
 @pytest.mark.parametrize("name", [*OBJECTS, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW_OBJECTS)])
+@pytest.mark.usual(1)
 def test_what_is_right_in_double_precision_is_right_in_single(name):
     with jax.enable_x64(False):
         report = {**OBJECTS, **SLOW_OBJECTS}[name]()
@@ -78,8 +78,8 @@ QUICK_MUTANTS = (
 )
 
 
-@pytest.mark.long("an inverse that is wrong near the edge of its domain")
 @pytest.mark.parametrize("name", QUICK_MUTANTS)
+@pytest.mark.usual(1)
 def test_a_mutant_is_caught(name):
     check, subject, options = MUTANTS[name]
     with jax.enable_x64(False):
@@ -117,6 +117,7 @@ class Stretched(Retraction):
     ("c", "single", "double"),
     [(0.0, "holds", "holds"), (1e-6, "holds", "fails"), (4e-4, "not decided", "fails"), (1e-2, "fails", "fails")],
 )
+@pytest.mark.usual(1)
 def test_an_error_that_rounding_hides_is_not_decided(c, single, double):
     name = "error_against_the_straight_line_is_of_second_order"
     (found,) = check_retraction(Stretched(Euclidean(2), c), only=name, seeds=[0], throw=False).outcomes
@@ -132,6 +133,7 @@ def test_an_error_that_rounding_hides_is_not_decided(c, single, double):
 
 @pytest.mark.parametrize("precision", [True, False], ids=["double", "single"])
 @pytest.mark.parametrize("manifold", [Simplex(3), SPD(2), Sphere(2)], ids=str)
+@pytest.mark.usual(2)
 def test_a_point_near_another_is_a_point_however_near_the_edge_of_an_inequality(manifold, precision):
     with jax.enable_x64(precision):
         sampler = Sampler(manifold)

@@ -22,6 +22,7 @@ class Orthonormal(LevelSet):
 
 
 @pytest.mark.parametrize("size", [2, 3])
+@pytest.mark.usual(1)
 def test_equations_that_follow_from_others_are_named_without_a_traceback(size, capfd, caplog):
     named = {2: "2", 3: "3, 6, 7"}[size]
     words = f"of its values, counted from 0 row by row, {named} follow from those before"

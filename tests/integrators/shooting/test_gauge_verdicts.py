@@ -12,6 +12,7 @@ G = SO(3)
 
 
 @pytest.mark.parametrize("weight", [0.7, *(pytest.param(own, marks=pytest.mark.slow) for own in (0.0, 1e-3, 10.0))])
+@pytest.mark.slow
 def test_a_gauge_control_is_not_called_no_minimum(weight: float) -> None:
     """Turns about the third axis cost nothing, and the potential does not see them."""
 

@@ -26,6 +26,7 @@ def test_kelley_and_goh_tell_a_minimum_from_what_is_none():
 
 
 @pytest.mark.parametrize("order", [2, 3])
+@pytest.mark.usual(1)
 def test_the_sign_of_kelleys_condition_alternates_with_the_order(order):
     """``x_1' = x_2, ..., x_k' = u`` with the cost ``a x_1^2 / 2``: the arc ``x = 0`` of order k minimises for
     ``a > 0``."""

@@ -10,7 +10,7 @@ from .test_singular_solve import ALY_CHAN, MIDPOINT, ONE, ZERO, classified
 
 
 @pytest.mark.parametrize(("last", "interrupted"), [(0, False), (1, False), (1, True), (100, False)])
-@pytest.mark.long("0-False")
+@pytest.mark.slow
 def test_a_callback_sees_the_iterations_of_shooting_and_may_end_them(last, interrupted):
     seen = []
 
@@ -45,7 +45,7 @@ def test_a_last_segment_that_is_shorter_ends_with_the_last_step():
 
 @pytest.mark.parametrize("verbose", [False, True])
 @pytest.mark.parametrize("known", [(), ("classification",), ("classification", "integrator")])
-@pytest.mark.long("known0-False")
+@pytest.mark.usual(1)
 def test_what_is_done_before_the_iterations_is_printed_where_it_is_asked_for(verbose, known, capsys):
     given = {"classification": (c := classified(ALY_CHAN)), "integrator": singular_integrator(c, MIDPOINT)[0]}
     options = {"verbose": verbose, **{name: given[name] for name in known}}

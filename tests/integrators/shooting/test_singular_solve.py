@@ -65,6 +65,7 @@ def aly_chan(steps: int) -> Solution:
     )
 
 
+@pytest.mark.slow
 def test_aly_chan_turns_in_the_plane_of_the_midpoint_rule():
     """Steps of the midpoint rule turn ``(x1, x2)`` by the angle ``2 arctan(h/2)``: a sine, whatever the step."""
     solution = aly_chan(8)
@@ -213,6 +214,7 @@ def test_gauge_controls_have_the_least_norm_that_meets_the_ends():
     assert solution.singular.kernel == solution.singular.gauge_controls == 1
 
 
+@pytest.mark.slow
 def test_a_start_off_the_final_manifold_is_refused_with_the_equation_it_contradicts():
     with pytest.raises(
         InvalidInputError, match=r"at the start .*factor 0, start, factor 1 prescribed.*primary equation = -?0\.\d+"

@@ -123,6 +123,7 @@ def test_few_points_of_another_piece_are_not_counted_as_points_of_one():
             assert min(np.max(away, axis=0)) < 1e-9 or np.max(np.abs(p)) < 1e-9, str(found)
 
 
+@pytest.mark.slow
 def test_the_error_names_the_time_and_the_reason_and_a_start_on_another_piece_is_refused():
     problem, _ = saturation(2.5, 0.8, 0.0)
     flat, curved = pieces(problem)

@@ -158,12 +158,7 @@ def test_conditions_that_are_only_approached_are_not_called_contradictory():
         ("dummy control", (0, 0), (), (0, None)),
     ],
 )
-@pytest.mark.long(
-    "sphere-classes8-names8-determined_at8",
-    "aly-chan-classes2-names2-determined_at2",
-    "curved arc-classes7-names7-determined_at7",
-    "massless particle-classes5-names5-determined_at5",
-)
+@pytest.mark.usual(2)
 def test_classes_levels_and_controls(name, classes, names, determined_at):
     c = classified(name)
     assert (c.first_class, c.second_class) == classes
@@ -367,7 +362,6 @@ def test_an_interrupted_classification_has_its_levels(finished, monkeypatch, cap
     assert ("20 of 20 points" in caplog.text) == (finished >= count)
 
 
-@pytest.mark.usual("softplus")
 @pytest.mark.parametrize(
     ("function", "written"),
     [
@@ -376,6 +370,7 @@ def test_an_interrupted_classification_has_its_levels(finished, monkeypatch, cap
     ],
     ids=["softplus", "logaddexp"],
 )
+@pytest.mark.slow
 def test_functions_with_derivatives_of_their_own_are_expanded_too(function, written):
     """Taylor arithmetic has no rule for them: nested derivatives have those that they say."""
     plane = Euclidean(2)

@@ -106,10 +106,10 @@ ELEMENTARY = {
 QUICK = ("exp", "sin of the unknown", "log", "power", "an identity")
 
 
-@pytest.mark.long("log", "power")
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in ELEMENTARY]
 )
+@pytest.mark.usual(1)
 def test_elementary_functions_are_treated(name):
     exact = classify(planar(ELEMENTARY[name]), symbolic=True)
     assert signatures(exact) == [(2, 0, 2)]
@@ -118,6 +118,7 @@ def test_elementary_functions_are_treated(name):
 
 
 @pytest.mark.parametrize("rate", [-300.0, -20.0, -1.0, -1e-3, 1e-9, 0.37, 4.0, 1e4])
+@pytest.mark.usual(2)
 def test_the_rate_of_an_exponential_changes_nothing(rate):
     exact = classify(planar(lambda x, y: y + jnp.exp(rate * x)), symbolic=True)
     assert signatures(exact) == [(2, 0, 2)]
@@ -225,6 +226,7 @@ ODD = {
 
 
 @pytest.mark.parametrize("words", ODD)
+@pytest.mark.usual(4)
 def test_odd_functions_are_refused_in_words(words):
     with pytest.raises(InvalidInputError, match=words):
         classify(planar(ODD[words]), symbolic=True)

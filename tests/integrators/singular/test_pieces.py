@@ -120,6 +120,7 @@ class Engel(eqx.Module):
         return jnp.stack([u[0], u[1], q[0] * u[1], q[0] ** 2 / 2 * u[1]])
 
 
+@pytest.mark.slow
 def test_the_morse_family_is_one_where_the_rank_of_the_form_drops():
     """``D(dH/du)`` has rank 2 wherever ``p`` is not zero; that of the form drops where ``p3 + x p4 = 0``."""
     problem = OptimalControlProblem(Euclidean(4), Engel(), lambda q, u: u @ u / 2, 2, abnormal=True)

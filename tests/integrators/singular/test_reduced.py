@@ -343,9 +343,8 @@ REFUSED = {
 }
 
 
-@pytest.mark.long("not constant", "gauge, or P_f empty")
 @pytest.mark.parametrize("reason", REFUSED)
-@pytest.mark.long("singular in combinations", "rough", "not Euclidean")
+@pytest.mark.usual(1)
 def test_problems_without_a_reduction_are_refused_with_the_reason(reason):
     *problem, singular = REFUSED[reason]
     with pytest.raises(InvalidInputError, match=reason):

@@ -244,6 +244,7 @@ def by_cosine(t, q, p):
     return jnp.cos(t)
 
 
+@pytest.mark.slow
 def test_a_composable_problem_is_integrated_directly_with_the_gauge_that_is_given():
     found, z = coiled(0.0), tuple(map(jnp.asarray, STARTS["academic"]))
     ends = {}

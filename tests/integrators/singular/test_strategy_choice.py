@@ -71,6 +71,7 @@ def wave(rate: float, time: float = 1.0, cost: float = 1.0, control: float = 1.0
 
 
 @pytest.mark.parametrize("weight", [-1e6, 0.0, 1e-6, 1.0, 1e6])
+@pytest.mark.usual(1)
 def test_the_curvature_of_an_exponential_is_relative_to_the_terms_of_the_hamiltonian(weight):
     """``H = (p - weight) exp(u)`` is its own second derivative; ``|p| exp(u)`` and the cost are its terms."""
     problem = OptimalControlProblem(Euclidean(1), lambda q, u: jnp.exp(u), lambda q, u: weight * jnp.exp(u[0]), 1)
@@ -93,6 +94,7 @@ def test_the_choice_does_not_depend_on_the_frequency_of_the_paper_s_example_nor_
                 assert chosen(classify(wave(rate, *units))) == "direct", (rate, units)
 
 
+@pytest.mark.slow
 def test_a_user_s_function_of_an_integrator_is_compiled_once_for_problems_that_differ_by_rounding():
     """The words of a choice hold measured numbers, and the integrator has none of them."""
     traces, methods, choices = [], [], []

@@ -54,9 +54,8 @@ def assert_same_levels(exact, numeric):
         assert set(level.strata) <= {piece.up_to(level.index).signature for piece in exact.strata}, level.index
 
 
-@pytest.mark.long("massless particle")
 @pytest.mark.parametrize("name", EUCLIDEAN)
-@pytest.mark.long("curved arc", "chain of 2", "brown")
+@pytest.mark.usual(2)
 def test_exact_and_numeric_answers_agree(name):
     exact, numeric = symbolic(name), classified(name)
     assert exact.family == numeric.morse.family
@@ -163,6 +162,7 @@ RADIAL = OptimalControlProblem(Euclidean(2), lambda q, u: u, lambda q, u: (q @ u
         pytest.param(RADIAL, [(1, 1, 2), (4, 0, 0)], (2, 1), "p1*q2 - p2*q1", id="radial"),
     ],
 )
+@pytest.mark.usual(1)
 def test_no_piece_is_invented_where_one_coefficient_vanishes(problem, pieces, ranks, relation):
     exact = classify(problem, symbolic=True)
     assert signatures(exact) == pieces
