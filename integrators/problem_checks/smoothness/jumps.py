@@ -146,7 +146,7 @@ class JumpSearch:
             if np.any(lasts):
                 shares = np.where(lasts, last / np.maximum(own, last), 0.0)
                 i = int(np.argmax(shares))
-                jumps.append(Jump(shares[i], i, changes[-1, i], found.line[k], self.points(found.points[k])))
+                jumps.append(Jump(shares[i], i, changes[-1, i], int(found.line[k]), self.points(found.points[k])))
         return jumps
 
     def _close_in(
@@ -160,7 +160,7 @@ class JumpSearch:
         ends = ends[line].astype(self._samples.precision)
         rounds = int(np.ceil(np.log(LOCATION_ACCURACY * FINEST * tolerance(ends, 1.0)) / -np.log(PIECES)))
         for k in range(rounds):
-            places = np.linspace(*ends.T, PIECES + 1, axis=1, dtype=ends.dtype)
+            places = np.linspace(ends[:, 0], ends[:, 1], PIECES + 1, axis=1, dtype=ends.dtype)
             margins, slopes, _ = self.at(given, vec.taken(rows, line), places).of_step(step)
             if k == 0:
                 near = ~(np.min(np.abs(margins), axis=1) > np.ptp(margins, axis=1))
