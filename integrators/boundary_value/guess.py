@@ -230,9 +230,11 @@ class DefaultGuess:
         places, (count, through, size) = stage_places(self.method, fractions), points.shape
         segments = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, through - 2)
         states = np.empty((count, len(places), size))
-        for k in np.unique(segments):
-            inside = (places[segments == k] - shares[k]) / (shares[k + 1] - shares[k])
-            states[:, segments == k] = self._curve.states(points[:, k], points[:, k + 1], inside)
+        for k in range(through - 1):
+            here = segments == k
+            if here.any():
+                inside = (places[here] - shares[k]) / (shares[k + 1] - shares[k])
+                states[:, here] = self._curve.states(points[:, k], points[:, k + 1], inside)
         controls = np.empty((count, len(places), self._control.size))
         controls[...] = self._first_control
         return states, controls, np.zeros((count, len(fractions) + 1, size))

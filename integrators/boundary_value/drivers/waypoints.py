@@ -31,7 +31,7 @@ def phases_through(
 ) -> list[Phase]:
     """The phases between the waypoints, with the parts of a guess; ``through`` has the points by their times."""
     require_treated(problem, "solve with through", *LIMITS, "an initial cost", "an explicit time", HELD)
-    free = any(map(is_free, jax.tree.leaves((given.horizon, given.parameters), is_leaf=is_free)))
+    free = any(map(is_free, jax.tree.leaves((given.horizon, given.parameters))))
     if free or given.start_time or not is_finite_number(given.horizon):
         raise InvalidInputError(
             f"through fixes times, and horizon is {brief(given.horizon)}, start_time {given.start_time}, parameters "

@@ -54,7 +54,7 @@ def member_of(ends: BoundaryDataReader, given: BoundaryData, k: int) -> Boundary
     """The data of member ``k`` of a batch."""
     start, end = ends.member(given.start, k), ends.member(given.end, k)
     shared = given.horizon, given.parameters
-    horizon, parameters = jax.tree.map(partial(entry_of, k=k), shared, is_leaf=is_free)
+    horizon, parameters = jax.tree.map(partial(entry_of, k=k), shared)
     return BoundaryData(start, end, horizon, parameters, given.start_time)
 
 
