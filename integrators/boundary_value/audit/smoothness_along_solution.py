@@ -88,8 +88,6 @@ class SmoothnessAlongSolution:
     def _along(self, solution: Solution) -> str:
         """Words on a jump that the trajectory passes, or on which it lies."""
         (curves, ends), given = self._pieces(solution), (solution.parameters, None)
-        if not len(ends):
-            return ""
         search = self._search(rates, solution, given, curves)
         found = search.crossings(given, curves, ends)
         seen, sizes = found.ends, largest(found.ends.values)
@@ -123,13 +121,9 @@ class SmoothnessAlongSolution:
         search = self._search(function, solution, given, axes)
         slopes = search.at(given, axes, np.zeros((count * n, 1))).slopes.reshape(count, n, -1)
         slope = slopes[np.arange(count), :, step] * free
-        with np.errstate(all="ignore"):
-            length = REACH_RATIO * NEAR_MARGIN * np.where(sizes[0] > 0, sizes[0], 1.0)[step][:, None]
-            ways = slope / np.sum(slope**2, axis=1, keepdims=True) * length
-        known = np.all(np.isfinite(ways), axis=1)
-        lines = vec.taken(Curves.straight(points, ways @ moves), known)
-        ends = np.tile([-1.0, 1.0], (len(lines.times), 1))
-        own = np.equal(step[known, None], np.arange(slopes.shape[2]))
+        length = REACH_RATIO * NEAR_MARGIN * np.where(sizes[0] > 0, sizes[0], 1.0)[step][:, None]
+        lines = Curves.straight(points, slope / np.sum(slope**2, axis=1, keepdims=True) * length @ moves)
+        ends, own = np.tile([-1.0, 1.0], (count, 1)), np.equal(step[:, None], np.arange(slopes.shape[2]))
         return largest_jump(search.jumps(search.crossings(given, lines, ends, own), sizes[1]))
 
     def _in_controls(self, solution: Solution) -> str:
@@ -191,9 +185,7 @@ class SmoothnessAlongSolution:
         controls = vec.taken(solution.controls, np.repeat(np.arange(steps * count), PIECES_OF_STAGES))
         if not self.timed:  # no jump in time is passed
             times, ways[:, 1, -1] = times + ends[:, 0] * ways[:, 1, -1], 0.0
-        rows = (leaf.reshape(len(ends), -1) for leaf in jax.tree.leaves((states, controls, ways)))
-        known = np.all([np.all(np.isfinite(row), axis=1) for row in rows], axis=0)
-        return vec.taken(Curves(states, controls, times, ways), known), ends[known]
+        return Curves(states, controls, times, ways), ends
 
 
 def _at_start(problem: OptimalControlProblem, q: Ambient, _: Ambient, last: Ambient) -> Array:

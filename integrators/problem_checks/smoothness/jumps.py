@@ -160,6 +160,8 @@ class JumpSearch:
         ends = ends[line].astype(self._samples.precision)
         rounds = int(np.ceil(np.log(LOCATION_ACCURACY * FINEST * tolerance(ends, 1.0)) / -np.log(PIECES)))
         for k in range(rounds):
+            if not len(line):
+                break
             places = np.linspace(ends[:, 0], ends[:, 1], PIECES + 1, axis=1, dtype=ends.dtype)
             margins, slopes, _ = self.at(given, vec.taken(rows, line), places).of_step(step)
             if k == 0:
