@@ -212,7 +212,7 @@ def _rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _inequalities(conditions: DiscretePhase, slacks: Slacks | None, members: Any) -> Inequalities | None:
-    """The inequalities along all members, if there are any; ``members``: the fields of their records."""
+    """The inequalities along all members, if there are any, from the fields of the records of a phase."""
     if slacks is None:
         return None
     steps, count = conditions.transcription, conditions.data.steps.shape[1]
