@@ -15,6 +15,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.requirements import HELD, require_treated
 from ...reporting.records import Along
 from ...reporting.text import brief
+from ...stages.explicit_runge_kutta import mesh_times
 from ..guess import Guess
 from ..inputs.arguments import LIMITS, BoundaryData, Method, step_fractions
 from ..solution.diagnostics import RegularChecks
@@ -38,7 +39,7 @@ def phases_through(
             f"{brief(given.parameters)}; expected a given horizon, given parameters and start time 0; try solve_phases"
         )
     fractions = step_fractions(steps)
-    nodes = float(given.horizon) * np.concatenate([[0.0], np.cumsum(fractions)])
+    nodes, _ = mesh_times(float(given.horizon) * fractions, method.nodes)
     places = _places(through, nodes)
     cuts = [0, *places.values(), len(fractions)]
     points, stages = [*(through[t] for t in places), given.end], len(method.nodes)
