@@ -72,7 +72,7 @@ class ExtremalRecords:
         self._active = _active(transcribed, self._held)
         self._multipliers = _multipliers(transcribed, found)
         # A record holds this until its figures are read, and nothing else of the search.
-        held = None if self._held is None else self._held.any(axis=(1, 2, 3))
+        held = None if self._held is None else np.any(self._held, axis=(1, 2, 3))
         find: Any = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters, held)
         posed = builder.posed
         if posed.node_cost is not None or posed.sampling is not None:

@@ -175,8 +175,9 @@ def extremals_of(
     """The results of a phase for the members of a batch together."""
     steps, shape = conditions.transcription, guess.costates.shape
     members = [record.phases[phase] for record in records]
-    each: Any = SearchRecord(*zip(*records, strict=True))  # the fields of all members
-    own: Any = PhaseRecord(*zip(*members, strict=True))
+    fields: Any = zip(*records, strict=True), zip(*members, strict=True)
+    each: Any = SearchRecord(*fields[0])  # of all members: a tuple for each field
+    own: Any = PhaseRecord(*fields[1])
     numbers = _rows([iterate.numbers for iterate in own.iterate])
     iterate = iterates_of(own.iterate[0]._replace(numbers=numbers), guess, steps)
 
