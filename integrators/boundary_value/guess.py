@@ -17,7 +17,7 @@ from ..problem.point_layout import PointLayout
 from ..problem_checks.requirements import require_treated
 from ..reporting.records import shapes
 from ..reporting.text import brief
-from ..stages.explicit_runge_kutta import RK4, ExplicitRungeKutta, control_spans
+from ..stages.explicit_runge_kutta import RK4, ExplicitRungeKutta, control_spans, mesh_times
 from .inputs.arguments import ALONG, BETWEEN, Method, check_problem, step_fractions
 from .inputs.boundary_data import BoundaryDataReader
 from .inputs.connecting_curve import ConnectingCurve
@@ -158,8 +158,7 @@ class Mesh(NamedTuple):
 
     def times(self, horizon: float) -> tuple[np.ndarray, np.ndarray]:
         """Times of the nodes, and of the stages."""
-        nodes = horizon * np.concatenate([[0.0], np.cumsum(self.fractions)])
-        return nodes, (nodes[:-1, None] + np.diff(nodes)[:, None] * self.stages).ravel()
+        return mesh_times(horizon * self.fractions, self.stages)
 
 
 class MeshGuess(ABC):
@@ -216,7 +215,7 @@ class DefaultGuess:
     """
 
     def __init__(self, problem: OptimalControlProblem, method: Method) -> None:
-        self.problem, self.method = problem, method
+        self.problem, self.stages = problem, method.nodes
         self._state, self._control = PointLayout.of(problem.manifold), PointLayout.of(problem.controls)
         self._curve = ConnectingCurve(problem.manifold, method.retraction)
 
@@ -227,12 +226,14 @@ class DefaultGuess:
 
         The states go through flat points, shape (B, P, E), at these shares of the horizon.
         """
-        places, (count, through, size) = stage_places(self.method, fractions), points.shape
+        (_, places), (count, through, size) = mesh_times(fractions, self.stages), points.shape
         segments = np.clip(np.searchsorted(shares, places, side="right") - 1, 0, through - 2)
         states = np.empty((count, len(places), size))
-        for k in np.unique(segments):
-            inside = (places[segments == k] - shares[k]) / (shares[k + 1] - shares[k])
-            states[:, segments == k] = self._curve.states(points[:, k], points[:, k + 1], inside)
+        for k in range(through - 1):
+            here = segments == k
+            if here.any():
+                inside = (places[here] - shares[k]) / (shares[k + 1] - shares[k])
+                states[:, here] = self._curve.states(points[:, k], points[:, k + 1], inside)
         controls = np.empty((count, len(places), self._control.size))
         controls[...] = self._first_control
         return states, controls, np.zeros((count, len(fractions) + 1, size))
@@ -277,7 +278,7 @@ def roll_out(
         PointLayout.of(problem.manifold),
         PointLayout.of(problem.controls),
     )
-    places = stage_places(method, fractions)
+    _, places = mesh_times(fractions, method.nodes)
     if callable(controls):
         values = [jax.tree.map(np.asarray, controls(float(horizon) * place)) for place in places]
         controls = vec.stacked(values)
@@ -291,13 +292,6 @@ def roll_out(
             "a shorter horizon, or more steps"
         )
     return Guess(layout.points(states), jax.tree.map(np.asarray, controls), _zero(problem, len(fractions)))
-
-
-def stage_places(method: Method, fractions: np.ndarray) -> np.ndarray:
-    """Times of the stages in fractions of the horizon, from the lengths of the steps."""
-    inside = method.nodes
-    starts = np.concatenate([[0.0], np.cumsum(fractions)[:-1]])
-    return (starts[:, None] + inside * fractions[:, None]).ravel()
 
 
 def _zero(problem: OptimalControlProblem, steps: int) -> Any:

@@ -1,6 +1,7 @@
 """The extremals of regular problems by Newton's method, in phases, with coupled ends if they are."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from .transcription.discrete_extremals import DiscreteExtremals
 from .transcription.discrete_phase import LinkedPhases
 from .transcription.iterate import Iterate, LinkedIterate
 from .transcription.linkages import PhaseProblem
-from .transcription.member_search import MemberSearch, Watch
+from .transcription.member_search import Watch
 from .transcription.search_record import SearchRecord
 
 
@@ -60,12 +61,7 @@ def find_phases(
 
 def search_all(problem: LinkedPhases, guess: LinkedIterate, options: Options, watch: Watch) -> list[SearchRecord]:
     """The results for all members, in threads side by side, or one after the other where a callback watches them."""
-
-    def run(k: int) -> SearchRecord:
-        member = MemberSearch(problem, guess, k, (options.tolerance, options.max_iterations), watch)
-        return search_member(member, options.restarts)
-
-    count = len(guess.parts[0].costates)
+    run, count = partial(search_member, problem, guess, options, watch), len(guess.parts[0].costates)
     if count == 1 or watch.callback is not None:
         return list(map(run, range(count)))
     return each_in_threads(run, count, watch.stop)

@@ -14,6 +14,7 @@ from ..problem.optimal_control_problem import OptimalControlProblem
 from ..problem.point_layout import PointLayout
 from ..problem_checks.requirements import leaving_words
 from ..reporting.result_sentences import sentence
+from ..stages.explicit_runge_kutta import mesh_times
 from .audit.concave_controls import ConcaveDirection, concave_words, find_concave_directions
 from .audit.status import Status, concave_status, rounded_end_status, termination_statuses
 from .audit.unmoved_entries import rounding_of_controls, unmoved_words
@@ -64,14 +65,14 @@ class ExtremalRecords:
         self._at_nodes = diagnosis.at_nodes(found.nodes, found.costates)
         self._stages = found.at_stages(self._at_nodes.costates)
         self._along = diagnosis.along(self._stages, data.parameters)
-        self._times, self._stage_times = _times(data.steps, builder.stages)
+        self._times, self._stage_times = mesh_times(data.steps, builder.stages)
         self._require_tangent_dynamics(inputs)
         self._held = None if found.inequalities is None else found.inequalities.active
         self._statuses = self._statuses_of(inputs.options.tolerance)
         self._active = _active(transcribed, self._held)
         self._multipliers = _multipliers(transcribed, found)
         # A record holds this until its figures are read, and nothing else of the search.
-        held = np.array([any(counts.values()) for counts in self._active])
+        held = None if self._held is None else np.any(self._held, axis=(1, 2, 3))
         find: Any = partial(diagnosis.of, self._at_nodes, self._along, self._stages, data.parameters, held)
         posed = builder.posed
         if posed.node_cost is not None or posed.sampling is not None:
@@ -218,13 +219,6 @@ def _between_nodes(find: Callable[[], Diagnostics]) -> Diagnostics:
         hamiltonians=(steps - steps[:, :, :1] + steps[:, :1, :1]).reshape(size),
         brackets={name: rates + np.inf for name, rates in diagnostics.brackets.items()},
     )
-
-
-def _times(steps: np.ndarray, stages: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The times of the nodes, and of the stages at some places in each step, from the lengths of the steps."""
-    times = np.zeros((len(steps), steps.shape[1] + 1))
-    steps.cumsum(axis=1, out=times[:, 1:])
-    return times, (times[:, :-1, None] + steps[:, :, None] * stages).reshape(len(times), -1)
 
 
 def _active(transcribed: TranscribedProblem, held: np.ndarray | None) -> list[dict[str, int]]:

@@ -132,19 +132,18 @@ def solve(
         steps, accuracy = DEFAULT_STEPS, DEFAULT_ACCURACY if accuracy is None else accuracy
     method = _default_method(problem) if method is None else method
     given = BoundaryData(start, end, horizon, parameters, start_time)
+    options: Any = {"tolerance": tolerance, "max_iterations": max_iterations, "callback": callback, "verbose": verbose}
     if through:
         _require_fixed_mesh(accuracy, classification, integrator)
         phases = phases_through(problem, method, steps, given, through, guess)
-        options = {"callback": callback, "verbose": verbose, "throw": False}
-        found = join_phases(solve_phases(phases, tolerance=tolerance, max_iterations=max_iterations, **options))
-        return found.require_success() if throw else found
-    solver = Solver(problem, method, steps)
-    options = Options.of(tolerance, max_iterations, callback, verbose)
-    inputs = Inputs.of(solver._reader, given, guess, options, 0, classification, integrator)
-    if accuracy is None:
-        found = solver._solve(inputs)
+        found = join_phases(solve_phases(phases, throw=False, **options))
     else:
-        found = MeshRefinement(solver, inputs, accuracy, tolerance is None).solve()
+        solver = Solver(problem, method, steps)
+        inputs = Inputs.of(solver._reader, given, guess, Options.of(**options), 0, classification, integrator)
+        if accuracy is None:
+            found = solver._solve(inputs)
+        else:
+            found = MeshRefinement(solver, inputs, accuracy, tolerance is None).solve()
     return found.require_success() if throw else found
 
 

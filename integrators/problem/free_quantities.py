@@ -128,7 +128,7 @@ def _real(name: str, value: Any) -> np.ndarray:
 
 def guesses_of(given: Any) -> Any:
     """The guesses of the leaves that may be free."""
-    return jax.tree.map(guess_of, given, is_leaf=is_free)
+    return jax.tree.map(guess_of, given)
 
 
 def with_guess(value: Any, found: Any) -> Any:

@@ -146,7 +146,16 @@ def control_spans(method: DiscretizationMap | CollocationMethod, steps: np.ndarr
 
     It is held for the share of the step that the stage has as a weight of quadrature.
     """
-    begun = np.concatenate([[0.0], np.cumsum(steps)[:-1]])
-    places = (begun[:, None] + method.nodes * steps[:, None]).ravel()
+    _, places = mesh_times(steps, method.nodes)
     ended = np.cumsum((steps[:, None] * method.weights).ravel())
     return places - np.concatenate([[0.0], ended[:-1]]), ended - places
+
+
+def mesh_times(steps: np.ndarray, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The times of the nodes, and of the stages at some places in each step.
+
+    ``steps``: lengths of the steps along the last axis.
+    """
+    nodes = np.zeros((*steps.shape[:-1], steps.shape[-1] + 1))
+    steps.cumsum(axis=-1, out=nodes[..., 1:])
+    return nodes, (nodes[..., :-1, None] + steps[..., None] * places).reshape(*steps.shape[:-1], -1)

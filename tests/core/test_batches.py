@@ -19,9 +19,9 @@ def seen(monkeypatch):
     """The threads of the searches."""
     names, alone = list[str](), regular_extremals.search_member
 
-    def search(member: Any, *more: Any) -> Any:
+    def search(*given: Any) -> Any:
         names.append(threading.current_thread().name)
-        return alone(member, *more)
+        return alone(*given)
 
     monkeypatch.setattr(regular_extremals, "search_member", search)
     monkeypatch.setattr("os.cpu_count", lambda: 3)
@@ -39,11 +39,12 @@ def test_members_are_searched_in_several_threads(seen):
 def test_an_interrupt_leaves_every_member_with_what_it_has(seen, monkeypatch):
     begun, alone = threading.Event(), regular_extremals.search_member
 
-    def search(member: Any, *more: Any) -> Any:
+    def search(*given: Any) -> Any:
         begun.set()
-        while member.k == COUNT // 2 and not member.watch.stopped:
+        *_, watch, k = given
+        while k == COUNT // 2 and not watch.stopped:
             time.sleep(0.001)
-        return alone(member, *more)
+        return alone(*given)
 
     def interrupted(*_: Any, **__: Any) -> None:
         begun.wait()
@@ -62,11 +63,11 @@ def test_an_interrupt_leaves_every_member_with_what_it_has(seen, monkeypatch):
 def test_an_error_of_a_member_is_raised_when_all_have_ended(seen, monkeypatch):
     ended, alone = list[int](), regular_extremals.search_member
 
-    def search(member: Any, *more: Any) -> Any:
-        if member.k == 4:
+    def search(*given: Any) -> Any:
+        if given[-1] == 4:
             raise FloatingPointError("of one member")
-        ended.append(member.k)
-        return alone(member, *more)
+        ended.append(given[-1])
+        return alone(*given)
 
     monkeypatch.setattr(regular_extremals, "search_member", search)
     solver, ends = slews()

@@ -22,7 +22,7 @@ from retrax.retractions import Addition, Gauss, Midpoint
 from scipy.optimize import minimize
 
 from ..integrators.problems import half_square
-from .trajectories import CASES, posed
+from .trajectories import CASES, posed, put
 
 LINE, PLANE = Euclidean(1), Euclidean(2)
 NAMES = list(CASES)
@@ -54,7 +54,7 @@ def test_searches_by_callbacks_are_those_by_tapes(name, monkeypatch):
     found = []
     for share in (lambda name: False, *SHARES.values()):
         search = Search(with_callbacks(own, conditions, share), 1e-10, 100)
-        core_transcription.put(search.trajectory, conditions, guess._replace(slacks=None), 0)
+        put(search.trajectory, conditions, guess._replace(slacks=None))
         assert search.run() is SearchStatus.CONVERGED
         at = search.trajectory
         found.append((search.read().facts.iterations, at["TOTALS"][0], at["CENTRES"].copy(), at["CONTROLS"].copy()))

@@ -41,5 +41,5 @@ def posed(solver: Solver, way: tuple, monkeypatch: Any, **options: Any) -> tuple
 
 def put(found: Trajectory, phase: DiscretePhase, iterate: Any) -> Trajectory:
     """The trajectory with what is given and with the unknowns of an iterate."""
-    core_transcription.put(found, phase, iterate, 0)
+    found.take(core_transcription.arrays_of_member(phase, iterate, 0))
     return found

@@ -145,16 +145,21 @@ def test_of_many_segments_each_is_looked_at():
     assert batch.failed_step[-1] == one.failed_step
 
 
-def test_a_time_that_is_a_coordinate_may_switch_the_hamiltonian():
-    """The momentum of the time jumps there, and nothing depends on it; in a coordinate that moves with its momentum it
-    does."""
+@pytest.mark.parametrize("time", [0.1, 0.513, 0.9])
+def test_a_switch_in_a_time_that_is_a_coordinate_is_integrated_in_two_parts(time):
+    """The message says so, and both parts together are as accurate as the method."""
 
-    def energy(q: Array, p: Array, entry: int) -> Array:
-        return p[0] ** 2 / 2 + q[0] ** 2 / 2 + p[1] + jnp.where(q[entry] > 0.513, 1.0 + q[0], 0.0)
+    def energy(q: Array, p: Array, switched: Array) -> Array:
+        return p[0] ** 2 / 2 + q[0] ** 2 / 2 + p[1] + jnp.where(switched, 1.0 + q[0], 0.0)
 
     method, start = SymplecticIntegrator(Gauss(2, Addition(PLANE))), (np.zeros(2), np.array([1.0, 0.0]))
-    assert integrate(lambda q, p: energy(q, p, 1), method, start, 0.05, 20).result == Result.successful
-    assert integrate(lambda q, p: energy(q, p, 0), method, start, 0.05, 20, throw=False).result == Result.jump
+    with pytest.raises(ConvergenceError, match="for a step in time, integrate until then and from there on"):
+        integrate(lambda q, p: energy(q, p, q[1] > time), method, start, 0.05, 20)
+    first = integrate(lambda q, p: energy(q, p, False), method, start, time / 20, 20)
+    last = integrate(lambda q, p: energy(q, p, True), method, (first.q[-1], first.p[-1]), (1 - time) / 20, 20)
+    after, away = 1 - time, np.sin(time) + 1  # from the point of rest -1 of the second part
+    expected = away * np.cos(after) + np.cos(time) * np.sin(after) - 1
+    np.testing.assert_allclose(last.q[-1], [expected, 1.0], atol=1e-7)
 
 
 @pytest.mark.slow
@@ -233,5 +238,5 @@ def test_singular_problems_with_hidden_derivatives_are_refused():
 
 
 def test_a_jump_is_named_with_six_digits_of_its_place():
-    words = PassedJump(0, 0.5, -1.0, np.array([1 / 3, 2.0]), ["jnp.floor"]).fact("at")
+    words = PassedJump(0, -1.0, np.array([1 / 3, 2.0]), ["jnp.floor"]).fact("at")
     assert words.startswith("the Hamiltonian jumps by -1 at q = [0.333333 2.      ]: it computes jnp.floor from")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from retrax import problems
 from retrax.integrators import Free, Guess, OptimalControlProblem, solve, step_errors
-from retrax.integrators.boundary_value.guess import stage_places
+from retrax.integrators.stages.explicit_runge_kutta import mesh_times
 from retrax.manifolds import Euclidean, Product
 from retrax.retractions import Addition, Gauss, default_retraction
 
@@ -129,7 +129,7 @@ def test_an_inequality_that_is_held_all_along_is_no_error_of_the_steps(turned):
     found = solve(disc, *ends, Free(3.0), method=method, steps=20, accuracy=1e-6, throw=False)
     assert found.success, found.result
     assert found.steps < 100
-    at = found(found.horizon * stage_places(method, np.full(80, 1 / 80)))
+    at = found(mesh_times(np.full(80, found.horizon / 80), method.nodes)[1])
     controls = np.unwrap(np.arctan2(at.controls[:, 1], at.controls[:, 0]))[:, None]
     known = solve(angle, *ends, Free(float(found.horizon)), method=method, steps=80, guess=Guess(at.states, controls))
     assert found.horizon == pytest.approx(known.horizon, rel=1e-6)

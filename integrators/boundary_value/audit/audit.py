@@ -121,6 +121,8 @@ class Audit:
 
     def without_vain_restarts(self, inputs: Inputs) -> Inputs:
         """The inputs, without restarts if a prescribed end violates a constraint; found out after a failed search."""
+        if not self._named:
+            return inputs
         restarts = cache(lambda: not self.ends_are_outside(inputs))
         return replace(inputs, options=inputs.options._replace(restarts=restarts))
 
@@ -128,7 +130,7 @@ class Audit:
         """Whether a prescribed end violates a constraint of the states, which no search can change."""
         given, fixed = inputs.given, _prescription_mask(inputs.ends.prescribed)
         moving = (given.parameters, given.horizon) if self.problem.time_dependent else given.parameters
-        if not (self._named and np.any(fixed)) or any(map(is_free, jax.tree.leaves(moving, is_leaf=is_free))):
+        if not np.any(fixed) or any(map(is_free, jax.tree.leaves(moving))):
             return False
         with one_tracing(), np.errstate(all="ignore"):
             return any(own.is_violated(inputs, fixed) for own in self._qualifications(inputs.known.parameters))

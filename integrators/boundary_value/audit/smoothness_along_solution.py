@@ -15,14 +15,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
-from ....manifolds.numerics.tolerances import EPS, HALF, tolerance
-from ....retractions import Retraction
+from ....manifolds.numerics.tolerances import EPS, HALF
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.point_layout import PointLayout
-from ...problem_checks.smoothness.jumps import HIDDEN, SMALLEST_JUMP, Jump, JumpSearch, few_of_each, largest_jump
+from ...problem_checks.smoothness.jumps import Jump, JumpSearch, few_of_each, largest, largest_jump
 from ...problem_checks.smoothness.problem_jumps import (
     Curves,
     control_jump_words,
@@ -64,7 +62,7 @@ class SmoothnessAlongSolution:
         self.of_ends = [
             find_step_primitives(lambda q, f=f: f(bound.at_time(0.0), q, u, q), q) for f in (_at_start, _at_end)
         ]
-        self._searches: dict[Any, tuple[Retraction, JumpSearch]] = {}
+        self._searches: dict[Any, JumpSearch] = {}
 
     def __bool__(self) -> bool:
         """Whether there is a step that may jump."""
@@ -81,34 +79,30 @@ class SmoothnessAlongSolution:
 
     def _search(self, function: Any, solution: Solution, given: Any, curves: Curves) -> JumpSearch:
         """The search on such curves, the same object for solutions with one retraction."""
-        interpolant: Any = solution.interpolant
-        key, retraction = (function, curves.ways.shape[1]), interpolant.retraction
-        if key not in self._searches or self._searches[key][0] is not retraction:
-            search = search_on_curves(function, self.problem, retraction, given, vec.taken(curves, 0))
-            self._searches[key] = retraction, search
-        return self._searches[key][1]
+        retraction = solution.interpolant.retraction
+        key = function, curves.ways.shape[1], id(retraction)  # which the search holds
+        if key not in self._searches:
+            self._searches[key] = search_on_curves(function, self.problem, retraction, given, vec.taken(curves, 0))
+        return self._searches[key]
 
     def _along(self, solution: Solution) -> str:
         """Words on a jump that the trajectory passes, or on which it lies."""
         (curves, ends), given = self._pieces(solution), (solution.parameters, None)
-        if not len(ends):
-            return ""
         search = self._search(rates, solution, given, curves)
-        seen = search.at(given, curves, ends)
-        sizes, found = self._sizes(seen.values), search.crossings(given, curves, ends, seen)
+        found = search.crossings(given, curves, ends)
+        seen, sizes = found.ends, largest(found.ends.values)
         passed = largest_jump(search.jumps(found, sizes))
         if passed:
             return self._words_of_rates(passed, given[0], "where the trajectory passes")
-        size = np.max(np.where(np.isfinite(seen.sizes), seen.sizes, 0.0), axis=(0, 1), initial=0.0)
+        size = largest(seen.sizes)
         points = search.points(seen.points[:, 0])
         after = (points[2] - solution.times[0]) / np.ptp(solution.times)
         inner = (after > TRAJECTORY_ENDS) & (after < 1 - TRAJECTORY_ENDS)
         k, step = few_of_each((np.abs(seen.margins[:, 0]) <= NEAR_MARGIN * size) & inner[:, None])
-        near = vec.taken(points, k)
-        if found is not None:  # between two points it comes near to a jump, or passes a window that is narrower
-            touches = (np.abs(found.margins) <= NEAR_MARGIN * size[found.step]) & ~found.compared
-            step = np.concatenate([step, found.step[touches]])
-            near = vec.joined([near, search.points(found.points[touches])])
+        # Between two points it comes near to a jump, or passes a window that is narrower.
+        touches = (np.abs(found.margins) <= NEAR_MARGIN * size[found.step]) & ~found.compared
+        near = vec.joined([vec.taken(points, k), search.points(found.points[touches])])
+        step = np.concatenate([step, found.step[touches]])
         beside = self._through(rates, solution, given, near, step, (size, sizes))
         return self._words_of_rates(beside, given[0], BESIDE) if beside else ""
 
@@ -127,24 +121,16 @@ class SmoothnessAlongSolution:
         search = self._search(function, solution, given, axes)
         slopes = search.at(given, axes, np.zeros((count * n, 1))).slopes.reshape(count, n, -1)
         slope = slopes[np.arange(count), :, step] * free
-        with np.errstate(all="ignore"):
-            length = REACH_RATIO * NEAR_MARGIN * np.where(sizes[0] > 0, sizes[0], 1.0)[step][:, None]
-            ways = slope / np.sum(slope**2, axis=1, keepdims=True) * length
-        known = np.all(np.isfinite(ways), axis=1)
-        lines = vec.taken(Curves.straight(points, ways @ moves), known)
-        ends = np.tile([-1.0, 1.0], (len(lines.times), 1))
-        own = np.equal(step[known, None], np.arange(slopes.shape[2]))
-        found = search.crossings(given, lines, ends, search.at(given, lines, ends), own) if len(ends) else None
-        return largest_jump(search.jumps(found, sizes[1]))
+        length = REACH_RATIO * NEAR_MARGIN * np.where(sizes[0] > 0, sizes[0], 1.0)[step][:, None]
+        lines = Curves.straight(points, slope / np.sum(slope**2, axis=1, keepdims=True) * length @ moves)
+        ends, own = np.tile([-1.0, 1.0], (count, 1)), np.equal(step[:, None], np.arange(slopes.shape[2]))
+        return largest_jump(search.jumps(search.crossings(given, lines, ends, own), sizes[1]))
 
     def _in_controls(self, solution: Solution) -> str:
         """Words on a jump in the controls, searched from the controls of some stages."""
         stages = np.unique(np.linspace(0, len(solution.stage_times) - 1, CONTROL_STAGES).round().astype(int))
         points = vec.taken((solution.stage_states, solution.controls, solution.stage_times), stages)
-        size = 1.0
-        if isinstance(self.problem.controls, Euclidean):
-            size = float(np.max(np.abs(points[1]), initial=0.0)) or 1.0
-        lines = control_lines(self.problem, points, size)
+        lines = control_lines(self.problem, points)
         given, bound = (solution.parameters, None), self.problem.with_parameters(solution.parameters)
         search = self._search(rates, solution, given, lines[0])
         return control_jump_words(bound, search, lines, self.of_controls, given, timed=True)
@@ -199,17 +185,7 @@ class SmoothnessAlongSolution:
         controls = vec.taken(solution.controls, np.repeat(np.arange(steps * count), PIECES_OF_STAGES))
         if not self.timed:  # no jump in time is passed
             times, ways[:, 1, -1] = times + ends[:, 0] * ways[:, 1, -1], 0.0
-        rows = (leaf.reshape(len(ends), -1) for leaf in jax.tree.leaves((states, controls, ways)))
-        known = np.all([np.all(np.isfinite(row), axis=1) for row in rows], axis=0)
-        return vec.taken(Curves(states, controls, times, ways), known), ends[known]
-
-    def _sizes(self, values: np.ndarray) -> np.ndarray:
-        """The size of each entry of the functions along the trajectory, at least the rounding in its array."""
-        sizes = np.max(np.abs(np.where(np.isfinite(values), values, 0.0)), axis=(0, 1), initial=0.0)
-        for place in self.state.places:
-            least = HIDDEN / SMALLEST_JUMP * tolerance(values, 1.0) * np.max(sizes[place], initial=0.0)
-            sizes[place] = np.maximum(sizes[place], least)
-        return sizes
+        return Curves(states, controls, times, ways), ends
 
 
 def _at_start(problem: OptimalControlProblem, q: Ambient, _: Ambient, last: Ambient) -> Array:

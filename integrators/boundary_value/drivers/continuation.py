@@ -231,7 +231,7 @@ class Predictor:
             derivatives = self.solver.sensitivity(solution)
         except ConvergenceError:
             return None
-        change = jax.tree.map(_change, before, after, is_leaf=is_free)
+        change = jax.tree.map(_change, before, after)
         along = push_forward(self.manifold, solution, derivatives, change)
         states, costates = self.state.rows(along.states, 1), self.state.rows(along.costates, 1)
         nodes, at_nodes = self._pair(solution.states, states, solution.costates, costates)

@@ -76,7 +76,7 @@ def multistart(
     for name, value, least in (("count", count, 1), ("seed", seed, 0)):
         if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
             raise InvalidInputError(f"{name} must be a whole number of at least {least}, got {value!r}")
-    given = jax.tree.map(partial(_repeat, count), parameters, is_leaf=is_free)
+    given = jax.tree.map(partial(_repeat, count), parameters)
     guesses = _guesses(solver, start, end, count, seed)
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
     found = solver.solve_many(start, end, horizon, guesses, given, **options)

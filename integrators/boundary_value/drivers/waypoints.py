@@ -15,6 +15,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.requirements import HELD, require_treated
 from ...reporting.records import Along
 from ...reporting.text import brief
+from ...stages.explicit_runge_kutta import mesh_times
 from ..guess import Guess
 from ..inputs.arguments import LIMITS, BoundaryData, Method, step_fractions
 from ..solution.diagnostics import RegularChecks
@@ -31,14 +32,14 @@ def phases_through(
 ) -> list[Phase]:
     """The phases between the waypoints, with the parts of a guess; ``through`` has the points by their times."""
     require_treated(problem, "solve with through", *LIMITS, "an initial cost", "an explicit time", HELD)
-    free = any(map(is_free, jax.tree.leaves((given.horizon, given.parameters), is_leaf=is_free)))
+    free = any(map(is_free, jax.tree.leaves((given.horizon, given.parameters))))
     if free or given.start_time or not is_finite_number(given.horizon):
         raise InvalidInputError(
             f"through fixes times, and horizon is {brief(given.horizon)}, start_time {given.start_time}, parameters "
             f"{brief(given.parameters)}; expected a given horizon, given parameters and start time 0; try solve_phases"
         )
     fractions = step_fractions(steps)
-    nodes = float(given.horizon) * np.concatenate([[0.0], np.cumsum(fractions)])
+    nodes, _ = mesh_times(float(given.horizon) * fractions, method.nodes)
     places = _places(through, nodes)
     cuts = [0, *places.values(), len(fractions)]
     points, stages = [*(through[t] for t in places), given.end], len(method.nodes)

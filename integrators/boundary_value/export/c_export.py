@@ -18,7 +18,7 @@ from ...reporting.text import brief
 from ..inputs.arguments import ALONG
 from ..inputs.options import Options
 from ..solution.record import Solution
-from ..transcription.core_transcription import flat_limits, make_transcription, put
+from ..transcription.core_transcription import arrays_of_member, flat_limits, make_transcription
 
 AGREE = 1e-9  # relative: the costs of a search of the core and of the solution
 UNTAPED = (
@@ -139,7 +139,7 @@ def pose(solver: Any, found: tuple[Any, Any, Any], solution: Solution, options: 
     transcription = make_transcription(conditions, 0)
     guess = taken(kept.transcribed.guess, place)
     given = transcription.trajectory()
-    put(given, conditions, guess, 0)
+    given.take(arrays_of_member(conditions, guess, 0))
     if not _leads_to(transcription, given, solution.cost, options):
         given.set_iterate(kept.found.system(kept.place).iterate)
     steps, numbers = conditions.data.steps[0], PointLayout.of(solver.problem.manifold).size

@@ -10,7 +10,7 @@ from ....manifolds import InvalidInputError
 from ....manifolds.numerics.ambient import is_count, is_finite_number
 from ....manifolds.numerics.tolerances import SAME_TIME
 from ....retractions import CollocationMethod, DiscretizationMap
-from ...problem.free_quantities import is_free, with_guess
+from ...problem.free_quantities import with_guess
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem_checks.requirements import HELD, require_same_manifold, require_treated
 from ...reporting.text import brief
@@ -36,7 +36,7 @@ class BoundaryData(NamedTuple):
     def near(self, solution: Any) -> "BoundaryData":
         """The data, in which a free horizon and free parameters have their values in a solution as guesses."""
         found = solution.horizon, solution.parameters
-        horizon, parameters = jax.tree.map(with_guess, (self.horizon, self.parameters), found, is_leaf=is_free)
+        horizon, parameters = jax.tree.map(with_guess, (self.horizon, self.parameters), found)
         return self._replace(horizon=horizon, parameters=parameters)
 
 
@@ -45,7 +45,7 @@ def structure_of(parameters: Any, axes: int = 0) -> Any:
     if parameters is None:
         return NO_PARAMETERS
     leaves, structure = jax.tree.flatten(parameters)
-    return structure, tuple(np.shape(leaf)[axes:] for leaf in leaves)
+    return structure, tuple([np.shape(leaf)[axes:] for leaf in leaves])
 
 
 def copy_parameters(parameters: Any) -> Any:

@@ -335,8 +335,7 @@ def _warn_of_rounding(manifold: Manifold, violation: float) -> None:
 
 def _known_guess(problem: OptimalControlProblem, given: BoundaryData) -> BoundaryData:
     """The data with the guesses of free quantities, and the same object if nothing needs more states."""
-    leaves = jax.tree.leaves(given.parameters, is_leaf=is_free)
-    if not (problem.time_dependent or any(map(is_free, (given.horizon, *leaves)))):
+    if not (problem.time_dependent or any(map(is_free, jax.tree.leaves((given.horizon, given.parameters))))):
         return given
     return given._replace(horizon=guess_of(given.horizon), parameters=guesses_of(given.parameters))
 

@@ -55,7 +55,7 @@ def member_of(ends: BoundaryDataReader, given: BoundaryData, k: int) -> Boundary
     """The data of member ``k`` of a batch."""
     start, end = ends.member(given.start, k), ends.member(given.end, k)
     shared = given.horizon, given.parameters, given.start_time
-    return BoundaryData(start, end, *jax.tree.map(partial(entry_of, k=k), shared, is_leaf=is_free))
+    return BoundaryData(start, end, *jax.tree.map(partial(entry_of, k=k), shared))
 
 
 def entry_of(leaf: Any, k: int) -> Any:

@@ -23,7 +23,7 @@ class ReformulationKind(NamedTuple):
     @classmethod
     def of(cls, horizon: Any, parameters: Any) -> "ReformulationKind":
         """The free and the bounded quantities of a horizon and of parameters."""
-        leaves, structure = jax.tree.flatten(parameters, is_leaf=is_free)
+        leaves, structure = jax.tree.flatten(parameters)
         sides = np.isfinite(entry_rows(leaves, "lower")), np.isfinite(entry_rows(leaves, "upper"))
         free = tuple(place for place, leaf in enumerate(leaves) if is_free(leaf))
         limits = (horizon.lower > 0, bool(np.isfinite(horizon.upper))) if is_free(horizon) else (False, False)

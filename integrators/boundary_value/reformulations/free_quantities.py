@@ -114,7 +114,7 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
     def _guesses(self, given: BoundaryData, guess: Guess | None) -> np.ndarray:
         """The constants that are guessed, strictly inside their bounds; by little where a guess knows multipliers of
         these."""
-        leaves, share = jax.tree.leaves(given.parameters, is_leaf=is_free), BOUND_MARGIN
+        leaves, share = jax.tree.leaves(given.parameters), BOUND_MARGIN
         if guess is not None and not BOUND_NAMES.isdisjoint(guess.multipliers or {}):
             share = MULTIPLIER_MARGIN
         first, lower, upper = (
@@ -134,7 +134,7 @@ class FreeQuantities(Reformulation[Inputs, BoundaryData, Solution, Solution]):
         """The parameters of the reformulation, fixed parameters, bounds and the start time, or None without any."""
         if not self.takes:
             return None
-        leaves = jax.tree.leaves(given.parameters, is_leaf=is_free)
+        leaves = jax.tree.leaves(given.parameters)
         sides = ("lower", self.kind.below), ("upper", self.kind.above)
         below, above = (entry_rows(leaves, name)[list(entries)] for name, entries in sides)
         both = zip(self.kind.horizon_bounds, ("lower", "upper"), strict=True)

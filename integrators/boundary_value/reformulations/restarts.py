@@ -10,7 +10,10 @@ import numpy as np
 
 from ....compute.binding.structs import Residual
 from ....manifolds.numerics.ambient import taken
-from ..transcription.member_search import MemberSearch
+from ..inputs.options import Options
+from ..transcription.discrete_phase import LinkedPhases
+from ..transcription.iterate import LinkedIterate
+from ..transcription.member_search import MemberSearch, Watch
 from ..transcription.rollout import rollout
 from ..transcription.search_record import MemberIterate, SearchRecord
 
@@ -19,19 +22,17 @@ NEAR = 1e-2  # residuals from which a step of Newton's own leads to an extremal
 NARROW = 1e-2  # width of the funnel of a search from a trajectory without infeasibility
 
 
-def search_member(member: MemberSearch, more: Callable[[], bool] = lambda: True) -> SearchRecord:
-    """The result of the search from the guess of a member, or of the best restart.
-
-    ``more``: whether there are restarts, asked where the search finds no minimum.
-    """
+def search_member(problem: LinkedPhases, guess: LinkedIterate, options: Options, watch: Watch, k: int) -> SearchRecord:
+    """The result of the search from the guess of member ``k`` of a batch, or of the best restart."""
+    member = MemberSearch(problem, guess, k, (options.tolerance, options.max_iterations), watch)
     found = first = member.from_guess()
     for restart in RESTARTS:
-        if member.watch.stopped or (found.facts.claimed and found.facts.strict) or not more():
+        if watch.stopped or (found.facts.claimed and found.facts.strict) or not options.restarts():
             break
         try:
             found = restart(member, first, found)
         except KeyboardInterrupt:
-            member.watch.stop()
+            watch.stop()
     return found
 
 

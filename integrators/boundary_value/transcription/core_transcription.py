@@ -1,6 +1,7 @@
 """Transcribed problems for the compiled core, and the results of its searches as discrete extremals."""
 
 from collections.abc import Sequence
+from functools import partial
 from threading import local
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -12,13 +13,11 @@ from ....compute.binding.problem_functions import CallbackFunction
 from ....compute.binding.search import SearchFacts
 from ....compute.binding.structs import Residual
 from ....compute.binding.tape_machine import MachineProgram
-from ....compute.binding.transcription import IterateNumbers, Sizes, Trajectory, Transcription
-from ....manifolds.numerics.ambient import joined
+from ....compute.binding.transcription import IterateNumbers, Sizes, Transcription
 from ...problem.point_layout import PointLayout
 from .discrete_extremals import DiscreteExtremals, Inequalities, Residuals
 from .discrete_phase import DiscretePhase
 from .functions.linked_ends import LinkageFunctions
-from .functions.steps import AtStages
 from .iterate import CollocationUnknowns, Iterate, Slacks, Unknowns
 from .kkt_system import KKTSystem
 from .search_record import PhaseRecord, SearchRecord
@@ -100,34 +99,30 @@ def flat_limits(steps: Any, array: np.ndarray) -> np.ndarray:
 
 
 def whole_limits(steps: Any, flat: np.ndarray, count: int, unasked: float) -> np.ndarray:
-    """An array of inequalities of so many steps, shape ``(1, N, r, c)``, from the order of the core.
+    """Arrays of inequalities of so many steps, shape ``(B, N, r, c)``, from rows in the order of the core.
 
     ``unasked``: the number where there is none.
     """
-    at_points, at_nodes = steps.limit_sizes
+    (at_points, at_nodes), members = steps.limit_sizes, len(flat)
+    shape = members, count, steps.places, steps.inequalities
     if not at_nodes:
-        return flat.reshape(1, count, steps.places, steps.inequalities).copy()
-    whole, of_points = np.full((1, count, steps.places, steps.inequalities), unasked), count * steps.stages * at_points
-    whole[0, :, : steps.stages, :at_points] = flat[:of_points].reshape(count, steps.stages, at_points)
-    whole[0, :, steps.stages, at_points:] = flat[of_points:].reshape(count, at_nodes)
+        return flat.reshape(shape)
+    whole, of_points = np.full(shape, unasked), count * steps.stages * at_points
+    whole[:, :, : steps.stages, :at_points] = flat[:, :of_points].reshape(members, count, steps.stages, at_points)
+    whole[:, :, steps.stages, at_points:] = flat[:, of_points:].reshape(members, count, at_nodes)
     return whole
-
-
-def put(to: Trajectory, conditions: DiscretePhase, iterate: Iterate, k: int) -> None:
-    """Write the data of a member and the unknowns of its iterate."""
-    to.take(_arrays_of_member(conditions, iterate, k))
 
 
 def numbers_of(conditions: DiscretePhase, iterate: Iterate, k: int) -> IterateNumbers:
     """The data of a member and the unknowns of its iterate, in the order of the core."""
     of = transcription_of(conditions)
     numbers = IterateNumbers(np.zeros(of.iterate_numbers), of.parts)
-    for name, array in _arrays_of_member(conditions, iterate, k).items():
+    for name, array in arrays_of_member(conditions, iterate, k).items():
         numbers.array(name)[...] = array.ravel()
     return numbers
 
 
-def _arrays_of_member(conditions: DiscretePhase, iterate: Iterate, k: int) -> dict[str, np.ndarray]:
+def arrays_of_member(conditions: DiscretePhase, iterate: Iterate, k: int) -> dict[str, np.ndarray]:
     """The data of a member and the unknowns of its iterate, by the names of the core."""
     data, ends = conditions.data, conditions.ends
     arrays = {
@@ -150,13 +145,13 @@ def _arrays_of_member(conditions: DiscretePhase, iterate: Iterate, k: int) -> di
     return arrays
 
 
-def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
-    """The iterate of one member, in arrays of the shapes of a batch of iterates."""
+def iterates_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
+    """The iterates of members whose numbers are in rows, in arrays of the shapes of a batch of iterates."""
 
     def array(name: str, own: np.ndarray) -> np.ndarray:
-        return found.array(name).reshape(1, *own.shape[1:])
+        return found.array(name).reshape(len(found.numbers), *own.shape[1:])
 
-    unknowns_like, count = like.unknowns, len(like.costates[0]) - 1
+    unknowns_like, count = like.unknowns, like.costates.shape[1] - 1
     if isinstance(unknowns_like, CollocationUnknowns):
         names = "CENTRES", "VELOCITIES", "CONTROLS", "POINT_COSTATES"
         unknowns: Any = CollocationUnknowns(*map(array, names, unknowns_like))
@@ -166,12 +161,12 @@ def iterate_of(found: IterateNumbers, like: Iterate, steps: Any) -> Iterate:
 
 
 def _slacks(found: IterateNumbers, steps: Any, count: int) -> Slacks | None:
-    """The slacks and multipliers of the inequalities of one member, if there are any."""
+    """The slacks and multipliers of the inequalities of members, if there are any."""
     if not steps.inequalities:
         return None
     none = {"SLACKS": 1.0, "LIMIT_MULTIPLIERS": 0.0, "EXCESSES": 0.0, "PENALTIES": np.inf}
     arrays = (whole_limits(steps, found.array(name), count, unasked) for name, unasked in none.items())
-    return Slacks(*arrays, barrier=found.array("BARRIER"))
+    return Slacks(*arrays, barrier=found.array("BARRIER")[:, 0])
 
 
 def extremals_of(
@@ -180,23 +175,24 @@ def extremals_of(
     """The results of a phase for the members of a batch together."""
     steps, shape = conditions.transcription, guess.costates.shape
     members = [record.phases[phase] for record in records]
-    iterate = joined([iterate_of(member.iterate, guess, steps) for member in members])
-
-    def at_stages(costates: np.ndarray) -> AtStages:
-        return steps.at_stages(iterate.unknowns, costates, conditions.data, iterate.slacks)
+    fields: Any = zip(*records, strict=True), zip(*members, strict=True)
+    each: Any = SearchRecord(*fields[0])  # of all members: a tuple for each field
+    own: Any = PhaseRecord(*fields[1])
+    numbers = _rows([iterate.numbers for iterate in own.iterate])
+    iterate = iterates_of(own.iterate[0]._replace(numbers=numbers), guess, steps)
 
     def system(k: int) -> KKTSystem:
         return KKTSystem(transcription_of(conditions), members[k].iterate, members[k].steps)
 
-    columns: Any = map(np.array, zip(*[record.facts for record in records], strict=True))
+    columns: Any = map(np.array, zip(*each.facts, strict=True))
     facts: Any = SearchFacts(*columns)  # of all members: an array for each
     return DiscreteExtremals(
-        nodes=_rows([member.nodes for member in members]).reshape(shape),
-        costates=_rows([member.costates for member in members]).reshape(shape),
-        cost=_rows([member.totals for member in members])[:, 0],
-        residuals=Residuals(*_rows([record.residuals for record in records]).T[JUDGED]),
-        missing=_rows([record.missing for record in records]),
-        inequalities=_inequalities(conditions, iterate.slacks, members),
+        nodes=_rows(own.nodes).reshape(shape),
+        costates=_rows(own.costates).reshape(shape),
+        cost=_rows(own.totals)[:, 0],
+        residuals=Residuals(*_rows(each.residuals).T[JUDGED]),
+        missing=_rows(each.missing),
+        inequalities=_inequalities(conditions, iterate.slacks, own),
         strict_minimum=facts.strict,
         convex=facts.legendre_holds,
         iterations=facts.iterations,
@@ -205,7 +201,7 @@ def extremals_of(
         solvable=facts.solvable,
         infeasible=facts.infeasible,
         falling=facts.diverging,
-        at_stages=at_stages,
+        at_stages=partial(steps.at_stages, iterate.unknowns, data=conditions.data, slacks=iterate.slacks),
         system=system,
         stopped=stopped,
     )
@@ -216,14 +212,11 @@ def _rows(arrays: Sequence[np.ndarray]) -> np.ndarray:
     return arrays[0][None] if len(arrays) == 1 else np.stack(arrays)
 
 
-def _inequalities(
-    conditions: DiscretePhase, slacks: Slacks | None, members: Sequence[PhaseRecord]
-) -> Inequalities | None:
-    """The inequalities along all members, if there are any."""
+def _inequalities(conditions: DiscretePhase, slacks: Slacks | None, members: Any) -> Inequalities | None:
+    """The inequalities along all members, if there are any, from the fields of the records of a phase."""
     if slacks is None:
         return None
     steps, count = conditions.transcription, conditions.data.steps.shape[1]
-    values = np.concatenate([whole_limits(steps, member.limits, count, 0.0) for member in members])
-    sizes = np.stack([member.limit_sizes for member in members])[:, None, None]
-    rate = np.array([member.rate for member in members])
-    return Inequalities(values, steps.weights(conditions.data), slacks.slacks, slacks.multipliers, sizes, rate)
+    values, sizes = whole_limits(steps, _rows(members.limits), count, 0.0), _rows(members.limit_sizes)[:, None, None]
+    weights, rate = steps.weights(conditions.data), np.array(members.rate)
+    return Inequalities(values, weights, slacks.slacks, slacks.multipliers, sizes, rate)

@@ -9,7 +9,7 @@ import numpy as np
 from ....compute.binding.multiphase import Multiphase
 from ....compute.binding.search import Feasibility, Search, SearchResult, SearchStatus
 from ..iteration_reports import Iteration, stops
-from .core_transcription import coupled_ends, numbers_of, put, transcription_of
+from .core_transcription import arrays_of_member, coupled_ends, numbers_of, transcription_of
 from .discrete_phase import DiscretePhase, LinkedPhases
 from .iterate import Iterate, LinkedIterate
 from .search_record import MemberIterate, PhaseRecord, SearchRecord
@@ -64,7 +64,7 @@ class MemberSearch:
         """The result of a search from the guess, or from a perturbed one where the guess is degenerate."""
         search = self._search(detect_degenerate=True)
         for j, (phase, part) in enumerate(zip(self.problem.phases, self.parts, strict=True)):
-            put(search.phase(j), phase, part, self.k)
+            search.phase(j).take(arrays_of_member(phase, part, self.k))
         search.multipliers()[...] = self._multipliers
         return self._record(search, self._run(search) is SearchStatus.DEGENERATE)
 
@@ -163,6 +163,5 @@ class MemberSearch:
 def _phase_record(found: SearchResult) -> PhaseRecord:
     """The record of a phase, whose arrays no other search overwrites."""
     at = found.trajectory
-    nodes, costates, totals, limits = [at[name].copy() for name in ("NODES", "NODE_COSTATES", "TOTALS", "LIMITS")]
-    sizes = found.judging.copy, found.steps.copy, found.limits.copy()
-    return PhaseRecord(nodes, costates, totals, limits, at.iterate, *sizes, found.rate)
+    arrays = at["NODES"].copy(), at["NODE_COSTATES"].copy(), at["TOTALS"].copy(), at["LIMITS"].copy()
+    return PhaseRecord(*arrays, at.iterate, found.judging.copy, found.steps.copy, found.limits.copy(), found.rate)

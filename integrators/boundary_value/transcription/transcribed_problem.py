@@ -124,7 +124,7 @@ class Transcription:
         self, traced: TracedFunctions, inputs: Inputs, rows: tuple[np.ndarray, np.ndarray], data: Data
     ) -> Iterate:
         """The guesses that are given, or the default guesses."""
-        count, size = len(inputs), self.state.size
+        count, size = len(data.steps), self.state.size
         shape, slacks, known = (count, len(self.fractions), len(self.stages)), None, None
         if inputs.guesses is None:
             inputs.ends.require_known(inputs.given.start)

@@ -7,18 +7,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.flatten_util import ravel_pytree
 from jaxtyping import Array
 
-from ....compute.jit_cache import call_in_chunks, compile_function
+from ....compute.at_points import evaluate_at_each
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Retraction
 from ....tracing import one_tracing
-from .jumps import SMALLEST_JUMP, Jump, JumpSearch
+from .jumps import JumpSearch
 from .step_primitives import find_step_primitives
 
-CLOCK_SHARE = 0.1  # of a jump: what the clocks alone may leave of it
 # Of a jump: what the Hamiltonian changes by, at least, between states that are more than a step apart.
 SEEN_BESIDE = 0.5
 
@@ -38,10 +36,9 @@ class Segments(NamedTuple):
 
 
 class PassedJump(NamedTuple):
-    """A jump: in which segment, where in it, by how much, between which states, and what computes it."""
+    """A jump: on which segment, by how much, near which state, and what computes it."""
 
     segment: int
-    place: float
     change: float
     state: Ambient
     steps: list[str]
@@ -59,7 +56,7 @@ class PassedJump(NamedTuple):
         return (
             f"{self.fact('where the trajectory passes')}; expected a Hamiltonian without jumps there, because the "
             "momenta jump with it, and those of the trajectory do not; try jnp.tanh(x / a) with a small a instead of "
-            "a step"
+            "a step, or, for a step in time, integrate until then and from there on, each part with its own Hamiltonian"
         )
 
 
@@ -81,15 +78,16 @@ class Energy(NamedTuple):
         if not steps:
             return []
         search = JumpSearch(self._value, partial(_along, self.retraction), None, vec.taken(segments, 0))
-        ends = np.tile([0.0, 1.0], (count, 1))
-        seen = search.at(None, segments, ends)
-        found = search.crossings(None, segments, ends, seen, np.ones(seen.margins.shape[::2], bool))
-        # In the order of segments, and in each the largest one first; what is rounding is told below.
-        jumps = sorted(search.jumps(found, np.zeros(1)), key=lambda jump: (jump.line, -abs(jump.change)))
-        change = np.diff(seen.values[:, :, 0], axis=1)[:, 0]
-        jumps = [jump for jump in jumps if not apart or abs(change[jump.line]) > SEEN_BESIDE * abs(jump.change)]
-        passed = {jump.line: jump for jump in reversed(self._significant_jumps(segments, jumps))}
-        return [PassedJump(k, jump.place, jump.change, jump.point[0], steps) for k, jump in sorted(passed.items())]
+        ends, every = np.tile([0.0, 1.0], (count, 1)), np.ones((count, 1), bool)
+        found = search.crossings(None, segments, ends, every)
+        if not np.any(found.compared):
+            return []
+        terms = evaluate_at_each(self._terms, search.points(found.points))
+        change, passed = np.diff(found.ends.values[:, :, 0])[:, 0], dict[int, PassedJump]()
+        for jump in sorted(search.jumps(found, terms), key=lambda jump: -abs(jump.change)):
+            if not apart or abs(change[jump.line]) > SEEN_BESIDE * abs(jump.change):
+                passed.setdefault(jump.line, PassedJump(jump.line, jump.change, jump.point[0], steps))
+        return [passed[line] for line in sorted(passed)]
 
     def _value(self, _: None, *point: Any) -> Array:
         return jnp.reshape(self.function(self.system, *point), (1,))
@@ -103,18 +101,12 @@ class Energy(NamedTuple):
             key = "steps of", id(method), id(self.system)
             return reading.once(key, lambda: (search(), method, self.system))[0]
 
-    def _significant_jumps(self, segments: Segments, jumps: list[Jump]) -> list[Jump]:
-        """The jumps that are no rounding of the terms of the Hamiltonian, and of which the trajectory feels."""
-        if not jumps:
-            return []
-        places = np.array([[jump.place - jump.distance, jump.place + jump.distance] for jump in jumps])
-        own = vec.taken(segments, [jump.line for jump in jumps])
-        sizes, by_clocks = call_in_chunks(partial(_terms, *self), own, places)
-        changes = np.array([jump.change for jump in jumps])
-        # A time that is a coordinate: only its own momentum jumps, and nothing depends on that.
-        in_time = np.abs(by_clocks - changes) < CLOCK_SHARE * np.abs(changes)
-        felt = (np.abs(changes) > SMALLEST_JUMP * sizes) & ~in_time
-        return [jump for jump, one in zip(jumps, felt, strict=True) if one]
+    def _terms(self, point: tuple[Ambient, Ambient, Any]) -> Array:
+        """The size of the terms of the Hamiltonian, of which changes may be rounding."""
+        *z, u = point
+        value, slopes = jax.value_and_grad(lambda z: self.function(self.system, *z, u))(z)
+        parts = jax.tree.map(lambda a, b: jnp.sum(jnp.abs(a * b)), z, slopes)
+        return jnp.reshape(jnp.abs(value) + sum(jax.tree.leaves(parts)), (1,))
 
 
 def _in_one(a: np.ndarray) -> np.ndarray:
@@ -129,36 +121,3 @@ def _along(retraction: Retraction, segment: Segments, s: Array) -> tuple[Ambient
     q = retraction(first, vec.scale(s, retraction.preimage(first, last)))
     p = retraction.manifold.projection(q, vec.add(vec.scale(1 - s, before), vec.scale(s, after)))
     return q, p, control
-
-
-@compile_function
-def _terms(
-    function: Callable[..., Any], system: Any, retraction: Retraction, segments: Segments, places: Array
-) -> tuple[Array, Array]:
-    """The sizes of the terms of the Hamiltonian at the first of two places of segments, and its change by the clocks.
-
-    The clocks are the coordinates whose rates ``dH/dp`` nothing changes.
-    """
-
-    def one(segment: Segments, places: Array) -> tuple[Array, Array]:
-        (*z, u), (later, *_) = (_along(retraction, segment, s) for s in places)
-        value, slopes = jax.value_and_grad(lambda z: function(system, *z, u))(z)
-        parts = jax.tree.map(lambda a, b: jnp.sum(jnp.abs(a * b)), z, slopes)
-        timed = function(system, _advance_clocks(partial(function, system), z, later, u), z[1], u)
-        return jnp.abs(value) + sum(jax.tree.leaves(parts)), timed - value
-
-    return jax.vmap(one)(segments, places)
-
-
-def _advance_clocks(hamiltonian: Callable[..., Array], state: Any, later: Ambient, control: Any) -> Ambient:
-    """The point of a state, with the later values of the clocks."""
-    (q, back), (after, _) = (ravel_pytree(point) for point in (state[0], later))
-    if jnp.iscomplexobj(q):
-        return state[0]
-
-    def rates(q: Ambient, p: Ambient, u: Any) -> Array:
-        return ravel_pytree(jax.grad(hamiltonian, 1)(q, p, u))[0]
-
-    by_all = jax.tree.leaves(jax.jacfwd(rates, (0, 1, 2))(*state, control))
-    steady = jnp.stack([jnp.all(a.reshape(q.size, -1) == 0, axis=1) for a in by_all]).all(axis=0)
-    return back(jnp.where(steady, after, q))

@@ -25,7 +25,7 @@ from jaxtyping import Array
 from ....compute.automatic import AutomaticEvaluator
 from ....compute.base import PointwiseFunction
 from ....manifolds.numerics import ambient as vec
-from ....manifolds.numerics.tolerances import EPS, FINEST, tolerance
+from ....manifolds.numerics.tolerances import EPS, FINEST, rounding_of, tolerance
 from ...problem.point_layout import PointLayout, parameter_layout
 from .step_primitives import with_margins
 
@@ -56,16 +56,15 @@ class Samples(NamedTuple):
 
 
 class Crossings(NamedTuple):
-    """Places of lines where a margin changes its sign or is smallest, and how the function changes there."""
+    """C places of lines where a margin changes its sign or is smallest, and how the function changes there."""
 
+    ends: Samples  # at both ends of all lines
     line: np.ndarray  # (C,)
     step: np.ndarray  # (C,)
-    place: np.ndarray  # (C,)
     points: np.ndarray  # (C, D)
     margins: np.ndarray  # (C,)
     values: np.ndarray  # (C, E), on one side
-    distances: np.ndarray  # (C, J)
-    changes: np.ndarray  # (C, J, E): from one side to the other one, at these distances
+    changes: np.ndarray  # (C, J, E): from one side to the other one, at distances that fall
     opposite: np.ndarray  # (C, J): whether the margin has another sign there, beyond rounding
 
     @property
@@ -75,14 +74,12 @@ class Crossings(NamedTuple):
 
 
 class Jump(NamedTuple):
-    """The largest jump at one place: its share of the size of its entry, and the distance of the sides from it."""
+    """The largest jump at one place of a line, and its share of the size of its entry."""
 
     share: float
     entry: int
     change: float
     line: int
-    place: float
-    distance: float
     point: Any
 
 
@@ -111,73 +108,65 @@ class JumpSearch:
         return self._point.points(flat)
 
     @np.errstate(all="ignore")  # along lines on which nothing is finite nothing changes
-    def crossings(
-        self, given: Any, rows: Any, ends: np.ndarray, seen: Samples, changing: np.ndarray | None = None
-    ) -> Crossings | None:
+    def crossings(self, given: Any, rows: Any, ends: np.ndarray, changing: np.ndarray | None = None) -> Crossings:
         """Where margins change their signs between two places of each line, or nearly do.
 
-        ``ends``, shape ``(K, 2)``; ``seen`` there; ``changing``, ``(K, G)``: the steps that are looked at, else a few
-        lines of each step.
+        ``ends``, shape ``(K, 2)``; ``changing``, ``(K, G)``: the steps that are looked at, else a few lines of each
+        step.
         """
-        above, falls = seen.margins >= 0, seen.margins * seen.slopes < 0
-        found = (above[:, 0] != above[:, 1]) | (falls[:, 0] & (seen.margins * seen.slopes > 0)[:, 1])
+        seen = self.at(given, rows, ends)
+        above, trend = seen.margins >= 0, seen.margins * seen.slopes
+        found = (above[:, 0] != above[:, 1]) | ((trend[:, 0] < 0) & (trend[:, 1] > 0))
         found &= np.all(np.isfinite(seen.margins), axis=1)
         line, step = few_of_each(found) if changing is None else np.nonzero(found & changing)
-        near = self._comes_near(given, vec.taken(rows, line), ends[line], step) if len(line) else np.zeros(0, bool)
-        line, step = line[near], step[near]
-        if not len(line):
-            return None
-        own = vec.taken(rows, line)
-        place = self._close_in(given, own, ends[line], step)
+        line, step, place = self._close_in(given, rows, ends, line, step)
         count = int(-np.log(FINEST * tolerance(place, 1.0)) / np.log(DISTANCE_RATIO))
         distances = (ends[line, 1:] - ends[line, :1]) * DISTANCE_RATIO ** -np.arange(1.0, count + 1)
         at = np.concatenate([place[:, None], place[:, None] - distances, place[:, None] + distances], axis=1)
-        samples = self.at(given, own, at)
+        samples = self.at(given, vec.taken(rows, line), at)
         margins, _, sizes = samples.of_step(step)
         clear = np.abs(margins) > MARGIN_ROUNDING * tolerance(margins, 1.0) * sizes  # nearer the sides are rounding
         before, after = slice(1, count + 1), slice(count + 1, None)
         opposite = ((margins[:, before] >= 0) != (margins[:, after] >= 0)) & clear[:, before] & clear[:, after]
         changes = samples.values[:, after] - samples.values[:, before]
-        here = place, samples.points[:, 0], margins[:, 0], samples.values[:, count]
-        return Crossings(line, step, *here, distances, changes, opposite)
+        here = samples.points[:, 0], margins[:, 0], samples.values[:, count]
+        return Crossings(seen, line, step, *here, changes, opposite)
 
-    def jumps(self, found: Crossings | None, sizes: np.ndarray | None = None) -> list[Jump]:
+    @np.errstate(all="ignore")  # of what is not finite
+    def jumps(self, found: Crossings, sizes: np.ndarray | None = None) -> list[Jump]:
         """The jumps at places; ``sizes`` of the entries, unless the values there tell them."""
-        if found is None:
-            return []
         jumps = list[Jump]()
+        every = np.broadcast_to(np.abs(found.values) if sizes is None else sizes, found.values.shape)
         for k in np.flatnonzero(found.compared):
-            last = np.flatnonzero(found.opposite[k])[-LAST_DISTANCES:]
-            changes = np.abs(found.changes[k, last])
-            own = np.abs(found.values[k]) if sizes is None else sizes
-            least = np.maximum(SMALLEST_JUMP * own, HIDDEN * EPS * np.max(own[np.isfinite(own)], initial=0.0))
-            with np.errstate(all="ignore"):
-                lasts = np.all(np.isfinite(changes), axis=0) & (changes[-1] > least)
-                lasts &= changes[-1] >= JUMP_DECREASE * changes[0]
-                shares = np.where(lasts, changes[-1] / np.maximum(own, changes[-1]), 0.0)
+            changes, own = found.changes[k, np.flatnonzero(found.opposite[k])[-LAST_DISTANCES:]], every[k]
+            first, last = np.abs(changes[0]), np.abs(changes[-1])
+            hidden = max(HIDDEN * EPS, rounding_of(changes)) * np.max(own[np.isfinite(own)], initial=0.0)
+            least = np.maximum(SMALLEST_JUMP * own, hidden)
+            lasts = np.all(np.isfinite(changes), axis=0) & (last > least) & (last >= JUMP_DECREASE * first)
             if np.any(lasts):
+                shares = np.where(lasts, last / np.maximum(own, last), 0.0)
                 i = int(np.argmax(shares))
-                where = int(found.line[k]), float(found.place[k]), float(found.distances[k, last[-1]])
-                point = self.points(found.points[k])
-                jumps.append(Jump(shares[i], i, float(found.changes[k, last[-1], i]), *where, point))
+                jumps.append(Jump(shares[i], i, changes[-1, i], int(found.line[k]), self.points(found.points[k])))
         return jumps
 
-    def _comes_near(self, given: Any, rows: Any, ends: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Whether the margin of a step comes near to zero on each line: nearer than by what it changes there."""
-        margins, _, _ = self.at(given, rows, _piece_ends(ends)).of_step(step)
-        return ~(np.min(np.abs(margins), axis=1) > np.ptp(margins, axis=1))
-
-    def _close_in(self, given: Any, rows: Any, ends: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """The place on each line where the margin of a step changes its sign, or else is nearest to zero.
+    def _close_in(
+        self, given: Any, rows: Any, ends: np.ndarray, line: np.ndarray, step: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The lines and steps whose margin comes nearer to zero than by what it changes, and the place of each.
 
         Of the pieces of an interval the next one is the first with ends on two sides, or else the first whose margin
         falls at one end and rises at the other one, or else that which ends nearest to zero.
         """
-        ends = ends.astype(self._samples.precision)
+        ends = ends[line].astype(self._samples.precision)
         rounds = int(np.ceil(np.log(LOCATION_ACCURACY * FINEST * tolerance(ends, 1.0)) / -np.log(PIECES)))
-        for _ in range(rounds):
-            places = _piece_ends(ends).astype(ends.dtype)
-            margins, slopes, _ = self.at(given, rows, places).of_step(step)
+        for k in range(rounds):
+            if not len(line):
+                break
+            places = np.linspace(ends[:, 0], ends[:, 1], PIECES + 1, axis=1, dtype=ends.dtype)
+            margins, slopes, _ = self.at(given, vec.taken(rows, line), places).of_step(step)
+            if k == 0:
+                near = ~(np.min(np.abs(margins), axis=1) > np.ptp(margins, axis=1))
+                line, step, places, margins, slopes = (a[near] for a in (line, step, places, margins, slopes))
             above, trend = margins >= 0, margins * slopes
             crossed = above[:, 1:] != above[:, :-1]
             dips = (trend[:, :-1] < 0) & (trend[:, 1:] > 0)
@@ -185,7 +174,7 @@ class JumpSearch:
             first = np.where(np.any(dips, axis=1), np.argmax(dips, axis=1), nearest)
             first = np.where(np.any(crossed, axis=1), np.argmax(crossed, axis=1), first)
             ends = np.take_along_axis(places, np.stack([first, first + 1], axis=1), 1)
-        return ends[:, 1]
+        return line, step, ends[:, 1]
 
     @cached_property
     def _samples(self) -> PointwiseFunction:
@@ -203,12 +192,6 @@ class JumpSearch:
         return point, values, *margins, slopes.values
 
 
-def _piece_ends(ends: np.ndarray) -> np.ndarray:
-    """The ends of the pieces of intervals, shape ``(K, PIECES + 1)``."""
-    inner = ends[:, :1] + (ends[:, 1:] - ends[:, :1]) * (np.arange(1, PIECES) / PIECES)
-    return np.concatenate([ends[:, :1], inner, ends[:, 1:]], axis=1)
-
-
 def few_of_each(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of marks, not more than a few of each column."""
     found = [np.zeros((2, 0), int)]
@@ -221,5 +204,10 @@ def few_of_each(marks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def largest_jump(jumps: list[Jump]) -> Jump | None:
-    """The one that changes most, relative to the size of its entry."""
+    """The jump that is the largest share of the size of its entry."""
     return max(jumps, key=lambda jump: jump.share, default=None)
+
+
+def largest(samples: np.ndarray) -> np.ndarray:
+    """The largest finite absolute value of each entry among samples, shape ``(K, j, E)``."""
+    return np.max(np.abs(np.where(np.isfinite(samples), samples, 0.0)), axis=(0, 1), initial=0.0)

@@ -7,13 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....manifolds import Euclidean
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ..control_probing import SMOOTH_COSTS
-from .jumps import largest_jump
-from .problem_jumps import control_lines, rate_names, rates, search_on_curves, without_rounding
+from .jumps import largest, largest_jump
+from .problem_jumps import control_lines, control_size, rate_names, rates, search_on_curves, without_rounding
 from .step_primitives import find_step_primitives
 
 KINK_STAGES = 5  # of a trajectory from whose controls is looked
@@ -35,16 +34,15 @@ def find_kinks(problem: OptimalControlProblem, solution: Any) -> str:
     points = vec.taken(points, stages[np.linspace(0, len(stages) - 1, KINK_STAGES).round().astype(int)])
     if not find_step_primitives(lambda u: _slopes(problem, vec.taken(points[0], 0), u), vec.taken(points[1], 0)):
         return ""
-    size = float(np.max(np.abs(points[1]))) or 1.0 if isinstance(problem.controls, Euclidean) else 1.0
-    curves, ends = control_lines(problem, points, size, KINK_DISTANCES)
-    search = search_on_curves(_slopes, problem, None, (None, None), vec.taken(curves, 0))
-    seen = search.at((None, None), curves, ends)
-    sizes = np.max(np.abs(np.where(np.isfinite(seen.values), seen.values, 0.0)), axis=(0, 1))
-    kink = largest_jump(search.jumps(search.crossings((None, None), curves, ends, seen), sizes))
+    lines = control_lines(problem, points, KINK_DISTANCES)
+    search = search_on_curves(_slopes, problem, None, (None, None), vec.taken(lines[0], 0))
+    found = search.crossings((None, None), *lines)
+    kink = largest_jump(search.jumps(found, largest(found.ends.values)))
     if kink is None:
         return ""
     _, u, time = kink.point
     name = rate_names(problem)[kink.entry // problem.controls.dimension]
+    size = control_size(problem, points[1])
     place = jax.tree.map(lambda leaf: without_rounding(leaf, size), u)
     return (
         f"{name} has a kink or a jump in the controls at u = {place}: its derivative by them changes there by "

@@ -8,12 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ....manifolds import InvalidInputError
+from ....manifolds import Euclidean, InvalidInputError
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ....retractions import Retraction
 from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.path_constraints import OF_CONTROL
+from ...problem.point_layout import PointLayout
 from .jumps import SMALLEST_JUMP, Jump, JumpSearch, largest_jump
 from .step_primitives import find_step_primitives
 
@@ -75,9 +76,9 @@ def require_no_jumps(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> 
     """
     steps = control_steps(problem, q, u)
     if steps:
-        curves, ends = control_lines(problem, (*vec.taken((q, u), None), np.zeros(1)))
-        search = search_on_curves(rates, problem, None, (None, None), vec.taken(curves, 0))
-        words = control_jump_words(problem, search, (curves, ends), steps)
+        lines = control_lines(problem, (*vec.taken((q, u), None), np.zeros(1)))
+        search = search_on_curves(rates, problem, None, (None, None), vec.taken(lines[0], 0))
+        words = control_jump_words(problem, search, lines, steps)
         if words:
             raise InvalidInputError(words)
 
@@ -90,14 +91,18 @@ def control_steps(problem: OptimalControlProblem, q: Ambient, u: Ambient) -> lis
 def control_lines(
     problem: OptimalControlProblem,
     points: tuple[Ambient, Ambient, np.ndarray],
-    size: float = 1.0,
     distances: np.ndarray = CONTROL_DISTANCES,
 ) -> tuple[Curves, np.ndarray]:
-    """Lines from each of some controls of a size along every coordinate to both sides, and the ends of their pieces."""
-    n, m, grid = problem.manifold.dimension, problem.controls.dimension, size * distances
+    """Lines from each of some controls along every coordinate to both sides, and the ends of their pieces."""
+    n, m, grid = problem.manifold.dimension, problem.controls.dimension, control_size(problem, points[1]) * distances
     k, entry, piece = (part.ravel() for part in np.indices((len(points[2]), m, len(grid) - 1)))
     curves = Curves.straight(vec.taken(points, k), np.eye(n + m + 1)[n + entry])
     return curves, np.stack([grid[piece], grid[piece + 1]], axis=1)
+
+
+def control_size(problem: OptimalControlProblem, controls: Ambient) -> float:
+    """The largest entry of some controls in R^m; 1 for zeros, and on another manifold."""
+    return float(np.max(np.abs(controls), initial=0.0)) or 1.0 if isinstance(problem.controls, Euclidean) else 1.0
 
 
 def control_jump_words(
@@ -112,8 +117,7 @@ def control_jump_words(
 
     The words are empty if there is none.
     """
-    curves, ends = lines
-    found = search.jumps(search.crossings(given, curves, ends, search.at(given, curves, ends)))
+    found = search.jumps(search.crossings(given, *lines))
     jump = largest_jump([jump for jump in found if _is_admissible(problem, jump)])
     if jump is None:
         return ""
@@ -145,18 +149,11 @@ def _is_admissible(problem: OptimalControlProblem, jump: Jump) -> bool:
 def rates(problem: OptimalControlProblem, q: Ambient, u: Ambient, _: None = None) -> Array:
     """The entries of the velocity, the running cost, and the constraints."""
     q, u = jax.tree.map(jnp.asarray, (q, u))  # functions may ask for what arrays of NumPy lack
-    leaves = jax.tree.leaves(problem.velocity(q, u))
-    halves = [
-        jnp.ravel(half) for leaf in leaves for half in ((leaf.real, leaf.imag) if jnp.iscomplexobj(leaf) else (leaf,))
-    ]
-    return jnp.concatenate([*halves, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem._limits.of_functions(q, u)])
+    velocity = PointLayout.of(problem.manifold).flat(problem.velocity(q, u))
+    return jnp.concatenate([velocity, jnp.reshape(problem.cost_rate(q, u), (1,)), *problem._limits.of_functions(q, u)])
 
 
 def rate_names(problem: OptimalControlProblem) -> list[str]:
     """The name of the function of each of these entries."""
-    count = sum(
-        leaf.size * (1 + jnp.issubdtype(leaf.dtype, jnp.complexfloating))
-        for leaf in jax.tree.leaves(problem.manifold.ambient)
-    )
     limits = problem.at_time(0.0)._limits.words_of_entries(problem.manifold.ambient, problem.controls.ambient)
-    return [*count * ["dynamics"], "running_cost", *limits]
+    return [*PointLayout.of(problem.manifold).size * ["dynamics"], "running_cost", *limits]

@@ -18,16 +18,16 @@ from .record import KnownProblem, register
 LINE, PLANE = Euclidean(1), Euclidean(2)
 
 
+def vertical_ascent(q: Any, u: Array) -> Any:
+    """The dynamics of Goddard's rocket, whose exhaust leaves at a velocity of one half."""
+    (h, v), m = q
+    drag = 310 * v**2 * jnp.exp(-500 * (h - 1))
+    return jnp.stack([v, (u[0] - drag) / m[0] - 1 / h**2]), -u / 0.5
+
+
 @register
 def goddard() -> KnownProblem:
     """Goddard's rocket: full thrust, a singular arc, no thrust."""
-    exhaust = 0.5
-
-    def dynamics(q: Any, u: Array) -> Any:
-        (h, v), m = q
-        drag = 310 * v**2 * jnp.exp(-500 * (h - 1))
-        return jnp.stack([v, (u[0] - drag) / m[0] - 1 / h**2]), -u / exhaust
-
     return KnownProblem(
         name="goddard",
         title="Goddard's rocket to the largest height",
@@ -39,7 +39,7 @@ def goddard() -> KnownProblem:
         ),
         problem=OptimalControlProblem(
             PLANE * LINE,
-            dynamics,
+            vertical_ascent,
             lambda q, u: 0.0 * u[0],
             1,
             terminal_cost=lambda q: -q[0][0],
@@ -139,17 +139,19 @@ def linear_tangent_steering() -> KnownProblem:
     )
 
 
+def orbit_under_thrust(q: Any, u: Array) -> Any:
+    """The dynamics of ``orbit_raising``: of the radius, of both velocities and of the time."""
+    r, (v, w) = q[0][0], q[1]
+    thrust = 0.1405 / (1 - 0.0749 * q[2][0])
+    radial = (w**2 - 1) / r**2 + thrust * jnp.sin(u[0])
+    around = -w * v / (2 * r) + jnp.sqrt(r) * thrust * jnp.cos(u[0])
+    return v[None], jnp.stack([radial, around]), jnp.ones(1)
+
+
 @register
 def orbit_raising() -> KnownProblem:
     """The largest circular orbit within a given time under a small thrust. ``w = v sqrt(r)`` is 1 on a circular
     orbit."""
-
-    def dynamics(q: Any, u: Array) -> Any:
-        r, (v, w) = q[0][0], q[1]
-        thrust = 0.1405 / (1 - 0.0749 * q[2][0])
-        radial = (w**2 - 1) / r**2 + thrust * jnp.sin(u[0])
-        around = -w * v / (2 * r) + jnp.sqrt(r) * thrust * jnp.cos(u[0])
-        return v[None], jnp.stack([radial, around]), jnp.ones(1)
 
     def path(s: np.ndarray) -> tuple[Any, Any]:
         states = 1 + 0.5 * s[:, None], np.stack([0.2 * s * (1 - s), np.ones(len(s))], axis=1), 3.32 * s[:, None]
@@ -164,7 +166,7 @@ def orbit_raising() -> KnownProblem:
             r"\dot w = -\frac{w v}{2 r} + \sqrt r\,A \cos a, \quad A = \frac{0.1405}{1 - 0.0749\,t}",
         ),
         problem=OptimalControlProblem(
-            LINE * PLANE * LINE, dynamics, lambda q, u: 0.0 * u[0], 1, terminal_cost=lambda q: -q[0][0]
+            LINE * PLANE * LINE, orbit_under_thrust, lambda q, u: 0.0 * u[0], 1, terminal_cost=lambda q: -q[0][0]
         ),
         start=(np.ones(1), np.array([0.0, 1.0]), np.zeros(1)),
         end=(None, np.array([0.0, 1.0]), None),

@@ -7,8 +7,8 @@ from typing import Any, final
 import numpy as np
 
 from ..integrators import Guess, OptimalControlProblem, Solution, solve
-from ..integrators.boundary_value.guess import stage_places
 from ..integrators.boundary_value.inputs.arguments import Method, step_fractions
+from ..integrators.stages.explicit_runge_kutta import mesh_times
 from ..manifolds import InvalidInputError
 from ..retractions import Gauss, default_retraction
 
@@ -87,7 +87,7 @@ class KnownProblem:
         """The default guess at the stages of the steps; None for the guess of ``solve``."""
         if self.path is None:
             return None
-        return Guess(*self.path(stage_places(self.discretization, step_fractions(self.steps))))
+        return Guess(*self.path(mesh_times(step_fractions(self.steps), self.discretization.nodes)[1]))
 
     def solve(self, steps: Any = None, method: Method | None = None, **options: Any) -> Solution:
         """The solution from the default guess.

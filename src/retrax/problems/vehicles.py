@@ -228,20 +228,22 @@ def zermelo_sphere() -> KnownProblem:
     )
 
 
+def length_around_cap(start: np.ndarray, end: np.ndarray, centre: np.ndarray, radius: float) -> float:
+    """The length of the shortest way around a cap of the sphere, between points that are as far from its centre."""
+    away = np.arccos(start @ centre)
+    tangent = np.arccos(np.cos(away) / np.cos(radius))
+    seen = np.arccos(np.tan(radius) / np.tan(away))
+    east, north = np.cross(centre, start), start - (start @ centre) * centre
+    across = np.arccos((end - (end @ centre) * centre) @ north / (np.linalg.norm(east) * np.linalg.norm(north)))
+    return float(2 * tangent + np.sin(radius) * (across - 2 * seen))
+
+
 @register
 def sphere_obstacle() -> KnownProblem:
     """Around a cap of the sphere: great circles that touch it, joined by a part of its edge."""
     sphere, angle, radius = Sphere(2), 2.0, 0.5
     centre = np.array([0.0, np.sin(0.1), np.cos(0.1)])
     start, end = (np.array([np.sin(a), 0.0, np.cos(a)]) for a in (-angle / 2, angle / 2))
-
-    def length() -> float:
-        away = np.arccos(start @ centre)
-        tangent = np.arccos(np.cos(away) / np.cos(radius))
-        seen = np.arccos(np.tan(radius) / np.tan(away))
-        east, north = np.cross(centre, start), start - (start @ centre) * centre
-        across = np.arccos((end - (end @ centre) * centre) @ north / (np.linalg.norm(east) * np.linalg.norm(north)))
-        return float(2 * tangent + np.sin(radius) * (across - 2 * seen))
 
     return KnownProblem(
         name="sphere-obstacle",
@@ -267,7 +269,7 @@ def sphere_obstacle() -> KnownProblem:
         source="R. Bonalli, A. Bylard, A. Cauligi, T. Lew, M. Pavone, Trajectory optimization on manifolds: a "
         "theoretically-guaranteed "
         "embedded sequential convex programming approach, RSS 2019",
-        optimum=length() ** 2 / 2,
+        optimum=length_around_cap(start, end, centre, radius) ** 2 / 2,
         digits=12,
         origin="closed form",
         formula=r"\frac{L^2}{2T}, \quad L \text{ the length of two tangents and the arc between}",

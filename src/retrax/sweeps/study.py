@@ -153,14 +153,10 @@ def marks(study: Study, count: int) -> dict[str, str]:
     cases."""
     cases = [solve_arguments(study, np.array([k])) for k in (0, count - 1)]
     solver = study.solver
-    bound = solver.problem.with_parameters(jax.tree.map(_first, cases[0].get("parameters"), is_leaf=is_free)).at_time(
-        0.0
-    )
+    bound = solver.problem.with_parameters(jax.tree.map(_first, cases[0].get("parameters"))).at_time(0.0)
     method = f"{solver.problem.manifold!r} {solver.method!r} {solver.fractions.tolist()}"
     given = [{name: value for name, value in case.items() if name != "guesses"} for case in cases]
-    numbers = jax.tree.map(
-        lambda leaf: repr(leaf) if is_free(leaf) else np.asarray(leaf).tolist(), given, is_leaf=is_free
-    )
+    numbers = jax.tree.map(lambda leaf: repr(leaf) if is_free(leaf) else np.asarray(leaf).tolist(), given)
     return {
         "problem": _digest((bound._digest() or b"unknown") + method.encode()),
         "cases": _digest(repr(numbers).encode()),

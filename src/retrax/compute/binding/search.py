@@ -103,7 +103,8 @@ class Search:
         own = self._library = library()
         self._phases = problem if isinstance(problem, Multiphase) else Multiphase((problem,))
         self._of = self._phases.transcriptions
-        size = own.retrax_search_memory(self._phases.address, max_iterations)
+        address = self._phases.address
+        size = own.retrax_search_memory(address, max_iterations)
         if not size:
             raise InvalidInputError(f"a search has 1 to {MOST_ITERATIONS} iterations, got {max_iterations}")
         self._memory = self._of[0].search_room(-(-size // BYTES))
@@ -114,7 +115,7 @@ class Search:
             tolerance, max_iterations, width, penalty_scale, detect_degenerate, self._callback, None
         )
         best = self._of[0].instruction_set
-        self._search = own.retrax_search_make(self._phases.address, byref(options), best, self._place)
+        self._search = own.retrax_search_make(address, byref(options), best, self._place)
 
     @property
     def trajectory(self) -> Trajectory:
@@ -188,16 +189,17 @@ class Search:
         """Return the result of the last run, with the arrays of a phase; the next run overwrites these."""
         of = self._of[phase]
         found, layout = self._library.retrax_search_read(self._search, phase), of.layout
-        sizes, z = of.sizes, layout.count[array_places()["PARTS"]]
+        sizes, places = of.sizes, array_places()
+        z, residuals = layout.count[places["PARTS"]], layout.count[places["RESIDUALS"]]
         at = Trajectory(of, self._part(found.trajectory, layout.numbers))
         first = IterateNumbers(self._part(found.first, of.iterate_numbers), of.parts)
         judging, steps = [
             Scale(self._part(own.unknowns, z), self._part(own.nodes, sizes.state_size), own.cost)
             for own in (found.judging, found.steps)
         ]
-        limits, residuals = self._part(found.limits, sizes.limits), self._part(found.residuals, len(at["RESIDUALS"]))
-        coupled, facts = self._coupling_arrays(found), SearchFacts(*read_facts(found))
-        return SearchResult(at, first, judging, steps, limits, found.rate, residuals, *coupled, facts)
+        arrays = self._part(found.limits, sizes.limits), found.rate, self._part(found.residuals, residuals)
+        facts = SearchFacts(*read_facts(found))
+        return SearchResult(at, first, judging, steps, *arrays, *self._coupling_arrays(found), facts)
 
     def _coupling_arrays(self, found: SearchResultStruct) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Scaling factors, values and derivatives of the equations between the ends."""

@@ -197,14 +197,14 @@ class Transcription:
 
 @final
 class IterateNumbers(NamedTuple):
-    """The given arrays and the unknowns of a trajectory: all from which the rest is evaluated."""
+    """The given arrays and the unknowns of a trajectory, or of several: all from which the rest is evaluated."""
 
     numbers: np.ndarray
     parts: Mapping[str, slice]
 
     def array(self, name: str) -> np.ndarray:
-        """The entries of an array, a view of shape ``(count,)``."""
-        return self.numbers[self.parts[name]]
+        """The entries of an array, a view of shape ``(..., count)``."""
+        return self.numbers[..., self.parts[name]]
 
     def copy(self) -> "IterateNumbers":
         """The iterate in memory of its own."""
