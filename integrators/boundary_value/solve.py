@@ -1,5 +1,6 @@
 """The boundary-value problem in one call."""
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -19,6 +20,7 @@ from .inputs.arguments import BoundaryData, Method, check_accuracy, require_prob
 from .inputs.inputs import Inputs
 from .inputs.options import Options
 from .iteration_reports import Iteration
+from .solution.diagnostics import count_call_time
 from .solution.differentiable_solution import INSTEAD
 from .solution.record import Solution
 from .solver import Solver
@@ -123,6 +125,7 @@ def solve(
     >>> print(f"{found.status}, cost {found.cost:.3f}")
     minimum, cost 0.250
     """
+    began = time.perf_counter()
     require_concrete("solve", start, end, horizon, problem, guess, parameters, instead=INSTEAD)
     if accuracy is not None:
         check_accuracy(accuracy)
@@ -137,7 +140,7 @@ def solve(
         phases = phases_through(problem, method, steps, given, through, guess)
         options = {"callback": callback, "verbose": verbose, "throw": False}
         found = join_phases(solve_phases(phases, tolerance=tolerance, max_iterations=max_iterations, **options))
-        return found.require_success() if throw else found
+        return _finish(found, began, throw)
     solver = Solver(problem, method, steps)
     options = Options.of(tolerance, max_iterations, callback, verbose)
     inputs = Inputs.of(solver._reader, given, guess, options, 0, classification, integrator)
@@ -145,6 +148,12 @@ def solve(
         found = solver._solve(inputs)
     else:
         found = MeshRefinement(solver, inputs, accuracy, tolerance is None).solve()
+    return _finish(found, began, throw)
+
+
+def _finish(found: Solution, began: float, throw: bool) -> Solution:
+    """The solution of a call that began then, with its time; raises ``ConvergenceError`` without success."""
+    found = count_call_time(found, began)
     return found.require_success() if throw else found
 
 

@@ -68,7 +68,7 @@ def solve_on_final_manifold(inputs: Inputs, c: Classification) -> Solution:
 
 def _on_piece(inputs: Inputs, conditions: EndConditions, c: Classification) -> Solution:
     """An extremal on the first piece of ``P_f``."""
-    began, shown = time.perf_counter(), partial(say, inputs.options.callback)
+    shown = partial(say, inputs.options.callback)
     if inputs.integrator is None:
         shown(f"an integrator on P_f, of dimension {c.dimension}, is chosen, and compiled; integrator=... saves it")
     shooting, strategy = _shooting(inputs, c)
@@ -84,7 +84,7 @@ def _on_piece(inputs: Inputs, conditions: EndConditions, c: Classification) -> S
     outcome: Any = jax.device_get(
         _trajectory_of()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes))
     )
-    seconds = prepared - began, time.perf_counter() - prepared
+    seconds = prepared - inputs.began, time.perf_counter() - prepared
     with np.errstate(all="ignore"):  # what is not finite is judged
         arc = _arc(inputs, c, shooting, strategy, found, outcome)
         return _record(inputs, conditions, arc, shooting, found, outcome, seconds)

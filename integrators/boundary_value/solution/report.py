@@ -177,9 +177,12 @@ def _effort(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     )
     if solution.singular is not None:
         seconds = statistics.compile_seconds + statistics.run_seconds
-        yield "time", f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it for the first guess"
+        yield (
+            "time",
+            f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it to classify and to guess",
+        )
         return
     yield (
         "time",
-        f"{1e3 * statistics.run_seconds:.1f} ms to run; to prepare the functions {statistics.compile_seconds:.2f} s",
+        f"{1e3 * statistics.run_seconds:.1f} ms to run; to prepare and check {statistics.compile_seconds:.2f} s",
     )
