@@ -156,8 +156,8 @@ class FinalDynamics(eqx.Module):
         return jax.lax.stop_gradient(vectors[:, : len(pivots.solved)].T)
 
     def _control_equations(self, z: Pair, jet: Array, unknowns: Array, frame: Array | None) -> Array:
-        """The equations solved for the control; with a row frame those of least norm, whose multipliers are the last
-        unknowns."""
+        """The equations solved for the control; with a row frame also the conditions of least norm, whose multipliers
+        are the last unknowns."""
         pivots = self.equations.pivots
         if frame is None:
             return self.equations.values(z, jet)[jnp.asarray(pivots.solved, int)]
