@@ -3,7 +3,7 @@
 import re
 from typing import Any
 
-TIME = re.compile(r"^ *time +\d.*(to prepare the functions|with compilation).*\n", re.MULTILINE)  # of a report
+TIME = re.compile(r"^ *time +\d.*(to prepare and check|with compilation).*\n", re.MULTILINE)  # of a report
 
 
 def process(app: Any, docname: str, source: list[str]) -> None:

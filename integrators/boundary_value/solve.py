@@ -1,5 +1,6 @@
 """The boundary-value problem in one call."""
 
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -19,6 +20,7 @@ from .inputs.arguments import BoundaryData, Method, check_accuracy, require_prob
 from .inputs.inputs import Inputs
 from .inputs.options import Options
 from .iteration_reports import Iteration
+from .solution.diagnostics import count_call_time
 from .solution.differentiable_solution import INSTEAD
 from .solution.record import Solution
 from .solver import Solver
@@ -123,6 +125,7 @@ def solve(
     >>> print(f"{found.status}, cost {found.cost:.3f}")
     minimum, cost 0.250
     """
+    began = time.perf_counter()
     require_concrete("solve", start, end, horizon, problem, guess, parameters, instead=INSTEAD)
     if accuracy is not None:
         check_accuracy(accuracy)
@@ -144,6 +147,7 @@ def solve(
             found = solver._solve(inputs)
         else:
             found = MeshRefinement(solver, inputs, accuracy, tolerance is None).solve()
+    found = count_call_time(found, began)
     return found.require_success() if throw else found
 
 

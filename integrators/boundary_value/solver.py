@@ -241,7 +241,7 @@ class Solver:
             return solution
         with Stopwatch() as watch:
             examined = self._audit(solution, free_horizon, inputs.ends.prescribed)
-            examined = add_compile_time(examined, watch.seconds()[0])
+            examined = add_compile_time(examined, sum(watch.seconds()))
         if examined is not solution:
             if solution in self._kept:
                 self._kept[examined] = self._kept[solution]

@@ -54,12 +54,48 @@ ASKED_FOR = {
         "upper",
         "inequal",
         "box",
+        "lb",
+        "ub",
+        "lbx",
+        "ubx",
     ),
-    HORIZON: ("free", "horizon", "final_time", "end_time", "duration", "tf", "t_f"),
+    f"the final time is the horizon of solve; {HORIZON}": (
+        "free",
+        "horizon",
+        "final_time",
+        "end_time",
+        "duration",
+        "tf",
+        "t_f",
+    ),
     TIME: ("time", "clock", "t0", "t"),
 }
-# Names in texts and in other libraries.
-NAMED_ELSEWHERE = {"T": "horizon", "N": "steps", "state_names": "labels", "control_names": "labels"}
+# Arguments, by their names in texts and in other libraries.
+ELSEWHERE = {
+    "start": ("x0", "q0", "y0", "x_0", "q_0", "init", "initial", "initial_state", "initial_point", "source"),
+    "end": ("xf", "qf", "x_f", "q_f", "xT", "qT", "x1", "q1", "final", "final_state", "goal", "target", "terminal"),
+    "horizon": ("T",),
+    "steps": ("N", "n", "n_steps", "num_steps", "n_nodes", "num_nodes", "nodes", "intervals", "num_intervals", "dt"),
+    "guess": (
+        "initial_guess",
+        "guess_states",
+        "guess_controls",
+        "x_guess",
+        "u_guess",
+        "u0",
+        "states",
+        "warm_start",
+        "init_guess",
+    ),
+    "parameters": ("p", "params", "param", "args"),
+    "method": ("discretization", "scheme", "transcription"),
+    "dynamics": ("f", "ode", "rhs", "vector_field", "system"),
+    "running_cost": ("cost", "objective", "stage_cost", "lagrange", "lagrangian"),
+    "terminal_cost": ("mayer", "final_cost", "end_cost"),
+    "labels": ("state_names", "control_names"),
+    "verbose": ("print_level", "disp", "display"),
+}
+NAMED_ELSEWHERE = {name: argument for argument, names in ELSEWHERE.items() for name in names}
 CLOSE = 0.75  # of a name to another one that is a slip of the pen
 SHORT = 3  # letters that a name cut short has at least
 TIMES = frozenset({"t", "time", "tau"})

@@ -25,6 +25,7 @@ IN_SPACE = 1e-6  # largest distance of a direction from a space that it is in
 DISTANCES = 10.0 ** np.arange(-4.5, 8.5)
 LADDER = np.concatenate([[0.0], DISTANCES, -DISTANCES])  # parameters along a line
 LASTING_CHANGE, SAME_CHANGE = 3, 1e-2  # places on a line over which a change by a kink lasts, and how much it may vary
+HIDDEN_TERMS = 100.0  # times a value: the size of terms that may cancel in it, whose rounding is no kink
 PARTS = "dynamics", "running_cost"
 
 
@@ -108,13 +109,15 @@ class FlatDirection(NamedTuple):
     """A direction in which nothing curves at a control of the probe, and two lines along it: from there, and from rest.
 
     ``sample``: the number of the control. ``bases``, shape ``(2, m)``; ``curvatures``: ``|d' C d|`` of both parts of
-    ``H`` at these, with the rounding of its terms, shape ``(2, 2)``; ``flat``: at which of both nothing curves.
+    ``H`` at these, with the rounding of its terms, shape ``(2, 2)``; ``slopes``: the sums of the sizes of the terms of
+    their slopes along it, likewise; ``flat``: at which of both nothing curves.
     """
 
     direction: np.ndarray
     sample: int
     bases: np.ndarray
     curvatures: np.ndarray
+    slopes: np.ndarray
     flat: tuple[bool, ...]
 
 
@@ -126,13 +129,14 @@ def find_flat_directions(probed: ControlProbe, directions: np.ndarray) -> list[l
     for k, ways in enumerate(others):
         found.append([])
         for d in ways:
-            here = directions[k], probed.curvatures[k + 1], True
+            here = directions[k], probed.curvatures[k + 1], probed.slopes[k + 1], True
             # Where the flat direction turns with the control, as around a cone, the line from rest is another one.
             constant = all(_contains(other, d) for other in others)
-            lines = here, (0 * d, probed.curvatures[0], _contains(rest, d)) if constant else here
-            bases, both = (np.stack([line[i] for line in lines]) for i in (0, 1))
+            lines = here, (0 * d, probed.curvatures[0], probed.slopes[0], _contains(rest, d)) if constant else here
+            bases, both, slopes = (np.stack([line[i] for line in lines]) for i in (0, 1, 2))
             sizes = np.abs(d @ both @ d) + rounding * (np.abs(d) @ np.abs(both) @ np.abs(d))
-            found[-1].append(FlatDirection(d, k, bases, sizes, tuple(line[2] for line in lines)))
+            steep, flat = np.abs(slopes) @ np.abs(d), tuple(line[3] for line in lines)
+            found[-1].append(FlatDirection(d, k, bases, sizes, steep, flat))
     return found
 
 
@@ -192,8 +196,8 @@ def find_bend(flat: FlatDirection, found: AlongLine) -> Bend | None:
     for part in range(len(PARTS)):
         for line in np.flatnonzero(flat.flat):
             with np.errstate(all="ignore"):  # far along the line a function may overflow, and is not looked at there
-                along: Any = found.values[line, :, part], found.slopes[line, :, part], flat.curvatures[line, part]
-                turned, off, jumps = _find_departures(*along)
+                along = found.values[line, :, part], found.slopes[line, :, part]
+                turned, off, jumps = _find_departures(*along, flat.curvatures[line, part], flat.slopes[line, part])
                 curves = np.abs(found.curvatures[..., part]) * np.maximum(np.abs(LADDER), np.min(DISTANCES))
             if off.any():
                 seen = np.max(curves, where=np.isfinite(curves), initial=0.0)
@@ -206,16 +210,19 @@ def find_bend(flat: FlatDirection, found: AlongLine) -> Bend | None:
 
 
 def _find_departures(
-    value: np.ndarray, slope: np.ndarray, curvature: float
+    value: Any, slope: Any, curvature: float, terms: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """How a slope changes along a line, where by more than rounding, and where the value does so in another way."""
-    s, rounding = np.abs(LADDER), rounding_of(value)
+    """How a slope changes along a line, where by more than rounding, and where the value does so in another way.
+
+    ``terms``: the sum of the sizes of the terms of the first slope.
+    """
+    s, rounding = np.abs(LADDER), HIDDEN_TERMS * rounding_of(value)
     value, slope = value.astype(float), slope.astype(float)
     turned, missed = slope - slope[0], value - value[0] - LADDER * slope[0]
     bent = 10 * curvature * s
-    off = _lasts(turned, bent + rounding * np.maximum(np.abs(slope), np.abs(slope[0])))
-    # A slope that is a difference, as that of cos^2 + sin^2, is wrong by the rounding of the value.
-    steep = np.maximum(np.abs(slope[0]), np.abs(value[0]) / PROBE_SIZE)
+    # A slope that is a difference, as that of cos^2 + sin^2, is wrong by the rounding of the value, or of its terms.
+    steep = max(terms, abs(value[0]) / PROBE_SIZE)
+    off = _lasts(turned, bent + rounding * np.maximum(np.abs(slope), steep))
     size, far = rounding * (np.abs(value) + np.abs(value[0]) + s * steep) + bent * s, np.where(s > 0, s, 1.0)
     return turned, off, _lasts(missed, size) | _lasts(missed / far, size / far)
 

@@ -39,13 +39,22 @@ HORIZON = r"for a free one give horizon=Free\(guess\)"
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        *((name, BOUNDS) for name in ("bounds", "control_bounds", "u_max", "umin", "upper", "path_constraints")),
+        *(
+            (name, BOUNDS)
+            for name in ("bounds", "control_bounds", "u_max", "umin", "upper", "path_constraints", "lb", "ubx")
+        ),
         *((name, HORIZON) for name in ("free_horizon", "free_time", "final_time", "tf", "duration")),
         *((name, TIME) for name in ("time", "t0", "t")),
         *((name, LABELS) for name in ("state_names", "control_names", "names", "state_labels")),
         *((name, "refined until the error is small give accuracy=1e-8") for name in ("tolerance_error", "mesh")),
         *((name, ENDS) for name in ("terminal_constraint", "final_condition", "boundary_constraints")),
         *((name, r"did you mean tolerance\?") for name in ("toleranse", "tol")),
+        *((name, r"did you mean start\?") for name in ("x0", "q0", "initial", "initial_state", "init")),
+        *((name, r"did you mean end\?") for name in ("xf", "qf", "x1", "goal", "target", "final_state")),
+        *((name, r"did you mean guess\?") for name in ("guess_states", "initial_guess", "guesses", "u0", "states")),
+        *((name, r"did you mean steps\?") for name in ("N", "n", "n_steps", "num_steps", "nodes", "step")),
+        *((name, r"did you mean parameters\?") for name in ("params", "p", "param", "args")),
+        *((name, r"did you mean horizon\?") for name in ("T", "horizons")),
         *((name, r"did you mean max_iterations\?") for name in ("max_iter", "maxiter", "iterations")),
         ("quiet", "integrator, callback, verbose, start_time, through$"),
     ],

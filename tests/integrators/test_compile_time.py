@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from retrax.compute.compile_time import Stopwatch, report_compile_time
-from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve_phases
+from retrax.integrators import Free, OptimalControlProblem, Phase, Solver, solve, solve_phases
 from retrax.manifolds import Euclidean
 from retrax.retractions import Addition, Exponential, Midpoint
 
@@ -48,6 +48,29 @@ def test_the_seconds_of_a_solve_are_those_that_it_takes(evaluator):
         assert first_compiled > 0.7 * first
         assert first_run < 0.3 * first
     assert compiled < 0.2 * first_compiled
+
+
+@pytest.mark.parametrize("accuracy", [None, 1e-3, 1e-6])
+def test_the_report_of_a_call_has_the_time_of_the_call(accuracy):
+    line = Euclidean(1)
+    problem = OptimalControlProblem(line, lambda q, u: u, lambda q, u: u @ u / 2 + jnp.cosh(q[0]), 1)
+    began = time.perf_counter()
+    spent = solve(
+        problem, np.ones(1), None, 5.0, method=Midpoint(Addition(line)), steps=4, accuracy=accuracy
+    ).statistics
+    passed = time.perf_counter() - began
+    assert 0.9 * passed <= spent.compile_seconds + spent.run_seconds <= passed
+
+
+@pytest.mark.slow
+def test_the_report_of_a_singular_problem_counts_its_classification():
+    line = Euclidean(1)
+    problem = OptimalControlProblem(line, lambda q, u: u, lambda q, u: q @ q / 2, 1)
+    solver = Solver(problem, Midpoint(Addition(line)), 4)
+    began = time.perf_counter()
+    spent = solver.solve(None, None, 1.0).statistics
+    passed = time.perf_counter() - began
+    assert 0.9 * passed <= spent.compile_seconds + spent.run_seconds <= passed
 
 
 @pytest.mark.parametrize("horizon", [1.0, Free(1.0, 0.9, 1.1)])

@@ -12,7 +12,7 @@ from retrax.integrators import OptimalControlProblem, classify, solve
 from retrax.integrators.problem.initial_controls import resting_control
 from retrax.integrators.problem_checks.inspection import Inspection
 from retrax.integrators.problem_checks.smoothness.kinks import find_kinks
-from retrax.manifolds import Euclidean, InvalidInputError
+from retrax.manifolds import Euclidean, InvalidInputError, Sphere
 from retrax.problems import SINGULAR
 from retrax.retractions import Addition, Midpoint
 
@@ -127,6 +127,15 @@ def test_a_kink_of_the_dynamics_is_named(name):
 def test_the_known_singular_problems_have_none(name):
     known = SINGULAR[name]().problem
     known.check(known.manifold.random_point(jax.random.key(3)), resting_control(known.controls))
+
+
+@pytest.mark.parametrize("beside", [0.0, 1e-16, 1e-14, 1e-12, 1e-7, 1e-4, 10.0**-3.5])
+def test_the_rounding_of_terms_that_cancel_is_no_kink(beside):
+    """The tangential part of two controls on the circle, near points where one of them has no tangential part."""
+    circle = Sphere(1)
+    problem = OptimalControlProblem(circle, lambda q, u: u - (q @ u) * q, lambda q, u: (u @ u - (q @ u) ** 2) / 2, 2)
+    for angle in np.pi / 2 * np.arange(4) + beside:
+        problem.check(np.array([np.cos(angle), np.sin(angle)]), np.zeros(2))
 
 
 def test_what_takes_a_problem_names_its_kink():

@@ -1,5 +1,7 @@
 """An accuracy that is asked for where constraints hold a trajectory, touch it, or depend on time."""
 
+import re
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -118,3 +120,27 @@ def test_bounds_of_durations_and_horizons_break_no_symmetry(horizon, constraints
     lengths = np.diff(found.times)
     words = f"{lengths[0]:.6g}" if np.ptp(lengths) < 1e-9 else f"{lengths.min():.3g} to {lengths.max():.3g}"
     assert f"steps of {words}\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("price", "accuracy"),
+    [
+        (0.0, 1e-6),
+        *(pytest.param(*of, marks=pytest.mark.slow) for of in ((0.0, 3e-2), (0.0, 3e-3), (1e-2, 1e-6), (0.1, 1e-6))),
+    ],
+)
+def test_a_mesh_is_refined_to_what_a_control_that_chatters_allows(price, accuracy):
+    """Least time in the plane at a limit of the speed, along which only the means of two forces are determined: the
+    error falls as the steps do, so a loose accuracy is reached, and a tight one only with a cost of the forces."""
+    space, most, first = Euclidean(4), 0.8, 20
+    limits = {"speed": lambda q, u: q[2:] @ q[2:] - most**2, "force": lambda q, u: jnp.concatenate([u - 1, -1 - u])}
+    problem = OptimalControlProblem(
+        space, lambda q, u: jnp.concatenate([q[2:], u]), lambda q, u: 1 + price * u @ u, 2, constraints=limits
+    )
+    ends, method = (np.zeros(4), np.array([1.0, 0.4, 0.0, 0.0])), Gauss(2, Addition(space))
+    found = solve(problem, *ends, Free(3.0), method=method, steps=first, accuracy=accuracy, throw=False)
+    assert found.success == (found.checks.error <= accuracy) == (price > 0 or accuracy > 1e-3)
+    if not found.success:
+        assert found.steps == first
+        assert re.search("because a control chatters along a constraint.* it would take about .e.* steps", found.result)
+        assert found.horizon == pytest.approx(2.0504579, rel=1e-3)

@@ -65,6 +65,16 @@ def test_the_report_has_the_angle_of_the_turn_and_asks_about_long_steps(degrees)
     assert ("angles and rates are in radians" in text) == (degrees > 120)
 
 
+@pytest.mark.parametrize("rate", [0.1, 1.0, 10.0, 57.3])
+def test_a_failed_solve_asks_about_rates_in_degrees(rate):
+    """A body that turns by 1 rad s^-1, or by the same number of degrees per second, and is to rest after 20 s."""
+    start, end = (np.eye(3), np.array([0.0, 0.0, rate])), (np.asarray(rotation([0.0, 0.0, 2.0])), np.zeros(3))
+    method = Midpoint(Exponential(Q))
+    found = solve(SLEW, start, end, 20.0, method=method, steps=20, max_iterations=2, throw=False)
+    assert found.result.startswith("The iteration limit")
+    assert ("check that angles and rates are in radians" in found.result) == (rate > 2)
+
+
 def test_messages_and_reports_name_factors_by_their_labels():
     method, rest = Midpoint(Cayley(Q)), np.zeros(3)
     for end, words in (

@@ -5,8 +5,8 @@ import re
 import jax
 import jax.numpy as jnp
 import pytest
-from retrax.manifolds import InvalidInputError, LevelSet, Sphere
-from retrax.retractions import Projection
+from retrax.manifolds import Euclidean, InvalidInputError, LevelSet, Sphere
+from retrax.retractions import Projection, Retraction
 from retrax.testing import check_manifold, check_retraction
 
 from .wrong_spaces import MutantManifold
@@ -72,3 +72,26 @@ def test_a_generator_with_a_wrong_sign_is_named(k):
     name = "generators_of_the_action_span_the_tangent_spaces"
     report = check_manifold(Slipped(2), only=name, throw=False)
     assert f"generator {k} is not tangent" in str(report)
+
+
+class Stretched(Retraction):
+    """``R(x, v) = x + (1 + size) v`` on the line."""
+
+    size: float
+
+    @property
+    def manifold(self):
+        return Euclidean(1)
+
+    def retract(self, x, v):
+        return x + (1 + self.size) * v
+
+
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e3])
+def test_a_difference_that_is_divided_by_a_size_is_called_relative(size):
+    """``|D_v R E - E| = size`` and ``E = 1``."""
+    report = check_retraction(Stretched(size), only="derivative_at_zero_is_the_identity", throw=False)
+    words = r"\|D_v R\(x, 0\) E_i - E_i\|, relative to 1 \+ the largest entry expected, is (\S+), expected at most"
+    found = re.search(words, str(report))
+    assert found is not None, report
+    assert float(found[1]) == pytest.approx(size / 2, rel=0.01)

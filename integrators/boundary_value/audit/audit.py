@@ -172,6 +172,11 @@ class Audit:
         }
         return " ".join(sentence for sentence, places in words.items() if places)
 
+    def finds_chatter(self, solution: Solution) -> bool:
+        """Whether a control chatters along an interval where a constraint holds the trajectory."""
+        with one_tracing(), np.errstate(all="ignore"):
+            return bool(self._intervals(solution, self._flat(solution)[1]))
+
     def _intervals(self, solution: Solution, marked: np.ndarray) -> list[str]:
         """The entries of the control that are marked along more than a switch, with the times.
 

@@ -13,6 +13,7 @@ from ...problem.optimal_control_problem import OptimalControlProblem
 from ...problem.user_functions import imprecise
 from ...problem_checks.smoothness.kinks import find_kinks
 from ...reporting.text import in_line
+from ..solution.factor_distances import factor_distances, long_turn_words
 from ..solution.record import Solution
 
 UNDEFINED = "is not finite", "has no finite derivative by the states", "has no finite derivative by the controls"
@@ -20,6 +21,7 @@ SMOOTH = (
     "a function that is smooth there, for example sqrt(x @ x + 1e-6) instead of norm(x), and for a limit x @ x - a**2 "
     "instead of norm(x) - a"
 )
+SHORT_MOVE = 1e-6  # of the fastest entry: along so short a move a distance is its length, to half of the digits
 
 
 def find_reason(problem: OptimalControlProblem, solution: Solution) -> str:
@@ -27,6 +29,23 @@ def find_reason(problem: OptimalControlProblem, solution: Solution) -> str:
     q, u = vec.taken((solution.stage_states, solution.controls), 0)
     functions = {"dynamics": problem.dynamics, "running_cost": problem.running_cost}
     return imprecise(functions, q, u) or find_kinks(problem, solution)
+
+
+def find_long_turn(problem: OptimalControlProblem, solution: Solution) -> str:
+    """Words on a step that turns too far, by the velocities at the stages; empty if there is none.
+
+    The distance of two points says nothing of turns by more than half a turn.
+    """
+    states, count = solution.stage_states, len(solution.stage_times)
+    if not any(is_angle for *_, is_angle in factor_distances(problem.manifold, states, states)):
+        return ""
+    with np.errstate(all="ignore"):
+        velocities = evaluate_at_each(lambda point: problem.velocity(*point), (states, solution.controls))
+        fastest = max(float(np.max(np.abs(leaf), initial=0.0)) for leaf in jax.tree.leaves(velocities))
+        ahead = jax.tree.map(lambda q, v: q + SHORT_MOVE / fastest * v, states, velocities)
+        lengths = np.repeat(np.diff(solution.times), count // solution.steps) * fastest / SHORT_MOVE
+        moves = list(factor_distances(problem.manifold, states, ahead))
+    return long_turn_words(max(float(np.max(own * lengths)) for _, own, is_angle in moves if is_angle))
 
 
 def find_undefined(problem: OptimalControlProblem, solution: Solution) -> str:

@@ -15,7 +15,7 @@ from ..solution.diagnostics import RegularChecks, Statistics
 from ..solution.multiphase_solution import PhasedSolution
 from ..solution.record import Solution
 from ..transcription.discrete_extremals import DiscreteExtremals
-from .failure_reasons import find_reason, find_undefined
+from .failure_reasons import find_long_turn, find_reason, find_undefined
 
 Record = TypeVar("Record", Solution, PhasedSolution)
 
@@ -149,7 +149,10 @@ def explain_failure(problem: OptimalControlProblem, solution: Solution) -> Solut
     if solution.result.startswith(sentence("not_finite")):
         return explain(solution, f"{solution.result} {find_undefined(problem, solution)}".strip())
     reason = find_reason(problem, solution)
-    return explain(solution, f"The conditions are not met, and this may be why: {reason}.") if reason else solution
+    if reason:
+        return explain(solution, f"The conditions are not met, and this may be why: {reason}.")
+    turn = find_long_turn(problem, solution)
+    return explain(solution, f"{solution.result} At the last iterate {turn}.") if turn else solution
 
 
 def refute(solution: Solution, reason: str) -> Solution:

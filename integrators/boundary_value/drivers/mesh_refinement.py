@@ -110,7 +110,7 @@ class MeshRefinement:
             for _ in range(REFINEMENT_ROUNDS):
                 if self.error(best) <= self.accuracy:
                     break
-                found = self._refine(best)
+                found = self._describe_chatter(best) or self._refine(best)
                 if isinstance(found, str):
                     why = found
                     break
@@ -181,6 +181,19 @@ class MeshRefinement:
             self._estimator = StepErrorEstimator(self.problem, self.method.retraction, solution.parameters)
         found = _MeshSolution(solution, None, structure, arcs)  # pyright: ignore[reportArgumentType]
         return found._replace(errors=self._estimator(solution, solution.parameters, found.switches))
+
+    def _describe_chatter(self, found: _MeshSolution) -> str:
+        """Why no finer mesh is worth its time: with a control that chatters the error falls in proportion to the step.
+
+        Empty where no control chatters, or where the steps that are needed are few.
+        """
+        needed = found.solution.steps * self.error(found) / self.accuracy
+        if needed <= MOST_REFINED_STEPS or not self.solver._audit.finds_chatter(found.solution):
+            return ""
+        return (
+            "a control chatters along a constraint, so the error falls only in proportion to the step: it would take "
+            f"about {needed:.0e} steps, and {MOST_REFINED_STEPS} are the most"
+        )
 
     def _refine(self, found: _MeshSolution) -> "_MeshSolution | str":
         """The solution on a finer mesh, or why there is none."""

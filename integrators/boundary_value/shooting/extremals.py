@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from ....compute.automatic import AutomaticEvaluator
 from ....compute.jit_cache import compile_function
-from ....manifolds import InvalidInputError, Manifold
+from ....manifolds import Euclidean, InvalidInputError, Manifold
 from ....manifolds.numerics import ambient as vec
 from ....manifolds.numerics.ambient import Ambient
 from ...problem.optimal_control_problem import OptimalControlProblem
@@ -68,7 +68,7 @@ def solve_on_final_manifold(inputs: Inputs, c: Classification) -> Solution:
 
 def _on_piece(inputs: Inputs, conditions: EndConditions, c: Classification) -> Solution:
     """An extremal on the first piece of ``P_f``."""
-    began, shown = time.perf_counter(), partial(say, inputs.options.callback)
+    shown = partial(say, inputs.options.callback)
     if inputs.integrator is None:
         shown(f"an integrator on P_f, of dimension {c.dimension}, is chosen, and compiled; integrator=... saves it")
     shooting, strategy = _shooting(inputs, c)
@@ -84,7 +84,7 @@ def _on_piece(inputs: Inputs, conditions: EndConditions, c: Classification) -> S
     outcome: Any = jax.device_get(
         _trajectory_of()(shooting, c.equations, shooting.trajectory(found.iterate, found.at.nodes))
     )
-    seconds = prepared - began, time.perf_counter() - prepared
+    seconds = prepared - inputs.began, time.perf_counter() - prepared
     with np.errstate(all="ignore"):  # what is not finite is judged
         arc = _arc(inputs, c, shooting, strategy, found, outcome)
         return _record(inputs, conditions, arc, shooting, found, outcome, seconds)
@@ -116,8 +116,9 @@ def _shooting(inputs: Inputs, c: Classification) -> tuple[Shooting, str]:
     length, h = -(-inputs.steps // min(MOST_SEGMENTS, inputs.steps)), jnp.asarray(inputs.h)
     integrator = inputs.integrator
     if integrator is None:
-        still = StepwiseGauge(jnp.zeros((length, c.gauge_controls)), h, float(inputs.discretization.theta))
-        method, choice = singular_integrator(c, inputs.discretization, gauge=still if c.gauge_controls else None)
+        unknown = _unknown_gauge(c)
+        still = StepwiseGauge(jnp.zeros((length, unknown)), h, float(inputs.discretization.theta))
+        method, choice = singular_integrator(c, inputs.discretization, gauge=still if unknown else None)
     else:
         method, choice = integrator, f"{type(integrator).__name__}, as given"
     if not method.keeps_nodes or (integrator is not None and c.gauge_controls):
@@ -127,7 +128,16 @@ def _shooting(inputs: Inputs, c: Classification) -> tuple[Shooting, str]:
 
 def _no_gauge(shooting: Shooting, c: Classification, integrator: SingularIntegrator | None) -> Array:
     """Gauge controls of all steps, zero; none if the integrator has a gauge of its own."""
-    return jnp.zeros((shooting.segments, shooting.length, c.gauge_controls if integrator is None else 0))
+    return jnp.zeros((shooting.segments, shooting.length, _unknown_gauge(c) if integrator is None else 0))
+
+
+def _unknown_gauge(c: Classification) -> int:
+    """The number of gauge controls that are unknowns of the shooting.
+
+    Where ``omega_f`` has no kernel, controls are redundant: none moves the trajectory, and the control of least norm is
+    as good as any other.
+    """
+    return c.gauge_controls if c.first_class or not isinstance(c.problem.controls, Euclidean) else 0
 
 
 def _first_points(shooting: Shooting, c: Classification, inputs: Inputs, first: Pair, last: Pair) -> Pair:

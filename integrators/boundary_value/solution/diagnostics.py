@@ -1,5 +1,6 @@
 """The figures of a solution that a user checks."""
 
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
@@ -202,9 +203,9 @@ class Statistics:
     iterations : int
         Trial points of the search that found the result, and of the failed searches before it.
     compile_seconds : float
-        Seconds to trace and compile.
+        Seconds to prepare: to trace and compile, to classify a singular problem, and to check the solution.
     run_seconds : float
-        Seconds to run.
+        Seconds to run; of a singular problem with compilation.
     stopped : bool
         Whether a callback or an interrupt asked for an end.
 
@@ -212,7 +213,8 @@ class Statistics:
     -----
     If the search from the guess fails, others follow from moved guesses, each with its own ``max_iterations``.
     A member of a batch has a share of the seconds of the batch: an equal share of the seconds to compile, and a share
-    of the seconds to run by its iterations. The shares of all members add up to the batch.
+    of the seconds to run by its iterations. The shares of all members add up to the batch. Both numbers of seconds of
+    ``retrax.solve`` add up to the time of the call.
     """
 
     iterations: int
@@ -222,11 +224,17 @@ class Statistics:
 
 
 def add_compile_time(record: Record, seconds: float) -> Record:
-    """The record with so many more seconds to trace and compile; the same object if there are none."""
+    """The record with so many more seconds to prepare; the same object if there are none."""
     if not seconds:
         return record
     spent = record.statistics
     return replace(record, statistics=replace(spent, compile_seconds=spent.compile_seconds + seconds))
+
+
+def count_call_time(record: Record, began: float) -> Record:
+    """The record of a call that began then: all seconds since that did not run were to prepare."""
+    spent = record.statistics
+    return add_compile_time(record, time.perf_counter() - began - spent.compile_seconds - spent.run_seconds)
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from ....manifolds import SE, SO, Manifold, Power, Product, Sphere
 from ....manifolds.product import factor_name
 
 SOLID_DIMENSION = 3  # largest n for which a rotation of R^n has one angle
+LONGEST_TURN = 2 * np.pi / 3  # radians: larger turns in one step hardly tell one direction from the other
 Distances = tuple[str, np.ndarray, bool]
 
 
@@ -40,6 +41,14 @@ def factor_distances(manifold: Manifold, first: Any, second: Any, name: str = ""
                 np.sum(np.abs(a - b) ** 2, axis=tuple(range(a.ndim - len(kind.shape), a.ndim))) for kind, a, b in pairs
             ]
             yield f"{name}{manifold}", np.sqrt(np.sum(parts, axis=0)), False
+
+
+def long_turn_words(angle: float) -> str:
+    """Words on a turn in one step that is too long to be trusted; empty for a shorter one."""
+    if not angle > LONGEST_TURN:
+        return ""
+    words = "increase steps, and check that angles and rates are in radians"
+    return f"a step turns by {np.degrees(angle):.0f} degrees: {words}"
 
 
 def _turn(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -7,11 +7,10 @@ import numpy as np
 from ....manifolds.numerics import ambient as vec
 from ...reporting.text import plural, table
 from .diagnostics import RegularChecks, SingularArc
-from .factor_distances import factor_distances
+from .factor_distances import factor_distances, long_turn_words
 from .solution_fields import SolutionFields, at_stages
 
 LONGEST_MOMENTUM = 6  # components of a momentum that the report prints; of a longer momentum only its size
-LONGEST_TURN = 2 * np.pi / 3  # radians: larger turns in one step hardly tell one direction from the other
 REPORT_ROW = "report", "print(error.solution), or solve(..., throw=False), which returns this solution"
 EQUAL = 1e-9  # relative: steps that differ by less are of one length
 
@@ -112,11 +111,8 @@ def _turns(solution: SolutionFields) -> Iterator[tuple[str, str]]:
             f"{name_with_label(name, solution)}: {np.degrees(whole):.4g} degrees from start to end, at most "
             f"{np.degrees(largest):.3g} degrees in one step",
         )
-        if largest > LONGEST_TURN:
-            yield (
-                "",
-                "a step turns too far to be trusted: increase steps, and check that angles and rates are in radians",
-            )
+        if long_turn_words(largest):
+            yield "", long_turn_words(largest)
 
 
 def _residuals(solution: SolutionFields) -> Iterator[tuple[str, str]]:
@@ -181,9 +177,12 @@ def _effort(solution: SolutionFields) -> Iterator[tuple[str, str]]:
     )
     if solution.singular is not None:
         seconds = statistics.compile_seconds + statistics.run_seconds
-        yield "time", f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it for the first guess"
+        yield (
+            "time",
+            f"{seconds:.2f} s with compilation, {statistics.compile_seconds:.2f} s of it to classify and to guess",
+        )
         return
     yield (
         "time",
-        f"{1e3 * statistics.run_seconds:.1f} ms to run; to prepare the functions {statistics.compile_seconds:.2f} s",
+        f"{1e3 * statistics.run_seconds:.1f} ms to run; to prepare and check {statistics.compile_seconds:.2f} s",
     )

@@ -105,12 +105,14 @@ class FinalDynamics(eqx.Module):
         last: Memory = jax.lax.stop_gradient(previous)
         begun = StepEquations.near(stage(last.control), q, p, None)
         size = begun.first.size
+        x, _, pi = begun.unknowns(begun.first)
+        frame = self._row_frame((x, pi), self._jet(middle, (x, pi), last.unknowns)) if self._minimal else None
 
         def equations(c: Array) -> tuple[StepEquations, Array, Array]:
             x, _, pi = begun.unknowns(c[:size])
             jet = self._jet(middle, (x, pi), c[size:])
             u = self._steer(jet)
-            return StepEquations(stage(u), begun.chart), self._control_equations((x, pi), jet, c[size:]), u
+            return StepEquations(stage(u), begun.chart), self._control_equations((x, pi), jet, c[size:], frame), u
 
         def residual(c: Array) -> Array:
             moving, determined, _ = equations(c)
@@ -141,17 +143,29 @@ class FinalDynamics(eqx.Module):
         free = unknowns[count : count + len(pivots.free)] if self.gauge is None else jnp.ravel(self.gauge(t, *z))
         return jet.at[jnp.asarray(pivots.free)].set(free)
 
-    def _control_equations(self, z: Pair, jet: Array, unknowns: Array) -> Array:
-        """The equations solved for the control, with the conditions of least norm, whose multipliers are the last
-        unknowns."""
-        pivots, solved = self.equations.pivots, jnp.asarray(self.equations.pivots.solved, int)
-        if not self._minimal:
-            return self.equations.values(z, jet)[solved]
+    def _row_frame(self, z: Pair, jet: Array) -> Array:
+        """The combinations of the rows of the array that are solved for the control of least norm.
+
+        Of rows that depend on each other, those that are solved at the point of the stratum may determine nothing
+        elsewhere; the leading left singular vectors do.
+        """
+        pivots = self.equations.pivots
+        varied, kept = (jnp.asarray(own, int) for own in (pivots.eliminated + pivots.free, pivots.kept))
+        slope = jax.jacfwd(lambda y: self.equations.values(z, jet.at[varied].set(y)))(jet[varied]).at[kept].set(0.0)
+        vectors = jnp.linalg.svd(slope, full_matrices=False)[0]
+        return jax.lax.stop_gradient(vectors[:, : len(pivots.solved)].T)
+
+    def _control_equations(self, z: Pair, jet: Array, unknowns: Array, frame: Array | None) -> Array:
+        """The equations solved for the control; with a row frame also the conditions of least norm, whose multipliers
+        are the last unknowns."""
+        pivots = self.equations.pivots
+        if frame is None:
+            return self.equations.values(z, jet)[jnp.asarray(pivots.solved, int)]
         varied = jnp.asarray(pivots.eliminated + pivots.free)
 
         def lagrangian(y: Array) -> tuple[Array, Array]:
             moved = jet.at[varied].set(y)
-            u, values = moved[: self.problem.controls.dimension], self.equations.values(z, moved)[solved]
+            u, values = moved[: self.problem.controls.dimension], frame @ self.equations.values(z, moved)
             return u @ u / 2 + unknowns[varied.size :] @ values, values
 
         slope, values = jax.grad(lagrangian, has_aux=True)(jet[varied])

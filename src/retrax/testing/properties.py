@@ -153,7 +153,8 @@ class Facts(ABC):
                 filter(None, (multiple(got[k], expected[k], *names, precision().half), hint(k) if hint else ""))
             )
 
-        return self.bound(what, at, largest_entries(got - expected) / size, limit, hint=words)
+        relative = f"{what}, relative to 1 + the largest entry expected," if np.any(size > 1) else what
+        return self.bound(relative, at, largest_entries(got - expected) / size, limit, hint=words)
 
     def compare_slopes(
         self, what: str, at: Batch, exact: np.ndarray, values: np.ndarray, step: np.ndarray | float
