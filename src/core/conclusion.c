@@ -9,10 +9,6 @@
 
 #include <math.h>
 
-/* Share of the largest entry of the states: ends that are no farther apart meet. */
-#define MET 1e-6
-/* Share of the largest entry of an array: ends that are farther apart do not meet. */
-#define APART 1e-3
 /* In units of the cost and of the inequality: the first limit of the stiffness, the last one, and the factor from one to
  * the next. An inequality that curves much where it holds needs more, as the keep-out cone of the problem library 1e9;
  * more than enough drowns the curvature beside it in rounding, as 1e9 in a case of tests/integrators/test_flat_limits.py. */
@@ -22,37 +18,8 @@
 /* In the same units: one over the least stiffness that is not left out. */
 #define IDLE 1e6
 
-/* Whether ends of steps are not as far apart as the arrays of the states are large, whatever gaps are measured by.
- *
- * Where scaling factors have lost their meaning, as where controls reach next to nothing or next to everything, a gap in
- * these sizes says nothing. */
-static bool do_ends_meet(const retrax_search *search) {
-    const retrax_layout *const layout = search->phases->layout;
-    const double *const trajectory = search->at;
-    const retrax_index E = layout->problem->state_numbers, *const arrays = layout->problem->arrays;
-    const double share = fmax(APART, 10.0 * search->options.tolerance);
-    double size = 0.0;
-    for (retrax_index e = 0; e < E; e++) {
-        size = retrax_larger(size, retrax_larger(ARRAY(HIGHEST)[e], ARRAY(LOWEST)[e]));
-    }
-    for (retrax_index e = 0; e < E; e++) {
-        double apart = 0.0, own = 0.0;
-        for (retrax_index f = 0; f < E; f++) {
-            if (arrays[f] == arrays[e]) {
-                apart = retrax_larger(apart, ARRAY(DISTANCE)[f]);
-                own = retrax_larger(own, retrax_larger(ARRAY(HIGHEST)[f], ARRAY(LOWEST)[f]));
-            }
-        }
-        if (apart > MET * size && apart > share * own) {
-            return false;
-        }
-    }
-    return true;
-}
-
 bool retrax_is_extremal(const retrax_search *search) {
-    const bool claimed = search->claimed && RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance;
-    return claimed && (retrax_is_coupled(search) || do_ends_meet(search));
+    return search->claimed && RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance;
 }
 
 /* Whether the Hessians by the controls of all points are positive definite, with the share of the inequalities. */
