@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 WORDS = {
-    "MPC": "warm_starts",
-    "receding horizon": "warm_starts",
+    "MPC": "receding_horizon",
+    "receding horizon": "receding_horizon",
     "warm start": "warm_starts",
-    "real time": "warm_starts",
+    "real time": "receding_horizon",
     "minimum time": "minimum_time",
     "free final time": "minimum_time",
     "torque limit": "constraints",

@@ -113,7 +113,10 @@ class RecedingHorizon:
         _require_samples(solver.problem.sampling, end_time, hold)
         _require_numbers(horizon, max_iterations, milliseconds, hold, delay, acceptable)
         self.problem, self.horizon, self.end_time = solver.problem, horizon, end_time
-        self.solver = Solver(soften(self.problem, soft), solver.method, solver.fractions) if soft else solver
+        self.solver = solver
+        if soft:
+            softened = soften(self.problem, soft)
+            self.solver = Solver(softened, solver.method, solver.fractions, solver._evaluator)
         self._end, self._parameters, self._tolerance, self.acceptable = end, parameters, tolerance, acceptable
         self._budget, self.hold, self.delay = (max_iterations, milliseconds), hold, float(delay)
         self._plant, self._idle = Plant(self.problem), idle_control(self.problem, idle, delay)

@@ -242,7 +242,7 @@ SMOOTH_COSTS = (
     "u = a - b with the cost a + b instead of |u|, for controls a and b with control_bounds=(0, jnp.inf), which is "
     "exact; or jnp.sqrt(u**2 + d**2), at first with d as large as the controls, then with smaller ones and the last "
     "solution as guess",
-    "a * jnp.tanh(u / a) instead of jnp.clip(u, -a, a)",
+    "control_bounds=(-a, a) and u instead of jnp.clip(u, -a, a), or a * jnp.tanh(u / a)",
 )
 
 

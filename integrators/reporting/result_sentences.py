@@ -72,8 +72,8 @@ class Result(eqx.Enumeration):
         f"that the running cost is strictly convex in every control, or give more steps, or {BETTER}."
     )
     infeasible = (
-        "The inequalities contradict each other or the ends at the points of these steps, or a better guess is needed: "
-        "this is the trajectory near the guess that violates them least; try more steps, wider bounds, a longer "
+        "The problem seems infeasible near the guess: the inequalities contradict each other or the ends at the points "
+        "of these steps; this is the trajectory that violates them least; try more steps, wider bounds, a longer "
         f"horizon, free ends, or {BETTER}."
     )
     falling = (

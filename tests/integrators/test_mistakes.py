@@ -149,7 +149,8 @@ MISTAKES = {
         "param",
     ),
     "tolerance of zero": ("solve(PROBLEM, START, END, 1.0, steps=3, method=METHOD, tolerance=0)", "tolerance"),
-    "accuracy of two": ("solve(PROBLEM, START, END, 1.0, accuracy='high')", "accuracy"),
+    "accuracy in words": ("solve(PROBLEM, START, END, 1.0, accuracy='high')", "accuracy"),
+    "accuracy of two": ("solve(PROBLEM, START, END, 1.0, accuracy=2)", "between 0 and 1"),
     "hamiltonian of one": (
         "integrate(lambda q: q @ q, SymplecticIntegrator(Gauss(1, Cayley(LINE))), (J[:1], J[:1]), 0.1, 2)",
         "q, p",

@@ -156,7 +156,7 @@ class MeshRefinement:
         if key in self._solvers:
             solver = self._solvers[key].with_steps(steps)
         else:
-            solver = self._solvers[key] = Solver(problem, self.method, steps)
+            solver = self._solvers[key] = Solver(problem, self.method, steps, self.solver._evaluator)
         options = self._options
         if problem is not self.problem:  # the guess of arcs is near
             options = options._replace(restarts=lambda: False)

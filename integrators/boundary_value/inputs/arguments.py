@@ -132,8 +132,10 @@ def check_problem(problem: Any, method: Any) -> None:
 
 
 def check_accuracy(accuracy: Any) -> None:
-    if not (is_finite_number(accuracy) and accuracy > 0):
-        raise InvalidInputError(f"accuracy must be a positive finite number, got {accuracy!r}; try 1e-8")
+    if not (is_finite_number(accuracy) and 0 < accuracy < 1):
+        raise InvalidInputError(
+            f"accuracy must be a relative error between 0 and 1, got {accuracy!r}; try accuracy=1e-6"
+        )
 
 
 def check_classification(problem: OptimalControlProblem, classification: Any) -> None:
