@@ -1,8 +1,10 @@
-"""Every numeric constant of a module has a comment: what it is, in which unit, and why it has this value."""
+"""Every numeric constant has a comment: what it is, in which unit, and why it has this value; and a name of its own."""
 
 import ast
 import io
+import re
 import tokenize
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -43,6 +45,26 @@ def uncommented(source: str) -> Iterator[str]:
                 covered = last if first - 1 in commented or covered == first - 1 else -1
             else:
                 yield ast.unparse(node)
+
+
+def defined(path: Path) -> set[str]:
+    """The numeric constants of a module or of a file of C."""
+    text = path.read_text()
+    if path.suffix == ".c":
+        return set(re.findall(r"^#define (\w+) \(?[-\d]", text, re.MULTILINE))
+    names = set[str]()
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.Assign) and is_numeric(node.value):
+            names |= {name.id for name in ast.walk(node.targets[0]) if isinstance(name, ast.Name) and name.id.isupper()}
+    return names
+
+
+@pytest.mark.parametrize("suffix", ["py", "c"])
+def test_one_name_is_one_constant(suffix):
+    paths = {path for room in (*ROOMS, "src/core") for path in (ROOT / room).rglob(f"*.{suffix}")}
+    counts = Counter(name for path in paths for name in defined(path))
+    assert len(counts) > 90
+    assert not {name for name, count in counts.items() if count > 1}
 
 
 @pytest.mark.parametrize("room", ROOMS)

@@ -12,8 +12,8 @@ from ..boundary_value.inputs.options import Options
 from ..problem.path_constraints import count
 from ..problem.point_layout import PointLayout
 
-SAMPLES = 4  # of the controller in Python that the test of the program compares with
-ITERATIONS = 100  # of the first solve, as of Solver.solve
+TEST_SAMPLES = 4  # of the controller in Python that the test of the program compares with
+FIRST_ITERATIONS = 100  # of the first solve, as of Solver.solve
 
 
 def export_c(self: Any, folder: str | Path, name: str, start: Any, time: float = 0.0) -> Path:
@@ -61,7 +61,7 @@ def export_c(self: Any, folder: str | Path, name: str, start: Any, time: float =
     control = begun(start, time)
     found = origin_of(begun.solver, begun.plan)
     posed = pose(
-        begun.solver, found, begun.plan, Options.of(self._tolerance, max(ITERATIONS, budget or 0), None, False)
+        begun.solver, found, begun.plan, Options.of(self._tolerance, max(FIRST_ITERATIONS, budget or 0), None, False)
     )
     controller = _pose_controller(begun, found, time, control)
     return write_folder(where, files(posed, name, ("loop.c",)) | controller_files(posed, controller, name))
@@ -109,8 +109,8 @@ def _pose_controller(begun: Any, found: tuple[Any, Any, Any], time: float, contr
 def _samples(begun: Any, time: float, control: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times, flat states along the first plan, and controls there, all for the first end and parameters."""
     layout, acting, plan = PointLayout.of(begun.problem.manifold), PointLayout.of(begun.problem.controls), begun.plan
-    step = begun.hold or plan.horizon / max(begun.solver.steps, SAMPLES + 1)
-    times = time + step * np.arange(SAMPLES)
+    step = begun.hold or plan.horizon / max(begun.solver.steps, TEST_SAMPLES + 1)
+    times = time + step * np.arange(TEST_SAMPLES)
     times = times if begun.end_time is None else times[times < begun.end_time]
     rows = layout.rows(plan(np.minimum(plan.times[0] + times - time, plan.times[-1])).states, 1)
     given = begun._at(begun._parameters, time), begun._at(begun._end, time + plan.horizon)

@@ -36,9 +36,9 @@ class Signal(NamedTuple):
 
 
 ACCURACY = 1e-9  # of the motion between two samples, relative to the largest entries of each array of the state
-ENOUGH = 1e-6  # the same where more substeps no longer help
+LEAST_ACCURACY = 1e-6  # the same where more substeps no longer help
 MOST_SUBSTEPS = 512  # between two samples
-INSIDE = 1e-9  # of a span: by how much the times at its ends are moved inside, where a control may jump at the ends
+END_MARGIN = 1e-9  # of a span: by how much the times at its ends are moved inside, where a control may jump at the ends
 
 
 @final
@@ -70,7 +70,7 @@ class Plant:
             if self.substeps >= MOST_SUBSTEPS:
                 break
             self.substeps, coarse = 2 * self.substeps, fine
-        if not error <= ENOUGH:
+        if not error <= LEAST_ACCURACY:
             raise DomainError(
                 f"the plant cannot be integrated from {begin:.6g} to {end:.6g}: with {MOST_SUBSTEPS} substeps of an "
                 f"explicit method the relative error is {error:.1g}, expected {ACCURACY:.0e}; the dynamics are stiff, "
@@ -94,7 +94,8 @@ class Plant:
         h, q, at = (end - begin) / count, row[None], {place: k for k, place in enumerate(places)}
         rest, turn = np.zeros((1, self.problem.manifold.dimension)), np.zeros((1, self.problem.controls.dimension))
         times = begin + h * np.arange(count)
-        inside = np.clip(times[:, None] + h * places, begin + INSIDE * (end - begin), end - INSIDE * (end - begin))
+        margin = END_MARGIN * (end - begin)
+        inside = np.clip(times[:, None] + h * places, begin + margin, end - margin)
         controls = self._control.rows(signal(inside), 2)
         with np.errstate(all="ignore"):  # the error is NaN where the state is not finite
             for t, control in zip(times, controls, strict=True):

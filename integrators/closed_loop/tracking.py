@@ -20,7 +20,7 @@ from ..problem.spline_table import Outside, finite_array, require_outside
 from ..reporting.text import brief
 from .reference import ReferencePath
 
-ROUNDING = 1e-12  # relative to the largest eigenvalue of weights
+WEIGHT_ROUNDING = 1e-12  # relative to the largest eigenvalue of weights
 
 
 @require_known_options
@@ -158,7 +158,7 @@ def _weights(name: str, given: Any, manifold: Manifold) -> np.ndarray:
         )
     symmetric = found if found.ndim == 1 else (found + found.T) / 2
     values = found if found.ndim == 1 else np.linalg.eigvalsh(symmetric)
-    if np.min(values, initial=0.0) < -ROUNDING * np.max(np.abs(values), initial=0.0):
+    if np.min(values, initial=0.0) < -WEIGHT_ROUNDING * np.max(np.abs(values), initial=0.0):
         raise InvalidInputError(
             f"{name} must be positive semidefinite, got the weight {np.min(values):.3g}; a negative weight rewards a "
             "deviation"

@@ -96,7 +96,7 @@ ELSEWHERE = {
     "verbose": ("print_level", "disp", "display"),
 }
 NAMED_ELSEWHERE = {name: argument for argument, names in ELSEWHERE.items() for name in names}
-CLOSE = 0.75  # of a name to another one that is a slip of the pen
+SIMILARITY = 0.75  # of a name to another one that is a slip of the pen
 SHORT = 3  # letters that a name cut short has at least
 TIMES = frozenset({"t", "time", "tau"})
 CLOCKS = TIMES | {"horizon", "tf", "final_time"}
@@ -119,7 +119,7 @@ def intended_name(unknown: str, names: list[str]) -> str:
     """The name that an unknown one is a slip of the pen for, or cut short of; empty if there is none."""
     if NAMED_ELSEWHERE.get(unknown) in names:
         return NAMED_ELSEWHERE[unknown]
-    near = get_close_matches(unknown, names, 1, CLOSE)
+    near = get_close_matches(unknown, names, 1, SIMILARITY)
     if asks_for_end_condition(unknown.lower()):  # a terminal constraint is no terminal cost
         near = [name for name in near if asks_for_end_condition(name)]
     cut = unknown.lower().replace("_", "")

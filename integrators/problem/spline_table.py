@@ -16,7 +16,7 @@ Outside = Literal["nan", "constant"]
 OUTSIDE = "nan", "constant"
 MONOTONE = "monotone"
 CONDITIONS = "not-a-knot", "natural", "clamped"  # of SciPy's cubic splines, at the ends
-ROUNDING = 1e-9  # of the length of a grid: points beyond the ends by less belong to the last pieces
+GRID_ROUNDING = 1e-9  # of the length of a grid: points beyond the ends by less belong to the last pieces
 
 
 @require_known_options
@@ -144,7 +144,7 @@ def locate(grid: np.ndarray, x: Array, outside: Outside) -> tuple[Array, Array]:
     piece = jnp.concatenate([jnp.ones(1), is_behind]) - jnp.concatenate([is_behind, jnp.zeros(1)])
     if outside == "constant":
         return piece, jnp.clip(x, grid[0], grid[-1])
-    slack = ROUNDING * (grid[-1] - grid[0])
+    slack = GRID_ROUNDING * (grid[-1] - grid[0])
     return piece, jnp.where((x >= grid[0] - slack) & (x <= grid[-1] + slack), x, jnp.nan)
 
 

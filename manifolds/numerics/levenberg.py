@@ -15,7 +15,7 @@ Equations = Callable[[Vector], Float[Array, " m"]]
 Step = Callable[[Float[Array, "m k"], Float[Array, " m"], Array], Vector]
 
 
-MOST_ITERATIONS = 60  # steps that are tried
+MOST_TRIALS = 60  # steps that are tried
 
 
 @final
@@ -63,7 +63,7 @@ def levenberg(
 
     def going(state: tuple[Array, Array, Array, Array]) -> Array:
         _, r, shift, count = state
-        return (vec.largest(r) > solved) & (shift <= damping.largest) & (count < MOST_ITERATIONS)
+        return (vec.largest(r) > solved) & (shift <= damping.largest) & (count < MOST_TRIALS)
 
     first = equations(start)
     if not first.size:

@@ -20,7 +20,7 @@ Matrix = Shaped[Array, "n n"]
 # Shares of the tolerance of a group to which exponentials satisfy its equations, where there is a logarithm and in the
 # domain.
 INVERTED = 1 / 4
-INSIDE = 1 / 16  # of the tolerance of the group: equations that hold to it with a margin inside the domain
+DOMAIN_SHARE = 1 / 16  # of the tolerance of the group: equations that hold to it with a margin inside the domain
 
 
 class _MatrixFunctions(NamedTuple):
@@ -110,7 +110,7 @@ class GroupExponential(SymmetricGroupRetraction):
         inside = _functions(self.manifold).injective(a)
         if type(self.manifold) in _CLOSED_FORMS:
             return inside
-        return inside & self._stays_on_group(a, INSIDE) & comes_back(self, x, v)
+        return inside & self._stays_on_group(a, DOMAIN_SHARE) & comes_back(self, x, v)
 
     def _stays_on_group(self, a: Matrix, share: float) -> Bool[Array, ""]:
         """Whether the exponential is on the group wherever it is computed: its rounding is another one there, of which

@@ -18,10 +18,10 @@
 #define PENALTY_FACTOR 3.0
 /* A barrier problem is solved to so many times the barrier; then that falls by a factor, or by a power. */
 #define SOLVED 10.0
-#define LESS 0.2
+#define BARRIER_FACTOR 0.2
 #define FASTER 1.5
 /* A barrier that exceeds the last one by a smaller share is the last. */
-#define REACHED (4.0 * DBL_EPSILON)
+#define SAME_BARRIER (4.0 * DBL_EPSILON)
 /* Above this barrier, relative, excesses are left whatever their penalty. */
 #define TELLS 0.1
 /* A step of a smaller fraction jams at the inequalities; with a larger regularisation it is stiff. */
@@ -207,10 +207,10 @@ static double lowered_barrier(const retrax_search *search, const retrax_phase *p
             return barrier;
         }
         *penalty_too_small = survey[RETRAX_LIMIT_PENALTY_TOO_SMALL] > 0.0 && relative <= TELLS;
-        if (*penalty_too_small || !(relative > (1.0 + REACHED) * last)) {
+        if (*penalty_too_small || !(relative > (1.0 + SAME_BARRIER) * last)) {
             return barrier;
         }
-        const double less = fmax(last, fmin(LESS * relative, pow(relative, FASTER))) * rate;
+        const double less = fmax(last, fmin(BARRIER_FACTOR * relative, pow(relative, FASTER))) * rate;
         if (!(less < barrier)) {
             return barrier; /* rounding of a rate that is next to zero */
         }

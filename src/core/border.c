@@ -21,7 +21,7 @@
  * agree, those that rounding leaves free stay small. */
 #define MULTIPLIER_REGULARISATION 1e-15
 /* Rounds of scaling rows and columns to one size. */
-#define ROUNDS 3
+#define SCALINGS 3
 
 /* Numbers of the unknowns of the border: e and w, f, and the multipliers of the equations. */
 typedef struct {
@@ -130,13 +130,13 @@ static void add_response(retrax_border *border, const retrax_phase *phase, const
 static void scale_border(retrax_border *border, retrax_index total) {
     double *const own = border->work;
     retrax_copy(own, border->scales, total);
-    for (int round = 0; round <= ROUNDS; round++) {
+    for (int round = 0; round <= SCALINGS; round++) {
         for (retrax_index i = 0; i < total; i++) {
             for (retrax_index j = 0; j < total; j++) {
                 row_of(border, i)[j] *= own[i] * own[j];
             }
         }
-        for (retrax_index i = 0; i < total && round < ROUNDS; i++) {
+        for (retrax_index i = 0; i < total && round < SCALINGS; i++) {
             double most = 0.0;
             for (retrax_index j = 0; j < total; j++) {
                 most = fmax(most, fabs(row_of(border, i)[j]));

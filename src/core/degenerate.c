@@ -10,7 +10,7 @@
 #include <math.h>
 
 /* Times its spread: a trajectory is not asked to move by more. */
-#define FAR 30.0
+#define MOST_SPREADS 30.0
 /* The cosine of half the arc between ends: of their motion as much is seen from its middle. */
 #define OPPOSITE 0.05
 /* Share of what the linearised constraints ask for: a step that leaves more solves another problem. */
@@ -61,7 +61,7 @@ static bool is_far(retrax_search *search) {
     for (retrax_index e = 0; e < search->phases->layout->problem->state_numbers; e++) {
         const retrax_piece piece = retrax_piece_of(search, e);
         spreads = spreads || piece.spread > 0.0;
-        if (piece.spread > 0.0 && !(piece.far > FAR * piece.spread)) {
+        if (piece.spread > 0.0 && !(piece.far > MOST_SPREADS * piece.spread)) {
             return false;
         }
     }

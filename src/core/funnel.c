@@ -26,23 +26,21 @@
 #define FAST 1e-2
 /* Decrease of the cost, relative, that is lost in what the cost is a sum of. */
 #define ROUNDED (10.0 * DBL_EPSILON)
-/* Regularisations: factors up and down, the fraction of a step from which on a smaller one is tried, the first and the
- * smallest. */
-#define RAISE 10.0
+/* Regularisations: the factor down, the fraction of a step from which on a smaller one is tried, and the smallest. */
 #define LOWER 4.0
-#define FOLLOWED 0.75
-#define FIRST_REGULARISATION 1e-4
+#define WHOLE 0.75
 #define SMALLEST_REGULARISATION 1e-8
 
 /* Less after a whole step, more after one that was cut to a quarter or less, and where none was short enough. */
 static double next_regularisation(double regularisation, double made, bool good, bool is_short) {
     if (!good) {
-        return is_short ? fmax(RAISE * regularisation, FIRST_REGULARISATION) : regularisation;
+        return is_short ? fmax(RETRAX_REGULARISATION_FACTOR * regularisation, RETRAX_FIRST_REGULARISATION) : regularisation;
     }
-    if (made >= FOLLOWED) {
+    if (made >= WHOLE) {
         return regularisation < SMALLEST_REGULARISATION ? 0.0 : regularisation / LOWER;
     }
-    return made <= 0.25 ? fmax(regularisation, FIRST_REGULARISATION) * fmin(0.5 / made, RAISE) : regularisation;
+    const double larger = fmax(regularisation, RETRAX_FIRST_REGULARISATION);
+    return made <= 0.25 ? larger * fmin(0.5 / made, RETRAX_REGULARISATION_FACTOR) : regularisation;
 }
 
 retrax_measures retrax_measures_of(const retrax_search *search, const double *iterate) {

@@ -14,9 +14,6 @@
 
 /* Relative curvature along a step, of which less does not descend. */
 #define CURVATURE 1e-9
-/* Factor from one regularisation to the next, and the first one. */
-#define RAISE 10.0
-#define FIRST_REGULARISATION 1e-4
 /* A regularisation that makes the Hessian convex on the null space of the constraints, if these are independent. */
 #define SUFFICIENT 1e2
 /* Times the spread of a trajectory: gaps from which on its pieces do not belong together. */
@@ -193,7 +190,7 @@ void retrax_regularised_step(retrax_search *search, double regularisation, bool 
     retrax_newton_step(search, regularisation);
     step->descends = descends(search, curvature_test_only);
     while (!(step->descends || accept_any_inertia) && step->regularisation < RETRAX_LARGEST_REGULARISATION) {
-        retrax_newton_step(search, fmax(RAISE * step->regularisation, FIRST_REGULARISATION));
+        retrax_newton_step(search, fmax(RETRAX_REGULARISATION_FACTOR * step->regularisation, RETRAX_FIRST_REGULARISATION));
         step->descends = descends(search, curvature_test_only);
     }
 }

@@ -9,7 +9,7 @@
 /* Share of the largest curvature in the controls, by their ways to the bounds, of which less is rounding. */
 #define FLAT 1e-8
 /* Regularisation of the first multipliers: a move by the size of a coordinate costs as much as the size of the cost. */
-#define FIRST_REGULARISATION 1.0
+#define GUESS_REGULARISATION 1.0
 /* Share of the size of a block below which a negative eigenvalue of it is rounding. */
 #define NEGATIVE 1e-9
 
@@ -175,7 +175,7 @@ static bool is_without_way(const retrax_search *search) {
  * constraints leave free, as in every problem of least time, how the constraints bend is what bounds a step, and that
  * the multipliers weigh [test_least_time_with_a_heading_needs_no_bounds_of_the_horizon]. */
 static void find_first_multipliers(retrax_search *search) {
-    retrax_newton_step(search, FIRST_REGULARISATION);
+    retrax_newton_step(search, GUESS_REGULARISATION);
     if (!search->direction.finite) {
         return;
     }

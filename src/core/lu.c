@@ -4,7 +4,7 @@
 #include <math.h>
 
 /* Weight of a row in the search for a pivot that has nothing but its diagonal: larger than any other. */
-#define ALONE 1e300
+#define ONLY_PIVOT 1e300
 
 static void swap_rows(retrax_index columns, double *a, double *b) {
     for (retrax_index j = 0; j < columns; j++) {
@@ -15,7 +15,7 @@ static void swap_rows(retrax_index columns, double *a, double *b) {
 }
 
 /* Weights of rows in the search for pivots: the inverse of the largest entry; of a row that has nothing but its
- * diagonal, ALONE. Such a row, as that of a state at rest, gives the pivot of its column: another one would leave
+ * diagonal, ONLY_PIVOT. Such a row, as that of a state at rest, gives the pivot of its column: another one would leave
  * rounding where it has zeros, and then nothing is at rest any more. */
 static void weigh_rows(retrax_index n, const double *a, double *weights) {
     for (retrax_index i = 0; i < n; i++) {
@@ -25,7 +25,7 @@ static void weigh_rows(retrax_index n, const double *a, double *weights) {
             const double size = fabs(a[i * n + j]);
             others = j != i && size > others ? size : others;
         }
-        weights[i] = others == 0.0 && diagonal > 0.0 ? ALONE : 1.0 / (diagonal > others ? diagonal : others);
+        weights[i] = others == 0.0 && diagonal > 0.0 ? ONLY_PIVOT : 1.0 / (diagonal > others ? diagonal : others);
     }
 }
 

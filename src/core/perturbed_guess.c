@@ -17,7 +17,7 @@
 /* Share of its spread: a piece that moves by less has hardly moved. */
 #define REACHED 0.05
 /* Times that a length is corrected, and that a trajectory at rest is moved. */
-#define ROUNDS 4
+#define CORRECTIONS 4
 /* Half periods of the fastest wave in the horizon, and one more: the first one is constant. */
 #define WAVES 3
 #define PI 3.14159265358979323846
@@ -165,7 +165,7 @@ static double bending_size(retrax_search *search) {
             spreads[a] = fmax(spreads[a], ARRAY(SUPPORT)[a * E + e] * spread);
         }
     }
-    for (int round = 0; round < ROUNDS; round++) { /* a square at the second, unless the first is too small */
+    for (int round = 0; round < CORRECTIONS; round++) { /* a square at the second, unless the first is too small */
         move_by(search, size);
         retrax_evaluate_trajectory(layout, search->trial);
         const double change = change_of(search, spreads, size);
@@ -227,9 +227,9 @@ bool retrax_search_perturb(retrax_search *search, const double *draws) {
     retrax_evaluate(search, search->at);
     still = perturb(search, draws, false, &found);
     found = found || still;
-    for (int round = 1; round <= ROUNDS && still; round++) {
+    for (int round = 1; round <= CORRECTIONS && still; round++) {
         retrax_evaluate(search, search->at);
-        still = perturb(search, draws, round == ROUNDS, &held);
+        still = perturb(search, draws, round == CORRECTIONS, &held);
     }
     search->options.detect_degenerate = false;
     return found || violated;

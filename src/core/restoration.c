@@ -17,10 +17,10 @@
 /* The shortest fraction of a step. */
 #define SHORTEST 1e-3
 /* Factors of the fraction of a step, after a refused one and after an accepted one. */
-#define SHORTER 0.25
+#define CUT 0.25
 #define LONGER 4.0
 /* Share of the infeasibility: near to feasible a step that leaves more is held by rounding or by an inequality. */
-#define GAINED 0.1
+#define RESTORED 0.1
 
 /* Takes the guess without multipliers, and finds its scaling factors and first slacks. */
 static void begin(retrax_search *search) {
@@ -61,14 +61,14 @@ retrax_feasibility retrax_search_restore(retrax_search *search, retrax_index max
             retrax_newton_step(search, RETRAX_LEAST_NORM_REGULARISATION);
         }
         moved = try_step(search);
-        crawls = !moved || RESIDUAL(search->trial, INFEASIBILITY) > GAINED * before;
+        crawls = !moved || RESIDUAL(search->trial, INFEASIBILITY) > RESTORED * before;
         if (moved) {
             retrax_swap(search);
         }
         search->trials++;
         search->direction.descends = moved;
         search->stopped = retrax_report(search);
-        search->backtrack = moved ? fmin(LONGER * search->backtrack, 1.0) : SHORTER * search->backtrack;
+        search->backtrack = moved ? fmin(LONGER * search->backtrack, 1.0) : CUT * search->backtrack;
     }
     const double violation = retrax_larger(RESIDUAL(search->at, INFEASIBILITY), RESIDUAL(search->at, EXCESS));
     EACH_PHASE(phase) { retrax_rest_slacks(phase->layout, search->at + phase->place); }

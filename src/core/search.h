@@ -9,6 +9,9 @@
 
 /* The largest regularisation of a Hessian: with a larger one a step says nothing. */
 #define RETRAX_LARGEST_REGULARISATION 1e10
+/* The first one that is tried, relative to the scaled Hessian, and the factor from one to the next. */
+#define RETRAX_FIRST_REGULARISATION 1e-4
+#define RETRAX_REGULARISATION_FACTOR 10.0
 
 /* A Newton step, and what its elimination tells of the linear system. */
 typedef struct {

@@ -8,7 +8,7 @@
 
 /* Ends of steps that are farther apart than this share of the largest entry of a column meet along an arc: a turn by 64
  * degrees. */
-#define FAR 0.9
+#define FAR_APART 0.9
 /* Largest half angle of such an arc, in radians: opposite points still have a direction. */
 #define LARGEST_ANGLE (1.57079632679489661923 - 1e-2)
 
@@ -87,11 +87,11 @@ static void meet_amid(const retrax_layout *layout, double *trajectory, const dou
     }
 }
 
-/* Whether a gap is far: a column of it is larger than FAR times the largest entry of that column along the nodes. */
+/* Whether a gap is far: a column of it is larger than FAR_APART times the largest entry of that column along the nodes. */
 static bool is_far(const double *gap, const double *largest, const retrax_index *columns, retrax_index E) {
     bool far = false;
     for (retrax_index e = 0; e < E; e++) {
-        far = far || fabs(gap[e]) > FAR * largest[columns[e]];
+        far = far || fabs(gap[e]) > FAR_APART * largest[columns[e]];
     }
     return far;
 }

@@ -11,7 +11,7 @@
 /* Barriers, relative, from which a step is followed; the first is the last one of a usual tolerance. */
 static const double levels[] = {RETRAX_LAST_BARRIER * RETRAX_USUAL_TOLERANCE, 1e-7, 1e-5, 1e-3, 1e-2};
 /* Share of what slacks or multipliers lack then whose square is the barrier to begin with; a higher one does not fit. */
-#define FOLLOWED 0.1
+#define FIRST_BARRIER_SHARE 0.1
 #define FITS 0.1
 
 /* Writes slacks and multipliers with nu s = mu nearest to those of `known`, which may be negative: s - k nu stays as it
@@ -101,7 +101,7 @@ bool retrax_warm_start(retrax_search *search) {
         EACH_PHASE(phase) {
             negative = phase->knows ? retrax_larger(negative, negative_part(phase, search->at + phase->place)) : negative;
         }
-        const double needed = fmax(FOLLOWED * FOLLOWED * negative * negative, levels[i]);
+        const double needed = fmax(FIRST_BARRIER_SHARE * FIRST_BARRIER_SHARE * negative * negative, levels[i]);
         if (search->direction.finite && isfinite(negative) && needed < least) {
             follow(search);
             least = needed;

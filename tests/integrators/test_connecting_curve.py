@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from retrax.integrators.boundary_value.inputs.connecting_curve import PIECES, UNEVEN, ConnectingCurve
+from retrax.integrators.boundary_value.inputs.connecting_curve import CURVE_PIECES, UNEVEN, ConnectingCurve
 from retrax.manifolds import SO, Euclidean, Product, Sphere
 from retrax.retractions import Cayley, Projection, default_retraction
 
@@ -13,12 +13,12 @@ def test_a_curve_is_even_up_to_a_step_of_twice_the_mean_one_wherever_that_is(sha
     wrong."""
     space = Product(Euclidean(2), Euclidean(1))
     start, direction = ConnectingCurve(space, default_retraction(space)), np.array([0.6, 0.8])
-    for place in range(PIECES):
-        steps = np.ones(PIECES)
+    for place in range(CURVE_PIECES):
+        steps = np.ones(CURVE_PIECES)
         # A longest one of ``UNEVEN share`` mean ones: the others are one.
-        steps[place] = (PIECES - 1) / (PIECES / (UNEVEN * share) - 1)
+        steps[place] = (CURVE_PIECES - 1) / (CURVE_PIECES / (UNEVEN * share) - 1)
         along = np.concatenate([[0.0], np.cumsum(steps)])
-        whole, straight = along[:, None] * direction, np.linspace(0.0, 1.0, PIECES + 1)[:, None]
+        whole, straight = along[:, None] * direction, np.linspace(0.0, 1.0, CURVE_PIECES + 1)[:, None]
         both = np.stack([np.concatenate([whole, straight], 1), np.concatenate([whole, straight], 1)[::-1]])
         assert start._even(both).tolist() == [share <= 1] * 2
 

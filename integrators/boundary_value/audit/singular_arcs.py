@@ -16,7 +16,7 @@ from ..shooting.legendre_clebsch import generalised_legendre_clebsch
 from ..solution.record import Solution
 from .switching_structure import stage_sides, switching_structure
 
-MOST_STAGES = 200  # stages of an arc that are looked at
+MOST_ARC_STAGES = 200  # stages of an arc that are looked at
 
 
 @final
@@ -159,7 +159,7 @@ def _classify_arc(
 ) -> ClassifiedArc:
     """An arc with what its classification says of some of its stages."""
     begin, end, singular = arc
-    some = stages[np.unique(np.linspace(0, len(stages) - 1, MOST_STAGES).round().astype(int))]
+    some = stages[np.unique(np.linspace(0, len(stages) - 1, MOST_ARC_STAGES).round().astype(int))]
     z = vec.taken((solution.stage_states, solution.stage_costates), some)
     without_bounds, free = _without_bounds(problem, sides), np.flatnonzero(sides == 0)
     u = _controls(solution, some, free)

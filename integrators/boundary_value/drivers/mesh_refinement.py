@@ -25,12 +25,12 @@ from ..solver import Solver
 
 REFINEMENT_ROUNDS = 25  # at most
 # Limits of a refined mesh: its steps, and the stages of its Gauss method, which then has order 12.
-MOST_REFINED_STEPS, MOST_STAGES = 5000, 6
+MOST_REFINED_STEPS, MOST_REFINED_STAGES = 5000, 6
 FEWEST_STEPS = 5  # steps of a mesh to begin with
 MOST_PARTS_OF_STEP = 4  # of a step, at most
 SHARE, LOOSEST = 1e-3, 1e-9  # of the accuracy, and at most: the tolerance of meshes that follow the first
 SLOW_REFINEMENT, REFINEMENT_PATIENCE = 0.8, 4  # shrinking of the error that counts as none, and how often
-HORIZON_AT_BOUND = 1e-6  # relative: a horizon so near its bound is there
+BOUND_DISTANCE = 1e-6  # relative: a horizon so near its bound is there
 
 
 class _MeshSolution(NamedTuple):
@@ -72,7 +72,7 @@ class MeshRefinement:
         self._arcs: dict[tuple[bytes, float | None], SwitchingArcs] = {}
         self._estimator: StepErrorEstimator | None = None
         self._effort: tuple[int, float, float] = 0, 0.0, 0.0
-        self._most, self._stopped = MOST_STAGES, False
+        self._most, self._stopped = MOST_REFINED_STAGES, False
         self.inputs = self.solver._audit.without_vain_restarts(self.inputs)
         options = self.inputs.options
         if options.callback is not None:
@@ -332,7 +332,7 @@ class MeshRefinement:
             for bound, name in ((horizon.lower, HORIZON_LOWER), (horizon.upper, HORIZON_UPPER)):
                 away = abs(solution.horizon - bound) / solution.horizon
                 pull = np.sum(solution.multipliers.get(name, np.zeros(1))) * step / _unit(solution)
-                if away <= HORIZON_AT_BOUND and pull >= away:
+                if away <= BOUND_DISTANCE and pull >= away:
                     return bound
         return horizon
 

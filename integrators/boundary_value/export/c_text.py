@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 PACKAGE = "retrax.integrators.boundary_value.export"
-WIDTH = 112  # of a line of numbers
+NUMBERS_WIDTH = 112  # of a line of numbers
 
 
 def number(value: Any) -> str:
@@ -27,9 +27,9 @@ def braces(array: np.ndarray) -> str:
     array = np.asarray(array)
     parts = [braces(part) for part in array] if array.ndim > 1 else [number(value) for value in array.tolist()]
     text = f"{{{', '.join(parts)}}}"
-    if len(text) <= WIDTH and "\n" not in text:
+    if len(text) <= NUMBERS_WIDTH and "\n" not in text:
         return text
-    inside = ",\n".join(parts) if array.ndim > 1 else "\n".join(textwrap.wrap(", ".join(parts), WIDTH))
+    inside = ",\n".join(parts) if array.ndim > 1 else "\n".join(textwrap.wrap(", ".join(parts), NUMBERS_WIDTH))
     return f"{{\n{textwrap.indent(inside, '    ')}}}"
 
 

@@ -15,7 +15,7 @@ from .c_text import constant, fill_template, number
 from .posed_problem import PosedProblem
 from .problem_source import templates
 
-CLOSE = 1e2  # tolerances by which controls may differ that are those of two solves
+CONTROL_TOLERANCES = 1e2  # tolerances by which controls may differ that are those of two solves
 # Lines where a step has one point, whose state is the centre; and where there are inequalities.
 ONE_WRITTEN = "    memcpy(to->centres, from->point_states, sizeof(to->centres));"
 ONE_KEPT = "    memcpy(to->point_states, output->solution.centres, sizeof(to->point_states));"
@@ -148,7 +148,7 @@ def _samples_text(posed: PosedProblem, own: PosedController) -> dict[str, str]:
     """The samples of the controller in Python."""
     times, states, controls = own.samples
     return {
-        "close": number(CLOSE * posed.tolerance),
+        "close": number(CONTROL_TOLERANCES * posed.tolerance),
         "sample_count": str(len(times)),
         "samples": "\n".join(
             [

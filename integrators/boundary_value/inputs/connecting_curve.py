@@ -19,8 +19,8 @@ from ....retractions import Retraction, default_retraction
 from ...problem.point_layout import PointLayout
 
 ASIDE = 0.05  # of the chord
-PIECES = 8  # of a curve, in which its unevenness is measured: it does not depend on the steps of a method
-ENDS = np.linspace(0.0, 1.0, PIECES + 1)  # of these
+CURVE_PIECES = 8  # of a curve, in which its unevenness is measured: it does not depend on the steps of a method
+ENDS = np.linspace(0.0, 1.0, CURVE_PIECES + 1)  # of these
 UNEVEN = 2.0  # times the mean step: the Cayley map takes most of a turn by nearly 180 degrees in its first steps
 
 Curve = tuple[PointwiseFunction, PointwiseFunction]  # the vector from a start to an end, with its size; points along it
@@ -113,7 +113,7 @@ class ConnectingCurve:
         change, arrays = points[:, 1:] - points[:, :-1], self.layout.in_arrays.T
         lengths = np.sqrt((change * change) @ arrays)
         size = np.sqrt(((points * points) @ arrays).max(axis=1, initial=0.0))
-        even = UNEVEN / PIECES * lengths.sum(axis=1) + default_tolerance() * size
+        even = UNEVEN / CURVE_PIECES * lengths.sum(axis=1) + default_tolerance() * size
         return (lengths.max(axis=1) <= even).all(axis=1)
 
     def _follow_chord(

@@ -14,7 +14,7 @@ import numpy as np
 from ....manifolds import ConvergenceError
 from ..transcription.kkt_system import KKTSystem
 
-RANK = 1e-10  # relative: smaller singular values of scaled constraints are rounding
+CONSTRAINT_RANK = 1e-10  # relative: smaller singular values of scaled constraints are rounding
 
 
 @final
@@ -60,11 +60,11 @@ def _step(hessian: np.ndarray, left: np.ndarray, asked: np.ndarray) -> tuple[np.
     sizes = np.linalg.norm(asked, axis=1, keepdims=True)
     asked = asked[sizes[:, 0] > 0] / sizes[sizes[:, 0] > 0]
     rows, values, columns = np.linalg.svd(asked @ free)
-    rank = int(np.sum(values > RANK))
+    rank = int(np.sum(values > CONSTRAINT_RANK))
     needed = asked @ begin
     lost = rows[:, rank:].T @ needed
     _, remaining, directions = np.linalg.svd(lost)
-    lost = directions[: np.sum(remaining > RANK)]
+    lost = directions[: np.sum(remaining > CONSTRAINT_RANK)]
     met = columns[:rank].T @ ((rows[:, :rank].T @ needed) / values[:rank, None])
     base, rest = begin - free @ met, free @ columns[rank:].T
     try:

@@ -14,7 +14,7 @@ from ....manifolds.numerics.tolerances import EPS, HALF
 from ....retractions import Retraction
 from ...problem.point_layout import PointLayout
 
-ROUNDS = 30  # of Newton's method, which takes three to five
+CENTRE_ROUNDS = 30  # of Newton's method, which takes three to five
 
 
 class Polynomials(NamedTuple):
@@ -51,7 +51,7 @@ class Chart:
         It ends with a move of half of the digits, whose error is rounding, or where its moves no longer shrink.
         """
         x, last = near, np.inf
-        for _ in range(ROUNDS):
+        for _ in range(CENTRE_ROUNDS):
             _, _, jacobian, values = _each(self._uneven, x, begins, ends)
             n = values.shape[-1] // 2
             known = np.all(np.isfinite(jacobian), axis=(-2, -1)) & np.all(np.isfinite(values), axis=-1)

@@ -22,7 +22,7 @@ from ...problem_checks.control_probing import flat_directions
 from ...stages.stage import positive
 
 Stages = tuple[np.ndarray, np.ndarray, np.ndarray]  # states, controls and costates at the stages
-SAMPLES = 3  # stages at which symmetry and rounding are looked at
+SAMPLED_STAGES = 3  # stages at which symmetry and rounding are looked at
 
 
 class Diagnostics(NamedTuple):
@@ -249,5 +249,5 @@ def _broken_symmetries(problem: OptimalControlProblem, q: Ambient, u: Ambient, p
 def _samples(stages: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
     """Entries of arrays of the stages, (B, S, ...), at the first stage, the last one and some between."""
     last = stages[0].shape[1] - 1
-    places = [k * last // (SAMPLES - 1) for k in range(SAMPLES)]
+    places = [k * last // (SAMPLED_STAGES - 1) for k in range(SAMPLED_STAGES)]
     return tuple([part.take(places, axis=1) for part in stages])

@@ -29,7 +29,7 @@ from ....manifolds.numerics.tolerances import EPS, FINEST, rounding_of, toleranc
 from ...problem.point_layout import PointLayout, parameter_layout
 from .step_primitives import with_margins
 
-PIECES = 16  # of an interval, one of which is the next interval
+SUBINTERVALS = 16  # of an interval, one of which is the next interval
 DISTANCE_RATIO = 4.0  # of each distance from a place to the next smaller one
 LAST_DISTANCES = 4  # smallest ones, over a factor of 4^3, that tell a jump
 LOCATION_ACCURACY = 1 / 16  # of the smallest distance: how closely a place is known
@@ -158,11 +158,11 @@ class JumpSearch:
         falls at one end and rises at the other one, or else that which ends nearest to zero.
         """
         ends = ends[line].astype(self._samples.precision)
-        rounds = int(np.ceil(np.log(LOCATION_ACCURACY * FINEST * tolerance(ends, 1.0)) / -np.log(PIECES)))
+        rounds = int(np.ceil(np.log(LOCATION_ACCURACY * FINEST * tolerance(ends, 1.0)) / -np.log(SUBINTERVALS)))
         for k in range(rounds):
             if not len(line):
                 break
-            places = np.linspace(ends[:, 0], ends[:, 1], PIECES + 1, axis=1, dtype=ends.dtype)
+            places = np.linspace(ends[:, 0], ends[:, 1], SUBINTERVALS + 1, axis=1, dtype=ends.dtype)
             margins, slopes, _ = self.at(given, vec.taken(rows, line), places).of_step(step)
             if k == 0:
                 near = ~(np.min(np.abs(margins), axis=1) > np.ptp(margins, axis=1))

@@ -10,7 +10,7 @@ from ....manifolds.numerics.levenberg import SHORTENING
 from .sample_points import CONVERGED_VALUE, Linearisation, Points, in_units, move, relative, tiny_steps
 from .units import Units, units_at
 
-ITERATIONS = 100  # most steps of a search
+MOST_SEARCH_STEPS = 100  # most steps of a search
 FURTHER = 1e-3  # of what counts as converged: the search ends at as little
 ARMIJO = 1e-4  # of a step: what the equations shrink by at least, relative
 PSEUDO_INVERSE_CUTOFF = 1e-9  # of the largest singular value: smaller singular values are zero
@@ -55,7 +55,7 @@ def _move(points: Points, search: "_Search", which: np.ndarray, descents: int) -
     at, going, slow = points.at, which, np.zeros(len(which), int)
     damping = np.full(len(which), SHORTENING.first)
     residual = search.residual(at, at)
-    for i in range(ITERATIONS):
+    for i in range(MOST_SEARCH_STEPS):
         active = going & (residual > FURTHER * CONVERGED_VALUE) & (damping <= SHORTENING.largest)
         if not active.any():
             break

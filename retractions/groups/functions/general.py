@@ -12,7 +12,7 @@ from ....manifolds.numerics.tolerances import tolerance
 
 Matrix = Shaped[Array, "n n"]
 
-_HALVINGS = 5  # square roots before the series of the logarithm, whose argument is small then
+_SQUARE_ROOTS = 5  # square roots before the series of the logarithm, whose argument is small then
 _FIRST, _LATER = 30, 8  # iterations of the first square root, up to 1e-8 from the negative axis, and of those after it
 _GREGORY = tuple(2.0 / (2 * k + 1) for k in range(12))
 
@@ -25,8 +25,8 @@ def logarithm(a: Matrix) -> Matrix:
     The rounding of the roots comes 2^5-fold: a step of Newton's method takes it away.
     """
     root = _product_root(a, _FIRST)
-    root, _ = jax.lax.scan(lambda b, _: (_product_root(b, _LATER), None), root, length=_HALVINGS - 1)
-    log = 2.0**_HALVINGS * gregory(root)
+    root, _ = jax.lax.scan(lambda b, _: (_product_root(b, _LATER), None), root, length=_SQUARE_ROOTS - 1)
+    log = 2.0**_SQUARE_ROOTS * gregory(root)
     step = jax.lax.stop_gradient(_newton_step(log, a))
     # Near a half turn, at a distance d, the roots err by eps / d^2 and Newton's method converges from errors below d:
     # from those below eps^(1/3).

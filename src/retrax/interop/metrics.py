@@ -46,7 +46,7 @@ from ..retractions import (
     default_retraction,
 )
 
-_ROUNDING = 1e-12  # relative: a smaller difference of two Gram matrices is rounding
+_GRAM_ROUNDING = 1e-12  # relative: a smaller difference of two Gram matrices is rounding
 # Symmetric spaces in the metric of the ambient space.
 _SYMMETRIC = (Euclidean, Sphere, SO, SE, U, SU, Grassmann, Oblique)
 
@@ -147,7 +147,7 @@ def _is_frobenius(metric: LeftInvariantMetric) -> bool:
         return False
     inertia, gram = np.asarray(metric.inertia), metric.manifold.lie_algebra.gram
     matrix = np.diag(inertia) if inertia.ndim == 1 else inertia
-    return np.allclose(matrix / matrix[0, 0], gram / gram[0, 0], rtol=0, atol=_ROUNDING)
+    return np.allclose(matrix / matrix[0, 0], gram / gram[0, 0], rtol=0, atol=_GRAM_ROUNDING)
 
 
 def split(metric: Metric) -> Metric:

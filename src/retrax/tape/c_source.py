@@ -12,7 +12,7 @@ from .instructions import CODES, NAMES
 from .program import Program
 
 PIECE = 1000  # instructions of a function: compilers take longer than in proportion to their number
-WIDTH = 116  # characters of a line
+SOURCE_WIDTH = 116  # characters of a line
 
 # Value of each instruction, of its constant v and its operands. Integers become numbers of the type of the operands.
 EXPRESSIONS = {
@@ -229,7 +229,7 @@ def _function(head: str, real: str, own: Piece, body: list[str]) -> str:
     read = {*own.left, *(r for line in own.lines for r in line.operands)}
     made = {line.to for line in own.lines if line.to is not None}
     names = ", ".join(f"r{r}" for r in sorted(read | made))
-    declared = textwrap.wrap(f"{real} {names};", WIDTH, subsequent_indent=" " * (len(real) + 1)) if names else []
+    declared = textwrap.wrap(f"{real} {names};", SOURCE_WIDTH, subsequent_indent=" " * (len(real) + 1)) if names else []
     words = set(re.findall(r"\w+", " ".join(body)))
     idle = [name for name in re.findall(r"\w+(?=[,)])", head) if name not in words]  # compilers warn of them
     idle += [f"r{r}" for r in sorted(made - read)]

@@ -18,7 +18,7 @@ from ....problem.point_layout import PointLayout, parameter_layout
 from ....stages.explicit_runge_kutta import RK4, ExplicitRungeKutta
 
 BESIDE = 1e-3  # of the chord, sideways: an opposite point has a direction then
-ROUNDS = 4  # of the walk to a middle, each of which leaves a small share of the distance
+MIDDLE_ROUNDS = 4  # of the walk to a middle, each of which leaves a small share of the distance
 
 
 @final
@@ -86,7 +86,7 @@ class NodeFunctions:
 
         chord = vec.subtract(y, x)
         m = retraction(x, jax.tree.map(out, chord, project(x, chord), project(x, off)))
-        for _ in range(ROUNDS):
+        for _ in range(MIDDLE_ROUNDS):
             m = retraction(m, project(m, vec.subtract(vec.scale(0.5, vec.add(x, y)), m)))
         return (self.layout.flat(m),)
 

@@ -29,7 +29,7 @@ from .structs import (
 FLOAT, PLACE, CODE, REGISTER = map(np.dtype, (np.float64, np.intp, np.uint8, np.uint32))  # of arrays that C reads
 
 HEADER_VERSION = 7  # of the header that the structs below repeat
-OPERANDS = 8  # registers of an instruction: its result and at most seven arguments
+INSTRUCTION_REGISTERS = 8  # registers of an instruction: its result and at most seven arguments
 OK = 0  # the status of a call of the core without an error
 BYTES = 8  # of a number
 

@@ -7,7 +7,17 @@ import numpy as np
 
 from ...errors import InvalidInputError
 from ..working_memory import scratch
-from .library import CODE, FLOAT, OPERANDS, PLACE, REGISTER, address_of, best_instruction_set, library, require_ok
+from .library import (
+    CODE,
+    FLOAT,
+    INSTRUCTION_REGISTERS,
+    PLACE,
+    REGISTER,
+    address_of,
+    best_instruction_set,
+    library,
+    require_ok,
+)
 from .structs import FunctionStruct, TapeDataStruct, TapeFunctionStruct, TapeStruct
 
 VECTOR = 8  # lanes of the machine are a multiple of this, or 1
@@ -42,7 +52,7 @@ class MachineProgram:
             inputs,
             outputs,
             address_of(codes, CODE, (count,), "codes of a program"),
-            address_of(operands, REGISTER, (count, OPERANDS), "operands of a program"),
+            address_of(operands, REGISTER, (count, INSTRUCTION_REGISTERS), "operands of a program"),
             address_of(values, FLOAT, (count,), "values of a program"),
         )
         if instruction_set is not None and not 0 <= instruction_set <= best_instruction_set():

@@ -19,7 +19,7 @@ from ...manifolds.numerics.differences import central_difference, central_nodes
 # Steps of difference quotients: the first length in the coordinates, the ratio of the next one, and how many.
 FIRST_STEP_LENGTH, STEP_RATIO, SHORTENINGS = 1e-2, 0.25, 6
 # Relative difference at which a first derivative is not made better; for each order more, LOSS times as much.
-ENOUGH = 1e-11
+GOOD_DIFFERENCE = 1e-11
 LOSS = 1e2
 LIMIT = 1e-7  # relative difference above which a derivative of any order is taken for unknown
 HOST_NODES = central_nodes(4)
@@ -54,7 +54,7 @@ def host_function(values: Host, moved: Moved, shape: tuple[int, ...], order: int
 def slopes(values: Host, moved: Moved, shape: tuple[int, ...], order: int = 0) -> Host:
     """The derivative along each coordinate, shape ``(batch, *shape, k)``, of a function that is a derivative of
     ``order``."""
-    enough = min(ENOUGH * LOSS**order, LIMIT)
+    enough = min(GOOD_DIFFERENCE * LOSS**order, LIMIT)
 
     def slopes(x: np.ndarray) -> np.ndarray:
         best, error = np.full((len(x), *shape, x.shape[1]), np.nan), np.full(len(x), np.inf)

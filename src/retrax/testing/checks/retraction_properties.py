@@ -22,7 +22,7 @@ LONGEST_SAMPLE, MODERATE = 10.0, 1.0
 SAMPLE_REACH = 0.1  # length of the tangent vectors of a sample, by default
 NEAR_VECTOR = 0.3  # of the reach: distance of a second point from the first one
 BEYOND_EDGE = (1.01, 1.5)  # multiples of a vector to the edge that lead where a point may have no inverse
-NEIGHBOURS = (-8, -4, -2, -1, 1, 2, 4, 8)  # of a vector, in roundings of it
+ROUNDED_NEIGHBOURS = (-8, -4, -2, -1, 1, 2, 4, 8)  # of a vector, in roundings of it
 
 
 class RetractionFacts(Facts):
@@ -127,7 +127,7 @@ class RetractionFacts(Facts):
 
         # Far from x rounding may decide where an iteration ends: that a neighbour of v leads to y is enough.
         here = gap(0)
-        return here if here <= precision().half else min(here, *map(gap, NEIGHBOURS))
+        return here if here <= precision().half else min(here, *map(gap, ROUNDED_NEIGHBOURS))
 
     def inverses_nearby(self, *kinds: str) -> Batch:
         """The derivative of ``<c, R_x^-1(y)>`` along a curve of ``x`` and ``y = R(x, v)``, and values on the curve."""
