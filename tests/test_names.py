@@ -142,6 +142,15 @@ def test_no_folder_of_the_new_layout_has_more_than_sixteen_files():
     assert large <= {"integrators/initial_value", "src/retrax", "src/retrax/tape"}
 
 
+def test_no_file_has_more_than_four_hundred_lines():
+    """But the header of the core, which is its documentation for a C programmer."""
+    rooms = "integrators", "manifolds", "retractions", "src"
+    paths = [path for room in rooms for kind in ("*.py", "*.c", "*.h") for path in (ROOT / room).rglob(kind)]
+    lines = {path.name: path.read_text().count("\n") for path in paths}
+    assert len(lines) > 300
+    assert {name for name, count in lines.items() if count > 400} == {"retrax_core.h"}
+
+
 def test_the_test_knows_participles():
     assert all(is_participle([word]) for word in ("Found", "posed", "stored", "Traced", "held"))
     assert not any(is_participle([word]) for word in ("Solution", "set", "defect", "builder", "scaling", "Speed"))

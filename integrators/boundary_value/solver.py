@@ -172,10 +172,8 @@ class Solver:
         return self._evaluator.reason
 
     def __repr__(self) -> str:
-        return (
-            f"Solver({self.problem.manifold}, {type(self.method).__name__}, {self.steps} steps, on the "
-            f"{self.evaluator})"
-        )
+        name = type(self.method).__name__
+        return f"Solver({self.problem.manifold}, {name}, {self.steps} steps, on the {self.evaluator})"
 
     @require_known_options
     @reads_once
@@ -377,9 +375,8 @@ class Solver:
             options = {"tolerance": tolerance, "max_iterations": max_iterations}
             return self.solve(given.start, given.end, float(given.horizon), guess, given.parameters, **options)
 
-        return differentiable_extremal(
-            self.problem.manifold, BoundaryData(start, end, horizon, parameters), solve, self.sensitivity
-        )
+        posed = BoundaryData(start, end, horizon, parameters)
+        return differentiable_extremal(self.problem.manifold, posed, solve, self.sensitivity)
 
     export_c = require_known_options(export_c)
     feedback = require_known_options(feedback)
