@@ -246,7 +246,7 @@ def _multipliers(transcribed: TranscribedProblem, found: DiscreteExtremals) -> d
 def _violation_words(transcribed: TranscribedProblem, found: DiscreteExtremals, k: int, tolerance: float) -> str:
     """By how much a member without success violates which inequalities, if it does."""
     limits, rows = found.inequalities, transcribed.traced.rows
-    if limits is None or found.claimed[k]:
+    if limits is None or found.converged[k]:
         return ""
     member = slice(k, k + 1)
     excess = np.where(limits.weights[member] > 0, np.maximum(limits.values[member], 0.0), 0.0)

@@ -126,7 +126,7 @@ static void test_convergence(retrax_search *search) {
     }
     const bool was_isolated = search->isolated, stuck = next > SHRINKS * search->correction;
     search->isolated = next <= sqrt(search->options.tolerance);
-    search->claimed = search->isolated || (stuck && size <= GROWN);
+    search->converged = search->isolated || (stuck && size <= GROWN);
     search->correction = next;
     const bool exact = was_isolated || RESIDUAL(search->at, BARRIER_ERROR) <= EXACT;
     search->done = (search->isolated && exact) || stuck;
@@ -236,7 +236,7 @@ static retrax_search_status status_of(const retrax_search *search) {
         return RETRAX_DEGENERATE;
     }
     if (search->done) {
-        return search->claimed ? RETRAX_CONVERGED : RETRAX_SINGULAR;
+        return search->converged ? RETRAX_CONVERGED : RETRAX_SINGULAR;
     }
     if (isnan(RESIDUAL(search->at, STATIONARITY))) {
         return RETRAX_SINGULAR; /* a derivative is undefined here, and any step from here with it */
@@ -253,7 +253,7 @@ static retrax_search_status status_of(const retrax_search *search) {
 /* Restarts the globalisation at the iterate, with a step that is not tried yet. */
 static void restart_globalisation(retrax_search *search) {
     search->correction = INFINITY;
-    search->isolated = search->claimed = search->done = search->accepted = false;
+    search->isolated = search->converged = search->done = search->accepted = false;
     reset_funnel(search);
     test_convergence(search);
 }

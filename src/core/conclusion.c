@@ -19,7 +19,7 @@
 #define IDLE 1e6
 
 bool retrax_is_extremal(const retrax_search *search) {
-    return search->claimed && RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance;
+    return search->converged && RESIDUAL(search->at, KKT_ERROR) <= search->options.tolerance;
 }
 
 /* Whether the Hessians by the controls of all points are positive definite, with the share of the inequalities. */

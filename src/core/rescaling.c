@@ -119,7 +119,7 @@ static void take_fresh(const retrax_search *search, retrax_phase *phase) {
 
 /* [test_members_of_a_batch_have_units_of_their_own] */
 bool retrax_renew_scale(retrax_search *search) {
-    if (!search->claimed && retrax_cost_diverges(search)) { /* a cost that falls without end has no size */
+    if (!search->converged && retrax_cost_diverges(search)) { /* a cost that falls without end has no size */
         return false;
     }
     double *at = search->at;

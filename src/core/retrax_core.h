@@ -777,7 +777,7 @@ typedef struct {
     const double *jacobian;     /* [r][Z] their derivatives by coordinates of all ends */
     retrax_index iterations;
     bool iteration_limit_reached; /* whether it has made as many iterations as it may */
-    bool claimed;               /* whether the iterate is an extremal */
+    bool converged;             /* whether the iterate is an extremal */
     bool strict;                /* whether it is a strict minimum: Newton's next step was small, and the Hessian of the
                                  * Lagrangian is positive definite on the null space of the constraints */
     bool legendre_holds;        /* whether its cost is strictly convex in the controls, at each point by itself */

@@ -97,7 +97,7 @@ struct retrax_search {
     double correction; /* largest scaled entry of the next Newton step where the error met the tolerance last */
     double penalty_scale; /* times the usual first penalty; its root times the usual first barrier */
     bool isolated;     /* whether Newton's next step is small where the residuals meet the tolerance */
-    bool claimed;      /* whether the iterate counts as an extremal */
+    bool converged;    /* whether the iterate counts as an extremal */
     bool strict;       /* whether the extremal that was found is a strict minimum of the discrete problem */
     bool legendre_holds; /* whether the cost is strictly convex in the controls there, at each point by itself */
     bool inertia_correct; /* whether the limit ended the search where the inertia is that of a minimum */

@@ -160,7 +160,7 @@ retrax_search_result retrax_search_read(const retrax_search *search, retrax_inde
         .jacobian = coupled ? search->at + first[RETRAX_COUPLED_JACOBIAN] : NULL,
         .iterations = search->trials - 1,
         .iteration_limit_reached = search->trials > search->options.max_iterations,
-        .claimed = extremal,
+        .converged = extremal,
         .strict = search->strict,
         .legendre_holds = search->legendre_holds,
         .solvable = step->finite && step->regularisation < RETRAX_LARGEST_REGULARISATION,

@@ -198,7 +198,7 @@ static int try_search(generator *g) {
     for (retrax_index k = 0; k < count; k++) {
         const retrax_search_result found = retrax_search_read(search, k);
         const double final = found.trajectory[layouts[k]->first[RETRAX_ARRAY_RESIDUALS] + RETRAX_KKT_ERROR];
-        broken = found.claimed && !(final <= TOLERANCE) ? 2 : broken;
+        broken = found.converged && !(final <= TOLERANCE) ? 2 : broken;
         broken = found.iterations < 0 || found.iterations > options.max_iterations + 5 ? 3 : broken;
     }
     if (restores && !broken) { /* from the iterate; a search may set out from what is found */

@@ -198,7 +198,7 @@ def searched(problem: LinkedPhases, guess: Any, callback: Any = None) -> Any:
 def test_searches_end_at_the_minima_of_the_discrete_problems(case, monkeypatch):
     problem, guess = posed(case, monkeypatch)
     found, (cost, off) = searched(problem, guess), COSTS[case]
-    assert found.facts.claimed
+    assert found.facts.converged
     assert found.facts.strict
     assert found.cost == pytest.approx(cost(), rel=off)
     assert np.max(found.missing) < 1e-9
@@ -215,7 +215,7 @@ def test_a_search_from_what_it_has_found_takes_no_time(monkeypatch):
     problem, guess = posed("three phases of one horizon", monkeypatch)
     member = MemberSearch(problem, guess, 0, (1e-10, 100), Watch(None))
     again = member.from_iterate(member.from_guess().iterate)
-    assert again.facts.claimed
+    assert again.facts.converged
     assert again.facts.iterations <= 1
 
 
@@ -239,7 +239,7 @@ def test_the_memory_of_a_search_may_have_any_content(content, monkeypatch):
 def test_a_callback_stops_a_search(monkeypatch):
     found = searched(*posed("three phases of one horizon", monkeypatch), lambda one: one.number == 2)
     assert found.facts.stopped
-    assert not found.facts.claimed
+    assert not found.facts.converged
     assert found.facts.iterations == 2
 
 

@@ -257,7 +257,7 @@ def test_searches_end_where_the_first_and_second_order_conditions_hold(name):
     put(search.trajectory, phase, guess._replace(slacks=None))
     assert search.run() is SearchStatus.CONVERGED
     found, at = search.read(), search.trajectory
-    assert found.facts.claimed
+    assert found.facts.converged
     assert found.facts.strict
     expected, steps = Expansion(equations, at), phase.transcription
     own, hessian = expected.of_steps, expected.of_steps["hessian"]

@@ -40,7 +40,7 @@ def dependence_notes(problem: LinkedPhases, found: Sequence[SearchRecord], names
 def _dependent_words(problem: LinkedPhases, found: SearchRecord, names: Sequence[str]) -> str:
     """The words on one member; otherwise empty."""
     rows = found.jacobian[:, problem.free]
-    power = HALF if found.facts.claimed else HALF / 2  # on the way they nearly depend
+    power = HALF if found.facts.converged else HALF / 2  # on the way they nearly depend
     if not np.all(np.isfinite(rows)) or len(independent := independent_rows(_scale(rows), power)) == len(rows):
         return ""
     every = enumerate(_all(problem, names))

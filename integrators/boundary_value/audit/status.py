@@ -53,7 +53,7 @@ def termination_statuses(found: DiscreteExtremals, tolerance: float) -> list[Sta
     """The status of each finished iteration."""
     largest = found.residuals.largest
     finite = np.isfinite(largest) & np.isfinite(found.cost)
-    success = found.claimed & finite
+    success = found.converged & finite
     if (success & found.strict_minimum).all():
         return [Status(True, sentence("successful"))] * len(success)
     meets = np.max(np.abs(found.missing), axis=1) <= tolerance
@@ -65,8 +65,8 @@ def termination_statuses(found: DiscreteExtremals, tolerance: float) -> list[Sta
     near = found.limited & (left <= NEARLY_CONVERGED)
     ways = {
         "not_finite": ~finite,
-        "stationary": found.claimed & ~found.strict_minimum,
-        "successful": found.claimed,
+        "stationary": found.converged & ~found.strict_minimum,
+        "successful": found.converged,
         "infeasible": found.infeasible,
         "wrong_point": apart,
         "falling": found.falling & (trespass <= NEARLY_SOLVED) & (not found.stopped),

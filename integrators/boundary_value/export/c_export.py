@@ -183,7 +183,7 @@ def _leads_to(transcription: Any, given: Any, cost: float, options: Options) -> 
     converged = search.run() is SearchStatus.CONVERGED
     found = search.read()
     near = abs(found.trajectory["TOTALS"][0] - cost) <= AGREE * max(abs(cost), 1.0)
-    return converged and found.facts.claimed and bool(near)
+    return converged and found.facts.converged and bool(near)
 
 
 def _horizon(steps: np.ndarray, fractions: np.ndarray) -> float:

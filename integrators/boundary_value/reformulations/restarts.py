@@ -27,7 +27,7 @@ def search_member(problem: LinkedPhases, guess: LinkedIterate, options: Options,
     member = MemberSearch(problem, guess, k, (options.tolerance, options.max_iterations), watch)
     found = first = member.from_guess()
     for restart in RESTARTS:
-        if watch.stopped or (found.facts.claimed and found.facts.strict) or not options.restarts():
+        if watch.stopped or (found.facts.converged and found.facts.strict) or not options.restarts():
             break
         try:
             found = restart(member, first, found)
@@ -66,7 +66,7 @@ def from_feasible_trajectory(member: MemberSearch, first: SearchRecord, found: S
     and parameters, and only a minimum is the best fit.
     """
     controlled = any(phase.transcription.controls.dimension for phase in member.problem.phases)
-    settled = found.facts.claimed or _is_near(found) if controlled else found.facts.claimed and found.facts.strict
+    settled = found.facts.converged or _is_near(found) if controlled else found.facts.converged and found.facts.strict
     if settled or found.facts.diverging:
         return found
     restored, iterate = member.restore(member.guess.bare)
@@ -124,19 +124,19 @@ def _better(
         return found
     again = member.from_iterate(start, width, penalty_scale)
     anything = anything and not member.watch.stopped  # a search that was stopped may not have begun
-    better = anything or (again.facts.claimed and not (found.facts.claimed and again.cost >= found.cost))
+    better = anything or (again.facts.converged and not (found.facts.converged and again.cost >= found.cost))
     return (again if better else found).with_facts(iterations=found.facts.iterations + again.facts.iterations)
 
 
 def _says_nothing(found: SearchRecord) -> bool:
     """Whether a result is neither an extremal nor infeasible: then the result of any other search says as much."""
-    return not (found.facts.claimed or found.facts.infeasible)
+    return not (found.facts.converged or found.facts.infeasible)
 
 
 def _is_near(found: SearchRecord) -> bool:
     """Whether the iteration limit came near to an extremal."""
     return (
-        not found.facts.claimed
+        not found.facts.converged
         and found.facts.iteration_limit_reached
         and bool(found.residuals[Residual.BARRIER_ERROR] <= NEAR)
     )
@@ -144,4 +144,4 @@ def _is_near(found: SearchRecord) -> bool:
 
 def _is_open(found: SearchRecord) -> bool:
     """Whether no search came near to an extremal, and the cost has a lower bound."""
-    return not (found.facts.claimed or _is_near(found) or found.facts.diverging)
+    return not (found.facts.converged or _is_near(found) or found.facts.diverging)

@@ -197,7 +197,7 @@ def extremals_of(
         convex=facts.legendre_holds,
         iterations=facts.iterations,
         limited=facts.iteration_limit_reached,
-        claimed=facts.claimed,
+        converged=facts.converged,
         solvable=facts.solvable,
         infeasible=facts.infeasible,
         falling=facts.diverging,

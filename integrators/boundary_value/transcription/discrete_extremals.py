@@ -56,7 +56,7 @@ class DiscreteExtremals(NamedTuple):
     convex: np.ndarray  # whether the cost of an extremal is strictly convex in the controls at each point
     iterations: np.ndarray  # of the search that led here, and of those before it
     limited: np.ndarray  # that search has made as many as one may
-    claimed: np.ndarray  # the first-order conditions hold
+    converged: np.ndarray  # the first-order conditions hold
     solvable: np.ndarray
     infeasible: np.ndarray  # the inequalities contradict each other, or the ends
     falling: np.ndarray  # without success: the cost, as if it had no lower bound

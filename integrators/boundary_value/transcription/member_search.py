@@ -144,7 +144,7 @@ class MemberSearch:
         if self.problem.coupling is not None:
             missing.append(np.abs(first_result.values) / first_result.equations)
         first = None
-        if not (first_result.facts.claimed and first_result.facts.strict):
+        if not (first_result.facts.converged and first_result.facts.strict):
             first = MemberIterate(
                 tuple(result.first.copy() for result in results), search.multipliers(first=True).copy()
             )

@@ -208,7 +208,7 @@ static void read_output(const head *own, const retrax_search *search, const @nam
         status = retrax_search_run(search);
     }
     read_output(own, search, input, output);
-    if (retrax_search_read(search, 0).claimed) { /* also where the last iteration of a budget has led there */
+    if (retrax_search_read(search, 0).converged) { /* also where the last iteration of a budget has led there */
         return output->status = @NAME@_SOLVED;
     }
     switch (status) {

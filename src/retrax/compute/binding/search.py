@@ -40,7 +40,7 @@ class SearchFacts(NamedTuple):
 
     iterations: int
     iteration_limit_reached: bool
-    claimed: bool
+    converged: bool
     strict: bool
     legendre_holds: bool
     solvable: bool

@@ -286,7 +286,7 @@ class SearchResultStruct(Structure):
             (fact, c_bool)
             for fact in (
                 "iteration_limit_reached",
-                "claimed",
+                "converged",
                 "strict",
                 "legendre_holds",
                 "solvable",
