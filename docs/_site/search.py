@@ -9,7 +9,7 @@ WORDS = {
     "MPC": "receding_horizon",
     "receding horizon": "receding_horizon",
     "warm start": "warm_starts",
-    "real time": "receding_horizon",
+    "real time": "warm_starts",
     "minimum time": "minimum_time",
     "free final time": "minimum_time",
     "torque limit": "constraints",

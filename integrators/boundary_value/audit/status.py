@@ -151,7 +151,8 @@ def explain_failure(problem: OptimalControlProblem, solution: Solution) -> Solut
     reason = find_reason(problem, solution)
     if reason:
         return explain(solution, f"The conditions are not met, and this may be why: {reason}.")
-    turn = find_long_turn(problem, solution)
+    falls = solution.result.startswith(sentence("falling"))  # a trajectory that runs away turns by anything
+    turn = "" if falls else find_long_turn(problem, solution)
     return explain(solution, f"{solution.result} At the last iterate {turn}.") if turn else solution
 
 
