@@ -79,7 +79,8 @@ class SmoothnessAlongSolution:
 
     def _search(self, function: Any, solution: Solution, given: Any, curves: Curves) -> JumpSearch:
         """The search on such curves, the same object for solutions with one retraction."""
-        retraction = solution.interpolant.retraction
+        interpolant: Any = solution.interpolant  # a solution without one is not searched
+        retraction = interpolant.retraction
         key = function, curves.ways.shape[1], id(retraction)  # which the search holds
         if key not in self._searches:
             self._searches[key] = search_on_curves(function, self.problem, retraction, given, vec.taken(curves, 0))
