@@ -38,10 +38,13 @@ class Plan(NamedTuple):
         checks = self.solution.checks
         return max(checks.defect, getattr(checks, "violation", 0.0))
 
+    def time_of(self, time: Any) -> Any:
+        """The time of the solution at a time of the loop; before its beginning and after its end too."""
+        return time - self.begin + self.solution.times[0]
+
     def after(self, time: Any) -> Any:
-        """The time since the beginning, at most the horizon."""
-        times = self.solution.times
-        return np.clip(time - self.begin + times[0], times[0], times[-1])
+        """The time of the solution at a time of the loop, between its beginning and its end."""
+        return np.clip(self.time_of(time), self.solution.times[0], self.solution.times[-1])
 
     def guess(self, begin: float, horizon: float) -> Guess | None:
         """The plan from a time on over a horizon, a warm start; its last state and control continue after its end.

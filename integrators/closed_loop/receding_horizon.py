@@ -238,7 +238,7 @@ class RecedingHorizon:
         try:
             if self._feedback is None or self._feedback.solution is not plan.solution:
                 self._feedback = self.solver.feedback(plan.solution)
-            now = begin - plan.begin + plan.solution.times[0]
+            now = plan.time_of(begin)
             return self._clip(self._feedback(now, q)) if now <= self._feedback.until else None
         except (InvalidInputError, DomainError):
             return None

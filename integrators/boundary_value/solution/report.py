@@ -111,8 +111,8 @@ def _turns(solution: SolutionFields) -> Iterator[tuple[str, str]]:
             f"{name_with_label(name, solution)}: {np.degrees(whole):.4g} degrees from start to end, at most "
             f"{np.degrees(largest):.3g} degrees in one step",
         )
-        if long_turn_words(largest):
-            yield "", long_turn_words(largest)
+        if words := long_turn_words(largest):
+            yield "", words
 
 
 def _residuals(solution: SolutionFields) -> Iterator[tuple[str, str]]:

@@ -20,7 +20,7 @@ from retrax.integrators import (
 )
 from retrax.integrators.singular import Classification, singular_integrator
 from retrax.integrators.singular.strategies import RattleIntegrator
-from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError, Sphere
+from retrax.manifolds import ConvergenceError, Euclidean, InvalidInputError
 from retrax.problems import SINGULAR
 from retrax.retractions import Cayley, CotangentLift, Exponential, Midpoint, Theta
 
@@ -385,18 +385,3 @@ def test_an_iterate_that_overflows_leaves_no_warning():
     )
     ends = np.zeros(2), np.array([1.0, 0.0])
     assert not solve(problem, *ends, 1.0, method=Midpoint(Exponential(plane)), steps=6, throw=False).success
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("begin", np.linspace(0, np.pi, 5))
-def test_redundant_controls_are_of_least_norm_wherever_the_trajectory_goes(begin):
-    """Two controls of a motion on the circle, of which the part across it costs nothing and moves nothing: from the
-    places where one of them alone is tangential to the next."""
-    circle = Sphere(1)
-    problem = OptimalControlProblem(circle, lambda q, u: u - (q @ u) * q, lambda q, u: (u @ u - (q @ u) ** 2) / 2, 2)
-    start, end = (np.array([np.cos(angle), np.sin(angle)]) for angle in (begin, begin + 0.7))
-    solution = solve(problem, start, end, 1.0, method=Midpoint(Exponential(circle)), steps=4)
-    assert solution.singular.gauge_controls == 1
-    assert solution.singular.kernel == 0
-    assert solution.cost == pytest.approx(0.7**2 / 2, rel=1e-9)
-    assert norm(np.sum(solution.controls * solution.stage_states, axis=1)) < 1e-9
