@@ -61,7 +61,7 @@ def arc(angle):
     ("solver", "path"),
     [
         (lambda: Solver(PENDULUM, Gauss(3, Exponential(PLANE)), 20), swing_up),
-        pytest.param(lambda: Solver(SLEW, Gauss(3, Cayley(RIGID)), 12), slew, marks=pytest.mark.slow),
+        (lambda: Solver(SLEW, Gauss(3, Cayley(RIGID)), 12), slew),
     ],
     ids=["swing-up", "slew"],
 )

@@ -294,3 +294,13 @@ def test_a_budget_in_milliseconds_leaves_room_for_an_iteration_as_long_as_the_lo
     monkeypatch.setattr("retrax.integrators.closed_loop.plan.time.perf_counter", lambda: next(clock))
     budget = Budget(None, 12.0)
     assert [budget(None) for _ in range(4)] == [False, False, True, True]
+
+
+@pytest.mark.parametrize("evaluator", ["tape", "xla"])
+def test_a_softened_problem_is_evaluated_as_the_user_chose(evaluator):
+    line = rx.Euclidean(1)
+    problem = rx.OptimalControlProblem(
+        line, lambda q, u: u, lambda q, u: u @ u / 2, 1, constraints={"wall": lambda q, u: q[0] - 1}
+    )
+    solver = rx.Solver(problem, rx.Midpoint(rx.Exponential(line)), steps=4, evaluator=evaluator)
+    assert rx.RecedingHorizon(solver, None, horizon=1.0, soft={"wall": 10.0}).solver.evaluator == evaluator
